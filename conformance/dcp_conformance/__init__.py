@@ -1,0 +1,1 @@
+"""The conformance suite: cases, oracle, frame builder and ``dcp-conformance``."""

@@ -1,0 +1,1 @@
+"""What the protocol is: wire profiles, construct schemas, constants, requirements and readings."""
