@@ -1,0 +1,154 @@
+"""Input as one sliding window over a stream of octets, from files and pipes alike."""
+
+from __future__ import annotations
+
+import io
+import os
+import stat
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from dcp_codec.capture.frame import CaptureError
+
+#: Octets asked for at once. Pipes give what they have, so this delays nothing.
+READ_SIZE = 1024 * 1024
+
+
+class ByteSource:
+    """A window of octets that only moves forward.
+
+    `buffer` holds octets of the stream from the absolute offset `base` on. Readers take what they need from
+    `buffer` by index and call `more` when it runs out. The window grows to what one record needs and is never
+    the whole stream.
+
+    A stream that fails (`OSError`, a decompressor's error) ends there, and `failure` says why.
+    """
+
+    def __init__(self, stream: BinaryIO, name: str, size: int | None, *, owned: bool) -> None:
+        self.name = name
+        #: Octets in all, or None for what has no end in sight.
+        self.size = size
+        self.buffer = b""
+        self.base = 0
+        self.failure = ""
+        self._stream = stream
+        self._owned = owned
+        # read(n) of a buffered pipe waits for all n octets; read1 gives what has arrived. A raw file has only
+        # read, which does the same.
+        self._read: Callable[[int], bytes | None] = getattr(stream, "read1", stream.read)
+
+    def more(self, start: int, need: int) -> bytes:
+        """Drop the first `start` octets of the window and have at least `need` in it, fewer only at the end.
+
+        Returns the new `buffer`; indices into the old one are void.
+        """
+        pieces = [self.buffer[start:]]
+        have = len(pieces[0])
+        self.base += start
+        while have < need:
+            piece = self._piece()
+            if not piece:
+                break
+            pieces.append(piece)
+            have += len(piece)
+        self.buffer = b"".join(pieces)
+        return self.buffer
+
+    def skip(self, start: int, count: int) -> int:
+        """Drop `start` octets of the window, then pass over `count` more without keeping them.
+
+        Returns how many of the `count` there were.
+        """
+        self.more(start, 0)
+        gone = 0
+        while gone < count:
+            if not self.buffer:
+                self.buffer = self._piece()
+                if not self.buffer:
+                    break
+            step = min(count - gone, len(self.buffer))
+            self.buffer = self.buffer[step:]
+            self.base += step
+            gone += step
+        return gone
+
+    def _piece(self) -> bytes:
+        if self.failure:
+            return b""
+        try:
+            piece = self._read(READ_SIZE)
+        except (OSError, EOFError, ValueError, zlib.error) as error:
+            self.failure = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            return b""
+        if piece is None:
+            self.failure = "it is non-blocking and had nothing to read"
+            return b""
+        return piece
+
+    def close(self) -> None:
+        """Let go of the stream; a stream that the caller gave stays open. May be called again."""
+        self.buffer = b""
+        self.failure = self.failure or "it is closed"
+        if self._owned:
+            self._owned = False
+            self._stream.close()
+
+
+def open_source(source: str | Path | BinaryIO) -> ByteSource:
+    """A `ByteSource` on a path, on ``"-"`` (standard input), or on a binary stream from where it stands.
+
+    Raises `CaptureError` if there is no such file, it is a directory, or it may not be read.
+    """
+    if isinstance(source, str) and source == "-":
+        return ByteSource(sys.stdin.buffer, "standard input", _file_size(sys.stdin.buffer), owned=False)
+    if not isinstance(source, (str, Path)):
+        return ByteSource(source, stream_name(source), _stream_size(source), owned=False)
+    try:
+        # Unbuffered: the window is the buffer.
+        stream = Path(source).open("rb", buffering=0)  # noqa: SIM115 - the source closes it
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{source}: {explain(error)}") from error
+    return ByteSource(stream, str(source), _file_size(stream), owned=True)
+
+
+def stream_name(stream: BinaryIO) -> str:
+    """What to call a stream in a message."""
+    name = getattr(stream, "name", None)
+    return name if isinstance(name, str) and name else "<stream>"
+
+
+def explain(error: Exception) -> str:
+    """Why a file could not be opened, for people."""
+    if isinstance(error, FileNotFoundError):
+        return "there is no such file"
+    if isinstance(error, IsADirectoryError):
+        return "is a directory, not a capture file"
+    if isinstance(error, PermissionError):
+        return "no permission"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return str(error) or type(error).__name__
+
+
+def _file_size(stream: BinaryIO | io.FileIO) -> int | None:
+    """Size of a regular file by its descriptor; None for pipes, devices and what has no descriptor."""
+    try:
+        status = os.fstat(stream.fileno())
+    except (OSError, ValueError, AttributeError):
+        return None
+    return status.st_size if stat.S_ISREG(status.st_mode) else None
+
+
+def _stream_size(stream: BinaryIO) -> int | None:
+    """Octets from where the stream stands to its end, None if it can not be asked without reading."""
+    try:
+        here = stream.tell()
+        if isinstance(stream, io.BytesIO):
+            return len(stream.getbuffer()) - here
+        size = _file_size(stream)
+    except (OSError, ValueError, AttributeError):
+        return None
+    return None if size is None else size - here

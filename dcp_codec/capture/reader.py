@@ -1,0 +1,181 @@
+"""What the readers of all formats share: iteration, progress, and the list of problems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
+from types import TracebackType
+from typing import Self
+
+from dcp_codec.capture.bytesource import ByteSource
+from dcp_codec.capture.frame import CaptureError, CaptureProblem, Frame
+
+#: What is wrong with a number of things, as a sentence.
+Describe = Callable[[int], str]
+
+
+class ProblemLog:
+    """Problems in the order they were found; what happens often is counted in one entry.
+
+    The list is therefore bounded by the kinds of problems, not by the length of the file.
+    """
+
+    def __init__(self) -> None:
+        self.found: list[CaptureProblem] = []
+        # key -> [index into found, how often]
+        self._counts: dict[Hashable, list[int]] = {}
+        self._describe: dict[Hashable, Describe] = {}
+
+    def add(
+        self, reason: str, message: str, offset: int, *, needed: int = 0, available: int = 0, frame: int = 0
+    ) -> None:
+        """Something that happens once."""
+        self.found.append(CaptureProblem(reason, message, offset, needed, available, frame))
+
+    def count(self, key: Hashable, reason: str, describe: Describe, offset: int, frame: int) -> None:
+        """One more of the kind `key`; the first one gives the place, `describe` the sentence for so many."""
+        entry = self._counts.get(key)
+        if entry is not None:
+            entry[1] += 1
+            return
+        self._counts[key] = [len(self.found), 1]
+        self._describe[key] = describe
+        self.add(reason, describe(1), offset, frame=frame)
+
+    def settle(self) -> None:
+        """Bring the sentences of counted problems up to date."""
+        for key, (index, times) in self._counts.items():
+            if times > 1:
+                old = self.found[index]
+                self.found[index] = CaptureProblem(
+                    old.reason, self._describe[key](times), old.offset, frame=old.frame
+                )
+
+
+class CaptureReader:
+    """Frames of one capture, in file order; an iterator and a context manager.
+
+    Iteration never raises: where a file is cut off or damaged it ends, and `problems` says what and where.
+    """
+
+    #: "pcap", "pcapng" or "mcap".
+    format: str = ""
+
+    def __init__(self, source: ByteSource, link_types: frozenset[int]) -> None:
+        self._source = source
+        self._link_types = link_types
+        self._log = ProblemLog()
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._dropped: dict[int, int] = {}
+        self._stamp = ""
+        self._number = 0
+        self._position = 0
+        self._frames_read = 0
+        self._frames = self._iterate()
+
+    def _records(self) -> Iterator[Frame]:
+        """The frames; sets `_number`, `_frames_read` and `_position` before each."""
+        raise NotImplementedError
+
+    def _iterate(self) -> Generator[Frame]:
+        yield from self._records()
+        if self._source.failure and not any(problem.reason == "read-error" for problem in self._log.found):
+            self._cut("", self._position, 0, 0)
+        self._log.settle()
+
+    def _cut(self, reason: str, offset: int, needed: int, available: int, what: str = "") -> None:
+        """The stream ended where more was needed: because it is shorter, or because reading it failed."""
+        if self._source.failure:
+            reason, what = "read-error", f"reading stopped at octet {offset} ({self._source.failure})"
+        else:
+            what = f"{what} at octet {offset} needs {needed} octets, and {available} are left"
+        self._log.add(
+            reason,
+            f"{what}; {self._so_far()}.",
+            offset,
+            needed=needed,
+            available=available,
+            frame=self._number,
+        )
+
+    def _so_far(self) -> str:
+        return f"{counted(self._frames_read, 'frame')} before it could be read"
+
+    def _refuse(self, message: str) -> CaptureError:
+        return CaptureError(f"{self.name}: {message}")
+
+    @property
+    def name(self) -> str:
+        """The file, as the caller called it."""
+        return self._source.name
+
+    @property
+    def resolution(self) -> str:
+        """Unit of the stamps: "s", "ms", "us", "ns", or such as "10^-12 s", "2^-20 s"; "" if not yet known.
+
+        Of the first interface that is read; `Frame.time_ns` is in nanoseconds whatever it is.
+        """
+        return self._stamp
+
+    @property
+    def problems(self) -> list[CaptureProblem]:
+        """What was wrong so far; complete when the iteration has ended."""
+        return self._log.found
+
+    @property
+    def position(self) -> int:
+        """Octets of the file that are behind us."""
+        return self._position
+
+    @property
+    def size(self) -> int | None:
+        """Octets of the file, None for pipes."""
+        return self._source.size
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Named records of names and values, filled while reading.
+
+        MCAP: the metadata records of the file. pcapng: ``section`` (hardware, os, userappl) and
+        ``interface.N`` (name, description, linkType, resolution). pcap: ``pcap`` (fcsLength) if frames end
+        in a checksum.
+        """
+        return self._metadata
+
+    @property
+    def dropped(self) -> Mapping[int, int]:
+        """Interface -> frames that the recorder says it lost there; an interface that says nothing is absent.
+
+        Only pcapng files say it, and usually at their end.
+        """
+        return self._dropped
+
+    @property
+    def frames_read(self) -> int:
+        """Frames given out so far."""
+        return self._frames_read
+
+    def __iter__(self) -> Iterator[Frame]:
+        # The generator itself, so that a for loop does not come through __next__ for each frame.
+        return self._frames
+
+    def __next__(self) -> Frame:
+        return next(self._frames)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the iteration and let go of the file. May be called again."""
+        self._frames.close()
+        self._log.settle()
+        self._source.close()
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 frame``, ``2 frames``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
