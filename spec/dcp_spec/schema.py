@@ -1,0 +1,42 @@
+"""The construct schemas of a profile, put together."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+from . import bp, srp, vardis
+from .constants import BP_PROTID_SRP, BP_PROTID_VARDIS
+from .profile import Profile
+
+
+class Schema(NamedTuple):
+    """What a profile puts on the wire, as construct objects that parse and build by themselves.
+
+    ``beacon`` is a bearer payload with its client payloads taken apart, ``envelope`` the same with client payloads
+    left as octets (what BP itself knows), ``state_report`` an SRP payload (None where a profile has no octets for
+    it), ``containers`` a VarDis payload.
+    """
+
+    profile: Profile
+    beacon: Any
+    envelope: Any
+    state_report: Any | None
+    containers: Any
+
+
+@functools.lru_cache(maxsize=64)
+def build_schema(profile: Profile) -> Schema:
+    """Build the schemas of ``profile``; equal profiles share one result."""
+    report = srp.state_report(profile)
+    containers = vardis.payload(profile)
+    clients = {BP_PROTID_VARDIS: ("vardis", containers)}
+    if report is not None:
+        clients[BP_PROTID_SRP] = ("srp", report)
+    return Schema(
+        profile=profile,
+        beacon=bp.beacon(profile, clients),
+        envelope=bp.beacon(profile, {}),
+        state_report=report,
+        containers=containers,
+    )
