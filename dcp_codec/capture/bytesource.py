@@ -33,6 +33,8 @@ class ByteSource:
         self.size = size
         self.buffer = b""
         self.base = 0
+        #: The cursor, an index into `buffer`, for readers that do not keep their own.
+        self.start = 0
         self.failure = ""
         self._stream = stream
         self._owned = owned
@@ -40,14 +42,20 @@ class ByteSource:
         # read, which does the same.
         self._read: Callable[[int], bytes | None] = getattr(stream, "read1", stream.read)
 
+    @property
+    def position(self) -> int:
+        """Absolute offset of the cursor."""
+        return self.base + self.start
+
     def more(self, start: int, need: int) -> bytes:
         """Drop the first `start` octets of the window and have at least `need` in it, fewer only at the end.
 
-        Returns the new `buffer`; indices into the old one are void.
+        Returns the new `buffer`, at whose first octet the cursor then is; indices into the old one are void.
         """
         pieces = [self.buffer[start:]]
         have = len(pieces[0])
         self.base += start
+        self.start = 0
         while have < need:
             piece = self._piece()
             if not piece:
@@ -57,23 +65,22 @@ class ByteSource:
         self.buffer = b"".join(pieces)
         return self.buffer
 
-    def skip(self, start: int, count: int) -> int:
-        """Drop `start` octets of the window, then pass over `count` more without keeping them.
+    def need(self, count: int) -> int:
+        """Have `count` octets or more from the cursor on, fewer only at the end; returns how many."""
+        have = len(self.buffer) - self.start
+        if have < count:
+            have = len(self.more(self.start, count))
+        return have
 
-        Returns how many of the `count` there were.
-        """
-        self.more(start, 0)
+    def skip(self, count: int) -> int:
+        """Move the cursor over `count` octets, keeping none; returns how many of them there were."""
         gone = 0
-        while gone < count:
-            if not self.buffer:
-                self.buffer = self._piece()
-                if not self.buffer:
-                    break
-            step = min(count - gone, len(self.buffer))
-            self.buffer = self.buffer[step:]
-            self.base += step
+        while True:
+            step = min(count - gone, len(self.buffer) - self.start)
+            self.start += step
             gone += step
-        return gone
+            if gone == count or not self.more(self.start, 1):
+                return gone
 
     def _piece(self) -> bytes:
         if self.failure:
@@ -91,6 +98,7 @@ class ByteSource:
     def close(self) -> None:
         """Let go of the stream; a stream that the caller gave stays open. May be called again."""
         self.buffer = b""
+        self.start = 0
         self.failure = self.failure or "it is closed"
         if self._owned:
             self._owned = False

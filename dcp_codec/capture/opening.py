@@ -8,6 +8,7 @@ from typing import BinaryIO
 from dcp_codec.capture.bytesource import ByteSource, open_source
 from dcp_codec.capture.frame import ETHERNET, CaptureError
 from dcp_codec.capture.pcap import MAGICS, MODIFIED_MAGICS, PcapReader
+from dcp_codec.capture.pcapng import PcapngReader
 from dcp_codec.capture.reader import CaptureReader
 
 PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
@@ -55,6 +56,8 @@ def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
         raise CaptureError(f"{source.name}: {source.failure or 'is empty'}")
     if start[:4] in MAGICS:
         return PcapReader(source, link_types)
+    if start.startswith(PCAPNG_MAGIC):
+        return PcapngReader(source, link_types)
     raise CaptureError(f"{source.name}: {_what_else(start)}")
 
 

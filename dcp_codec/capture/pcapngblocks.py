@@ -1,0 +1,127 @@
+"""The parts of pcapng that are not frames: blocks by number, options, interfaces and their clocks."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from math import gcd
+from typing import Literal
+
+SECTION_HEADER = 0x0A0D0D0A
+INTERFACE = 0x0000_0001
+PACKET = 0x0000_0002  # obsolete, last written around 2010
+SIMPLE_PACKET = 0x0000_0003
+NAME_RESOLUTION = 0x0000_0004
+STATISTICS = 0x0000_0005
+ENHANCED_PACKET = 0x0000_0006
+
+#: Blocks that the registry of the format knows and that say nothing about frames.
+SKIPPED = frozenset(
+    {
+        NAME_RESOLUTION,
+        0x0000_0007,  # IRIG timestamp
+        0x0000_0008,  # ARINC 429
+        0x0000_0009,  # systemd journal
+        0x0000_000A,  # decryption secrets
+        0x0000_0BAD,  # custom, may be copied
+        0x4000_0BAD,  # custom, may not be copied
+    }
+)
+
+#: Least total length of the blocks whose contents are read.
+LEAST_LENGTH = {
+    SECTION_HEADER: 28,
+    INTERFACE: 20,
+    PACKET: 32,
+    SIMPLE_PACKET: 16,
+    STATISTICS: 24,
+    ENHANCED_PACKET: 32,
+}
+
+#: The byte-order magic of a section header, as it stands in the file -> byte order for struct.
+BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
+
+SECTION_OPTIONS = {2: "hardware", 3: "os", 4: "userappl"}
+INTERFACE_OPTIONS = {2: "name", 3: "description"}
+IF_TSRESOL, IF_TSOFFSET = 9, 14
+ISB_IFDROP, ISB_OSDROP = 5, 7
+
+_NANO = 1_000_000_000
+_UNITS = {0: "s", 3: "ms", 6: "us", 9: "ns"}
+
+
+_NAMES = {
+    SECTION_HEADER: "a section header",
+    INTERFACE: "the description of an interface",
+    PACKET: "a packet block",
+    SIMPLE_PACKET: "a simple packet block",
+    STATISTICS: "a statistics block",
+    ENHANCED_PACKET: "an enhanced packet block",
+}
+
+
+def block_name(kind: int) -> str:
+    """What to call a block of this type in a message."""
+    return _NAMES.get(kind, f"a block of type {kind:#010x}")
+
+
+class BadOptionError(Exception):
+    """An option that does not fit its block, or its own kind."""
+
+
+def options(buffer: bytes, start: int, stop: int, order: str) -> Iterator[tuple[int, bytes]]:
+    """Codes and values of the options in `buffer[start:stop]`, up to the end-of-options mark if there is one.
+
+    Raises `BadOptionError` where one does not fit; those before it were given out.
+    """
+    head = struct.Struct(order + "HH")
+    while start < stop:
+        if stop - start < head.size:
+            raise BadOptionError(f"{stop - start} octets are no option")
+        code, length = head.unpack_from(buffer, start)
+        start += head.size
+        if code == 0:
+            return
+        if length > stop - start:
+            raise BadOptionError(f"option {code} claims {length} octets of {stop - start}")
+        yield code, buffer[start : start + length]
+        start += length + -length % 4
+
+
+class Interface:
+    """One interface of a section: what its frames are, and how to read its clock."""
+
+    __slots__ = ("accepted", "divide", "index", "link_type", "multiply", "resolution", "shift_ns", "snap")
+
+    def __init__(self, index: int, link_type: int, snap: int, *, accepted: bool) -> None:
+        #: Counts from 0 through the whole file.
+        self.index = index
+        self.link_type = link_type
+        #: Longest frame in octets, 0 for no limit.
+        self.snap = snap
+        self.accepted = accepted
+        self.shift_ns = 0
+        self.set_resolution(6)
+
+    def set_resolution(self, code: int) -> None:
+        """`if_tsresol`: with the top bit clear a negative power of 10, with it set one of 2."""
+        exponent = code & 0x7F
+        if code & 0x80:
+            unit, self.resolution = 1 << exponent, f"2^-{exponent} s"
+        else:
+            unit, self.resolution = int(10**exponent), _UNITS.get(exponent, f"10^-{exponent} s")
+        common = gcd(_NANO, unit)
+        # nanoseconds = stamp * multiply / divide, in whole numbers only
+        self.multiply: int = _NANO // common
+        self.divide: int = unit // common
+
+    def apply(self, code: int, value: bytes, order: str) -> None:
+        """Take in an option of the description; raises `BadOptionError` if it has the wrong length."""
+        if code == IF_TSRESOL:
+            if len(value) != 1:
+                raise BadOptionError(f"if_tsresol has {len(value)} octets, not 1")
+            self.set_resolution(value[0])
+        elif code == IF_TSOFFSET:
+            if len(value) != 8:
+                raise BadOptionError(f"if_tsoffset has {len(value)} octets, not 8")
+            self.shift_ns = struct.unpack(order + "q", value)[0] * _NANO
