@@ -1,0 +1,79 @@
+import re
+import tomllib
+from collections import Counter
+from importlib import resources
+
+import pytest
+from dcp_spec.readings import UnknownReadingError, reading, readings
+from dcp_spec.requirements import depending_on
+
+ENTRIES = list(readings().values())
+RAW = tomllib.loads(resources.files("dcp_spec").joinpath("data/readings.toml").read_text())["reading"]
+IDS = [entry.id for entry in ENTRIES]
+
+
+def test_contradictions_and_hazards_are_complete_and_in_order():
+    assert [entry["id"] for entry in RAW] == [f"X{n:02}" for n in range(1, 35)] + [f"H{n}" for n in range(1, 7)]
+    assert list(readings()) == [entry["id"] for entry in RAW]
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=IDS)
+def test_each_entry_is_well_formed(entry):
+    assert entry.kind == {"X": "contradiction", "H": "hazard"}[entry.id[0]]
+    assert entry.sections
+    for place in entry.sections:
+        assert re.fullmatch(r"dcp-[a-z-]+\.md(#[a-z][a-z0-9-]+|: \S.*)", place)
+    assert not entry.title.endswith(".")
+    for text in filter(None, (entry.problem, entry.reading, entry.why, entry.implementations)):
+        assert text.endswith(".")
+        assert "  " not in text
+        assert text.count("(") == text.count(")")
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=IDS)
+def test_every_reading_matters_to_a_requirement(entry):
+    assert depending_on(entry.id)
+
+
+@pytest.mark.parametrize("entry", [e for e in ENTRIES if e.alternatives], ids=lambda e: e.id)
+def test_alternatives_can_be_selected_by_name(entry):
+    names = [alternative.name for alternative in entry.alternatives]
+    assert len(names) >= 2, "a single alternative is no choice"
+    assert [name for name, count in Counter(names).items() if count > 1] == []
+    for name in names:
+        assert re.fullmatch(r"[a-z]+(-[a-z]+)+", name)
+        assert entry.alternative(name).name == name
+    for alternative in entry.alternatives:
+        assert alternative.description[0].isupper() or alternative.description.startswith("summaryQ")
+        assert alternative.description.endswith(".")
+    assert entry.default is entry.alternatives[0]
+
+
+def test_hazards_offer_no_choice():
+    # A hazard is what the text does; there is nothing to choose between, only something to report.
+    assert [e.id for e in ENTRIES if e.kind == "hazard" and e.alternatives] == []
+
+
+def test_an_unknown_alternative_is_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match="write-then-increment, increment-then-write"):
+        reading("X03").alternative("start-at-seven")
+    with pytest.raises(ValueError, match="it has: none"):
+        reading("X01").alternative("literal")
+
+
+def test_a_reading_without_choice_has_no_default():
+    assert reading("X01").default is None
+
+
+def test_unknown_ids_are_answered_with_similar_ones():
+    with pytest.raises(UnknownReadingError, match=r"did you mean .*X01") as caught:
+        reading("x011")
+    assert isinstance(caught.value, KeyError)
+    assert str(caught.value).startswith("no reading 'x011'")
+
+
+def test_entries_cannot_be_changed():
+    with pytest.raises(AttributeError):
+        reading("X01").reading = "as you like it"
+    with pytest.raises(TypeError):
+        readings()["X01"] = reading("X02")
