@@ -42,9 +42,7 @@ def header(profile: Profile, payloads: Any) -> Record:
     fields = {
         "version": Field(
             "version",
-            Expect(
-                integer(IntType(width=1)), BP_VERSION, reason="bad-version", requirement="BP-RX-01"
-            ),
+            Expect(integer(IntType(width=1)), BP_VERSION, reason="bad-version", requirement="BP-RX-01"),
             requirement="BP-HDR-01",
             doc="protocol version, 0x01 in every version of the specification so far",
         ),
@@ -55,13 +53,25 @@ def header(profile: Profile, payloads: Any) -> Record:
             doc="tells beacons from other traffic",
         ),
         "senderId": Field(
-            "senderId", node_id(types.node_id), requirement="BP-HDR-03", role="node-id", doc="sender of the beacon"
+            "senderId",
+            node_id(types.node_id),
+            requirement="BP-HDR-03",
+            role="node-id",
+            doc="sender of the beacon",
         ),
         "networkId": Field(
-            "networkId", integer(types.network_id), requirement="BP-HDR-04", role="network-id", doc="network of the sender"
+            "networkId",
+            integer(types.network_id),
+            requirement="BP-HDR-04",
+            role="network-id",
+            doc="network of the sender",
         ),
         "length": Field(
-            "length", length, requirement="BP-HDR-06", unit="octets", doc="all payload blocks with their headers"
+            "length",
+            length,
+            requirement="BP-HDR-06",
+            unit="octets",
+            doc="all payload blocks with their headers",
         ),
         "numPayloads": Field(
             "numPayloads",
@@ -70,7 +80,11 @@ def header(profile: Profile, payloads: Any) -> Record:
             doc="number of payload blocks",
         ),
         "seqno": Field(
-            "seqno", integer(types.bp_seqno), requirement="BP-HDR-08", role="seqno", doc="counts the sender's beacons"
+            "seqno",
+            integer(types.bp_seqno),
+            requirement="BP-HDR-08",
+            role="seqno",
+            doc="counts the sender's beacons",
         ),
     }
     return Record("BPHeader", *(fields[name] for name in profile.bp.header), requirement="BP-HDR-10")
@@ -104,11 +118,20 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
                 )
             )
     members.append(
-        Field("content", Sized("length", content, reason="block-overrun", requirement="BP-RX-09"), requirement="BP-FMT-01")
+        Field(
+            "content",
+            Sized("length", content, reason="block-overrun", requirement="BP-RX-09"),
+            requirement="BP-FMT-01",
+        )
     )
     if profile.bp.payload_area:
         members.append(
-            Field("area", Filler(profile.bp.payload_area, "length"), role="opaque", doc="unused rest of the fixed area")
+            Field(
+                "area",
+                Filler(profile.bp.payload_area, "length"),
+                role="opaque",
+                doc="unused rest of the fixed area",
+            )
         )
     return Record("Payload", *members, requirement="BP-RX-09")
 

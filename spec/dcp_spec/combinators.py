@@ -251,9 +251,7 @@ class Counted(cs.Subconstruct):
         self.count = count
 
     def _parse(self, stream: Any, context: Any, path: str) -> list[Any]:
-        return [
-            self.subcon._parsereport(stream, context, path) for _ in range(look_up(context, self.count))
-        ]
+        return [self.subcon._parsereport(stream, context, path) for _ in range(look_up(context, self.count))]
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
         for element in obj:

@@ -23,7 +23,7 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base of the parts of a profile: immutable, and a key that is not known is an error."""
 
 
-class IntType(_Part):
+class IntType(_Part, frozen=True):
     """An integer on the wire: ``width`` octets (1..8), ``byte_order``, two's complement when ``signed``."""
 
     width: Width
@@ -31,7 +31,7 @@ class IntType(_Part):
     signed: bool = False
 
 
-class NodeIdType(_Part):
+class NodeIdType(_Part, frozen=True):
     """``NodeIdentifierT`` (DATA-04): ``width`` octets, or text behind a length (``length``)."""
 
     width: Annotated[int, msgspec.Meta(ge=0, le=255)] = 6
@@ -39,7 +39,7 @@ class NodeIdType(_Part):
     length: IntType | None = None
 
 
-class TimestampType(_Part):
+class TimestampType(_Part, frozen=True):
     """``TimeStampT`` (DATA-05): an integer counting ``unit`` since ``epoch``.
 
     ``simulation`` and ``boot`` epochs have no known relation to the time of a recording.
@@ -56,14 +56,14 @@ class TimestampType(_Part):
         return IntType(width=self.width, byte_order=self.byte_order, signed=self.signed)
 
 
-class TextType(_Part):
+class TextType(_Part, frozen=True):
     """Octets of varying number: ``lengths`` (none, one, or several that must agree) and/or a final NUL."""
 
     lengths: tuple[IntType, ...] = (IntType(width=1),)
     terminated: bool = False
 
 
-class Link(_Part):
+class Link(_Part, frozen=True):
     """How beacons are told from other traffic: an EtherType, or a UDP port (UWB-02)."""
 
     transport: Literal["ethernet", "udp"] = "ethernet"
@@ -71,7 +71,7 @@ class Link(_Part):
     udp_port: Annotated[int, msgspec.Meta(ge=1, le=0xFFFF)] | None = None
 
 
-class Opaque(_Part):
+class Opaque(_Part, frozen=True):
     """Octets inside a record that carry no meaning: kept when decoding, ignored by receivers."""
 
     opaque: Positive
@@ -79,7 +79,7 @@ class Opaque(_Part):
     note: str = ""
 
 
-class Extra(_Part):
+class Extra(_Part, frozen=True):
     """A field that the specification does not have, kept as a number."""
 
     extra: IntType
@@ -87,7 +87,7 @@ class Extra(_Part):
     note: str = ""
 
 
-class Types(_Part):
+class Types(_Part, frozen=True):
     """Width and byte order of every transmissible type."""
 
     node_id: NodeIdType = NodeIdType()
@@ -106,7 +106,7 @@ class Types(_Part):
     value: TextType = TextType()
 
 
-class BPLayout(_Part):
+class BPLayout(_Part, frozen=True):
     """``header`` and ``payload_header`` list the fields in the order on the wire.
 
     An empty ``header`` means the implementation sends none. ``length_means``: ``"blocks"`` is the specification's
@@ -121,7 +121,7 @@ class BPLayout(_Part):
     network_id: Annotated[int, msgspec.Meta(ge=0)] | None = None
 
 
-class SafetyField(_Part):
+class SafetyField(_Part, frozen=True):
     """One field of ``SafetyDataT``. ``role`` tells tools which field is a position or velocity component.
 
     The type ``opaque`` stands for ``octets`` octets without meaning.
@@ -140,7 +140,7 @@ class SafetyField(_Part):
         return self.octets if self.type == "opaque" else int(self.type[1:]) // 8
 
 
-class SRPLayout(_Part):
+class SRPLayout(_Part, frozen=True):
     """The state report: ``record`` lists the fields of ``ExtendedSafetyDataT`` in order, with opaque regions.
 
     An empty record means that the implementation has no octets for it; its payload is then shown as data.
@@ -154,6 +154,7 @@ class SRPLayout(_Part):
 
 class ContainerTypes(
     _Part,
+    frozen=True,
     rename={
         "summaries": "SUMMARIES",
         "updates": "UPDATES",
@@ -178,7 +179,7 @@ class ContainerTypes(
         return numbers
 
 
-class VardisLayout(_Part):
+class VardisLayout(_Part, frozen=True):
     """Instruction containers and records. ``list_length``: a length of the record list behind the header."""
 
     var_spec: tuple[str, ...]
@@ -187,7 +188,7 @@ class VardisLayout(_Part):
     list_length: IntType | None = None
 
 
-class Limits(_Part):
+class Limits(_Part, frozen=True):
     """Limits of the implementation, in octets unless the name says otherwise; they bound what it sends and takes."""
 
     uwb_max_packet: Positive = 1500
@@ -202,7 +203,7 @@ class Limits(_Part):
     max_neighbours: Positive | None = None
 
 
-class Behaviour(_Part):
+class Behaviour(_Part, frozen=True):
     """Choices that are not visible in one beacon but that a peer or a test has to know (sections A.6 and C.1)."""
 
     first_beacon_seqno: Annotated[int, msgspec.Meta(ge=0, le=1)] = 0
@@ -213,7 +214,7 @@ class Behaviour(_Part):
     seqno_half_range: Literal["neither", "newer", "older"] = "neither"
 
 
-class Profile(_Part, kw_only=True):
+class Profile(_Part, frozen=True, kw_only=True):
     """One way to put DCP on the wire. See the module docstring; build one with :func:`load_profile`."""
 
     name: str

@@ -56,7 +56,9 @@ def load_profile(name_or_path: str | Path) -> Profile:
     if path.suffix != ".toml" and not path.exists():
         near = difflib.get_close_matches(text, BUILTIN_PROFILES, n=3, cutoff=0.4)
         hint = f"did you mean {' or '.join(near)}?" if near else "the built-in ones are: " + ", ".join(BUILTIN_PROFILES)
-        raise ProfileError(f"unknown profile {text!r}: {hint} (a profile of your own is given as a path to a .toml file)")
+        raise ProfileError(
+            f"unknown profile {text!r}: {hint} (a profile of your own is given as a path to a .toml file)"
+        )
     return _build(_resolve(_read(path), str(path), path.parent), str(path))
 
 
@@ -152,7 +154,7 @@ def _bp_contradictions(profile: Profile) -> Iterable[str]:
     if header:
         for name in ("version", "magicNo", "senderId", "numPayloads", "seqno"):
             if name not in header:
-                yield f"bp.header lacks {name} (BP-HDR-10); only an empty header, meaning none is sent, may leave it out"
+                yield f"bp.header lacks {name} (BP-HDR-10); only an empty header, for none at all, may"
         if "length" not in header and profile.spec_version >= "1.2":
             yield f"bp.header lacks length, which specification {profile.spec_version} has (BP-HDR-06)"
         if "networkId" not in header and profile.spec_version >= "2.0":
@@ -217,9 +219,7 @@ def srp_record_size(profile: Profile) -> int | None:
         "tStamp": profile.types.timestamp.width,
         "seqno": profile.types.srp_seqno.width,
     }
-    return sum(
-        member.opaque if isinstance(member, Opaque) else sizes.get(member, 0) for member in profile.srp.record
-    )
+    return sum(member.opaque if isinstance(member, Opaque) else sizes.get(member, 0) for member in profile.srp.record)
 
 
 def _vardis_contradictions(profile: Profile) -> Iterable[str]:

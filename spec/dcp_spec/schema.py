@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any, NamedTuple
 
 from . import bp, srp, vardis
@@ -25,12 +24,11 @@ class Schema(NamedTuple):
     containers: Any
 
 
-@functools.lru_cache(maxsize=64)
 def build_schema(profile: Profile) -> Schema:
-    """Build the schemas of ``profile``; equal profiles share one result."""
+    """Build the schemas of ``profile``."""
     report = srp.state_report(profile)
     containers = vardis.payload(profile)
-    clients = {BP_PROTID_VARDIS: ("vardis", containers)}
+    clients: dict[int, tuple[str, Any]] = {BP_PROTID_VARDIS: ("vardis", containers)}
     if report is not None:
         clients[BP_PROTID_SRP] = ("srp", report)
     return Schema(

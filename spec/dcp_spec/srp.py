@@ -8,15 +8,14 @@ from .combinators import Field, Record, WholeRegion
 from .profile import IntType, Opaque, Profile, SafetyField
 from .scalars import foreign, integer, node_id, real
 
+
 def _safety_field(member: SafetyField) -> Field:
     if member.type == "opaque":
         return foreign(Opaque(name=member.name, opaque=member.octets))
     if member.type.startswith("f"):
         subcon = real(member.width, member.byte_order)
     else:
-        subcon = integer(
-            IntType(width=member.width, byte_order=member.byte_order, signed=member.type.startswith("i"))
-        )
+        subcon = integer(IntType(width=member.width, byte_order=member.byte_order, signed=member.type.startswith("i")))
     return Field(member.name, subcon, requirement="SRP-TYP-02", role=member.role or None, unit=member.unit or None)
 
 
@@ -30,14 +29,18 @@ def safety_data(profile: Profile) -> Record:
 
 
 def state_report(profile: Profile) -> Any | None:
-    """``ExtendedSafetyDataT``, which fills its payload exactly (SRP-RX-01); None if the profile has no octets for it."""
+    """``ExtendedSafetyDataT``, which fills its payload exactly (SRP-RX-01); None if the profile has no record."""
     if not profile.srp.record:
         return None
     types = profile.types
     fields = {
         "sData": Field("sData", safety_data(profile), requirement="SRP-TYP-03", doc="safety data of the application"),
         "nodeId": Field(
-            "nodeId", node_id(types.node_id), requirement="SRP-TYP-04", role="node-id", doc="node that the report is about"
+            "nodeId",
+            node_id(types.node_id),
+            requirement="SRP-TYP-04",
+            role="node-id",
+            doc="node that the report is about",
         ),
         "tStamp": Field(
             "tStamp",
@@ -48,7 +51,11 @@ def state_report(profile: Profile) -> Any | None:
             doc="when the application handed the data down",
         ),
         "seqno": Field(
-            "seqno", integer(types.srp_seqno), requirement="SRP-TYP-01", role="seqno", doc="counts the reports of this node"
+            "seqno",
+            integer(types.srp_seqno),
+            requirement="SRP-TYP-01",
+            role="seqno",
+            doc="counts the reports of this node",
         ),
     }
     record = Record(

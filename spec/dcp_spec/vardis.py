@@ -24,7 +24,10 @@ def var_spec(profile: Profile) -> Record:
         "varId": _var_id(profile),
         "prodId": Field("prodId", node_id(types.node_id), requirement="VD-TYP-05", role="node-id", doc="producer"),
         "repCnt": Field(
-            "repCnt", integer(types.var_rep_cnt), requirement="VD-TYP-05", doc="beacons that repeat an instruction"
+            "repCnt",
+            integer(types.var_rep_cnt),
+            requirement="VD-TYP-05",
+            doc="beacons that repeat an instruction",
         ),
         "creationTime": Field(
             "creationTime",
@@ -52,7 +55,12 @@ def var_update(profile: Profile) -> Record:
         "VarUpdate",
         _var_id(profile),
         _seqno(profile, "sequence number of this value"),
-        Field("value", octets(profile.types.value, text=False), requirement="VD-TYP-02", doc="value of the variable"),
+        Field(
+            "value",
+            octets(profile.types.value, text=False),
+            requirement="VD-TYP-02",
+            doc="value of the variable",
+        ),
         requirement="VD-TYP-07",
     )
 
@@ -61,11 +69,17 @@ def instruction_records(profile: Profile) -> dict[str, Record]:
     """The record type of each container type, by the container's name."""
     return {
         "SUMMARIES": Record(
-            "VarSumm", _var_id(profile), _seqno(profile, "newest value that the sender has"), requirement="VD-TYP-07"
+            "VarSumm",
+            _var_id(profile),
+            _seqno(profile, "newest value that the sender has"),
+            requirement="VD-TYP-07",
         ),
         "UPDATES": var_update(profile),
         "REQUEST-VARUPDATES": Record(
-            "VarReqUpdate", _var_id(profile), _seqno(profile, "outdated value of the requester"), requirement="VD-TYP-07"
+            "VarReqUpdate",
+            _var_id(profile),
+            _seqno(profile, "outdated value of the requester"),
+            requirement="VD-TYP-07",
         ),
         "REQUEST-VARCREATES": Record("VarReqCreate", _var_id(profile), requirement="VD-TYP-07"),
         "CREATE-VARIABLES": Record(

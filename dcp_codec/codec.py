@@ -1,0 +1,168 @@
+"""The codec of a profile: strict decoding and encoding for programs, dissection for people."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+from dcp_spec.profile import Profile
+from dcp_spec.profile_loading import load_profile
+from dcp_spec.schema import Schema, build_schema
+
+from .decoder import Decode, generate_decoder
+from .dissect import Dissection, dissect
+from .encoder import Encode, generate_encoder
+from .layout import ValueTypes
+from .lint import warnings
+from .plan import Node, lower
+from .values import Beacon, Container, ExtendedSafetyData, SafetyData
+
+
+class Codec:
+    """Octets <-> values for one profile.
+
+    Everything is built from the construct schema of the profile when it is first used: ``beacon_plan`` (the layout as
+    a tree), the compiled decoder and encoder, and the dissector. Instances are immutable to their users and can be
+    shared between threads.
+    """
+
+    def __init__(self, profile: Profile | str | Path) -> None:
+        """``profile`` is a loaded profile, the name of a built-in one, or the path of a TOML file.
+
+        Raises ``dcp_spec.profile_loading.ProfileError`` if there is no such profile or it contradicts itself.
+        """
+        self.profile = profile if isinstance(profile, Profile) else load_profile(profile)
+        self.types = ValueTypes(self.profile)
+
+    def __repr__(self) -> str:
+        return f"Codec({self.profile.name!r})"
+
+    @functools.cached_property
+    def schema(self) -> Schema:
+        """The construct schemas of the profile."""
+        return build_schema(self.profile)
+
+    @functools.cached_property
+    def beacon_plan(self) -> Node:
+        """The layout of a whole beacon."""
+        return lower(self.schema.beacon)
+
+    @functools.cached_property
+    def envelope_plan(self) -> Node:
+        """The layout of a beacon whose client payloads stay octets."""
+        return lower(self.schema.envelope)
+
+    @functools.cached_property
+    def containers_plan(self) -> Node:
+        """The layout of a VarDis payload."""
+        return lower(self.schema.containers)
+
+    @functools.cached_property
+    def report_plan(self) -> Node | None:
+        """The layout of an SRP payload, None if the profile has no octets for it."""
+        return None if self.schema.state_report is None else lower(self.schema.state_report)
+
+    @functools.cached_property
+    def _decode_beacon(self) -> Decode:
+        return generate_decoder(self.beacon_plan, self.types, f"{self.profile.name} beacon")
+
+    @functools.cached_property
+    def _decode_envelope(self) -> Decode:
+        return generate_decoder(self.envelope_plan, self.types, f"{self.profile.name} envelope")
+
+    @functools.cached_property
+    def _decode_containers(self) -> Decode:
+        return generate_decoder(self.containers_plan, self.types, f"{self.profile.name} containers")
+
+    @functools.cached_property
+    def _decode_report(self) -> Decode:
+        return generate_decoder(self._needed_report_plan(), self.types, f"{self.profile.name} state report")
+
+    @functools.cached_property
+    def _encode_beacon(self) -> Encode:
+        return generate_encoder(self.beacon_plan, self.types, f"{self.profile.name} beacon")
+
+    @functools.cached_property
+    def _encode_envelope(self) -> Encode:
+        return generate_encoder(self.envelope_plan, self.types, f"{self.profile.name} envelope")
+
+    @functools.cached_property
+    def _encode_containers(self) -> Encode:
+        return generate_encoder(self.containers_plan, self.types, f"{self.profile.name} containers")
+
+    @functools.cached_property
+    def _encode_report(self) -> Encode:
+        return generate_encoder(self._needed_report_plan(), self.types, f"{self.profile.name} state report")
+
+    def _needed_report_plan(self) -> Node:
+        if self.report_plan is None:
+            raise ValueError(f"profile {self.profile.name} has no octets for a state report (srp.record is empty)")
+        return self.report_plan
+
+    @property
+    def safety_data_type(self) -> type[SafetyData]:
+        """The class of ``ExtendedSafetyData.s_data``, with the fields that the profile lists."""
+        return self.types.safety_data
+
+    # -- beacons ----------------------------------------------------------------------------------------------
+
+    def decode(self, octets: bytes) -> Beacon:
+        """Decode a bearer payload; octets behind the beacon are bearer padding and ignored (BP-RX-14).
+
+        Raises :class:`~dcp_codec.errors.DecodeError`, and nothing else, for octets that are no beacon.
+        """
+        beacon: Beacon = self._decode_beacon(octets, 0, len(octets))[0]
+        return beacon
+
+    def decode_from(self, octets: bytes, start: int = 0) -> tuple[Beacon, int]:
+        """Decode the beacon at ``octets[start:]``; also returns the offset behind it. Error offsets are absolute."""
+        beacon, end = self._decode_beacon(octets, start, len(octets))
+        return beacon, end
+
+    def decode_envelope(self, octets: bytes, start: int = 0) -> tuple[Beacon, int]:
+        """As :meth:`decode_from` with every client payload left as octets: what BP itself has to understand."""
+        beacon, end = self._decode_envelope(octets, start, len(octets))
+        return beacon, end
+
+    def encode(self, beacon: Beacon) -> bytes:
+        """The bearer payload of ``beacon``. Raises :class:`~dcp_codec.errors.EncodeError` naming the field at fault."""
+        return self._encode_beacon(beacon)
+
+    def encode_envelope(self, beacon: Beacon) -> bytes:
+        """As :meth:`encode` for a beacon whose client payloads are all octets."""
+        return self._encode_envelope(beacon)
+
+    def dissect(self, octets: bytes, *, start: int = 0, base: int = 0) -> Dissection:
+        """Take the bearer payload ``octets[start:]`` apart. Never raises.
+
+        ``base`` is what the offset of its first octet is called: 14 to count from the start of an Ethernet frame.
+        """
+        found = dissect(self.beacon_plan, bytes(octets), start=start, base=base)
+        found.problems.extend(warnings(found))
+        return found
+
+    # -- client payloads --------------------------------------------------------------------------------------
+
+    def decode_report(self, payload: bytes) -> ExtendedSafetyData:
+        """Decode an SRP payload, which must be exactly one state report (SRP-RX-01). Raises DecodeError."""
+        report: ExtendedSafetyData = self._decode_report(payload, 0, len(payload))[0]
+        return report
+
+    def encode_report(self, report: ExtendedSafetyData) -> bytes:
+        """The SRP payload of a state report. Raises EncodeError."""
+        return self._encode_report(report)
+
+    def decode_containers(self, payload: bytes) -> tuple[Container, ...]:
+        """Decode a VarDis payload up to its last octet. ``DecodeError.partial``: those before the fault."""
+        containers: tuple[Container, ...] = self._decode_containers(payload, 0, len(payload))[0]
+        return containers
+
+    def encode_containers(self, containers: tuple[Container, ...]) -> bytes:
+        """The VarDis payload of ``containers``. Raises EncodeError."""
+        return self._encode_containers(containers)
+
+
+@functools.lru_cache(maxsize=32)
+def get_codec(name: str) -> Codec:
+    """The codec of a built-in profile or profile file; later calls return the same one."""
+    return Codec(name)

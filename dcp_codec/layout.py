@@ -1,0 +1,153 @@
+"""What the generators and the interpreters of a plan share: runs of scalars, struct formats, value classes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple, cast
+
+import msgspec
+from dcp_spec.profile import Profile
+
+from .plan import Fill, Group, Many, Node, Region, Scalar, Select, Text, snake
+from .values import VALUE_CLASSES, SafetyData
+
+
+class Packing(NamedTuple):
+    """How one run of scalars goes through ``struct``: a format, and which scalars need a second step.
+
+    ``swapped[i]`` is true where scalar ``i`` is carried as octets because ``struct`` cannot express it (an odd
+    width, or an integer in the other byte order than the rest of the run).
+    """
+
+    struct: struct.Struct
+    swapped: tuple[bool, ...]
+
+
+def order_of(scalars: list[Scalar]) -> str | None:
+    """The byte order of a run: that of its first number of more than one octet."""
+    for scalar in scalars:
+        if scalar.size > 1 and scalar.code and scalar.kind != "bytes":
+            return scalar.order
+    return None
+
+
+def joins(run: list[Scalar], scalar: Scalar) -> bool:
+    """Whether ``scalar`` can be packed in one ``struct`` format with ``run`` (a float cannot be swapped afterwards)."""
+    order = order_of(run)
+    if scalar.kind == "float":
+        return order is None or order == scalar.order
+    return True
+
+
+def packing(run: list[Scalar]) -> Packing:
+    """The struct format of a run of scalars."""
+    order = order_of(run) or "big"
+    codes, swapped = [], []
+    for scalar in run:
+        direct = scalar.kind == "bytes" or (scalar.code != "" and (scalar.size == 1 or scalar.order == order))
+        codes.append(scalar.code if direct else f"{scalar.size}s")
+        swapped.append(not direct)
+    return Packing(struct.Struct((">" if order == "big" else "<") + "".join(codes)), tuple(swapped))
+
+
+def read_scalar(scalar: Scalar, octets: bytes) -> Any:
+    """The value of exactly ``scalar.size`` octets."""
+    if scalar.kind == "bytes":
+        return octets
+    if scalar.kind == "float":
+        return struct.unpack((">" if scalar.order == "big" else "<") + scalar.code, octets)[0]
+    return int.from_bytes(octets, scalar.order, signed=scalar.signed)
+
+
+def scalars_of(group: Group) -> list[Scalar] | None:
+    """The scalars of a group in wire order, nested groups opened; None if it has anything else."""
+    found: list[Scalar] = []
+    for member in group.members:
+        if isinstance(member, Scalar):
+            found.append(member)
+        elif isinstance(member, Group) and (inner := scalars_of(member)) is not None:
+            found.extend(inner)
+        else:
+            return None
+    return found
+
+
+def content_name(node: Node) -> str:
+    """The member of a value class that holds ``node``."""
+    return snake(node.name)
+
+
+def walk(node: Node) -> Iterator[Node]:
+    """Every node of a plan, parents first."""
+    yield node
+    match node:
+        case Group():
+            for member in node.members:
+                yield from walk(member)
+        case Many():
+            yield from walk(node.element)
+        case Region():
+            yield from walk(node.content)
+        case Select():
+            for case in node.cases.values():
+                yield from walk(case)
+            if node.default is not None:
+                yield from walk(node.default)
+        case Text():
+            yield from node.prefixes
+        case _:
+            content = getattr(node, "content", None)
+            if content is not None:
+                yield from walk(content)
+
+
+def references(node: Node) -> frozenset[str]:
+    """The last names of all fields that other members of a plan refer to."""
+    found: set[str] = set()
+    for each in walk(node):
+        match each:
+            case Many():
+                found |= {each.count or "", each.agrees or ""}
+            case Region():
+                found.add(each.length)
+            case Select():
+                found.add(each.key)
+            case Fill():
+                found.add(each.used)
+            case Text() if len(each.prefixes) > 1:
+                found |= {prefix.name for prefix in each.prefixes}
+            case _:
+                pass
+    return frozenset(name.rsplit(".", 1)[-1] for name in found)
+
+
+class ValueTypes:
+    """The value class of every record of a profile; its SafetyData class is made here."""
+
+    def __init__(self, profile: Profile) -> None:
+        fields = [(member.name, Any) for member in profile.srp.safety_data]
+        made = msgspec.defstruct("SafetyData", fields, bases=(SafetyData,), frozen=True, gc=False, module=__name__)
+        self.safety_data = cast(type[SafetyData], made)
+        self._classes: Mapping[str, type[msgspec.Struct]] = {**VALUE_CLASSES, "SafetyData": self.safety_data}
+
+    def __getitem__(self, type_name: str) -> type[msgspec.Struct]:
+        return self._classes[type_name]
+
+    def slots(self, group: Group) -> tuple[list[str], list[Node]]:
+        """The attribute names of the value class of ``group``, and the stored members that go to ``extra``."""
+        names = list(self[group.type_name].__struct_fields__)
+        foreign = [
+            member
+            for member in group.members
+            if self.attribute(group, member) is None and (not isinstance(member, Scalar) or member.stored)
+        ]
+        return names, foreign
+
+    def attribute(self, group: Group, member: Node) -> str | None:
+        """The attribute of the value class that holds ``member``, or None when it is derived or goes to ``extra``."""
+        if isinstance(member, Scalar) and not member.stored:
+            return None
+        # Fields of SafetyData carry the profile's own names.
+        name = member.name if group.type_name == "SafetyData" else snake(member.name)
+        return name if name in self[group.type_name].__struct_fields__ and name != "extra" else None

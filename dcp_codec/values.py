@@ -1,0 +1,161 @@
+"""Messages as immutable values.
+
+One class per record type of the specification, attributes in snake_case of the specification's field names, in the
+specification's order of meaning. What follows from other fields (lengths, counts, version, magic number) is not
+stored: it cannot be wrong. Fields that a profile adds to a record (opaque regions of an in-memory image, a field of
+the implementation's own) are kept in wire order in ``extra``; left empty, they are encoded as zeros.
+
+Integers are plain ``int``, octets ``bytes``; node identifiers are octets as on the wire; time stamps are in the unit
+and from the epoch of the profile.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+Extra = tuple[Any, ...]
+
+
+class BPHeader(msgspec.Struct, frozen=True, gc=False):
+    """``BPHeaderT`` (dcp-bp.md, "Data Types"). ``network_id`` is None where the layout has none (before 2.0).
+
+    ``seqno`` is 0..2^32-1; ``sender_id`` as many octets as the profile's node identifier has.
+    """
+
+    sender_id: bytes
+    seqno: int
+    network_id: int | None = None
+    extra: Extra = ()
+
+
+class SafetyData(msgspec.Struct, frozen=True, gc=False):
+    """``SafetyDataT``: base of the class that each profile has for its own fields (``codec.safety_data_type``)."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields by name, in wire order."""
+        return {name: getattr(self, name) for name in self.__struct_fields__}
+
+
+class ExtendedSafetyData(msgspec.Struct, frozen=True, gc=False):
+    """``ExtendedSafetyDataT``, a state report (dcp-srp.md, "Data Types"). ``seqno`` is 0..2^32-1."""
+
+    s_data: Any
+    node_id: bytes
+    t_stamp: int
+    seqno: int
+    extra: Extra = ()
+
+
+class VarSpec(msgspec.Struct, frozen=True, gc=False):
+    """``VarSpecT``. ``creation_time`` and ``timeout`` (ms) are None before 2.0; ``descr`` is UTF-8 octets."""
+
+    var_id: int
+    prod_id: bytes
+    rep_cnt: int
+    descr: bytes
+    creation_time: int | None = None
+    timeout: int | None = None
+
+
+class VarUpdate(msgspec.Struct, frozen=True, gc=False):
+    """``VarUpdateT``: a new value."""
+
+    var_id: int
+    seqno: int
+    value: bytes
+
+
+class VarCreate(msgspec.Struct, frozen=True, gc=False):
+    """``VarCreateT``: the static attributes and the current value."""
+
+    spec: VarSpec
+    upd: VarUpdate
+
+
+class VarDelete(msgspec.Struct, frozen=True, gc=False):
+    """``VarDeleteT``."""
+
+    var_id: int
+
+
+class VarSumm(msgspec.Struct, frozen=True, gc=False):
+    """``VarSummT``: the newest sequence number that the sender has."""
+
+    var_id: int
+    seqno: int
+
+
+class VarReqUpdate(msgspec.Struct, frozen=True, gc=False):
+    """``VarReqUpdateT``: ``seqno`` is the requester's own, outdated number."""
+
+    var_id: int
+    seqno: int
+
+
+class VarReqCreate(msgspec.Struct, frozen=True, gc=False):
+    """``VarReqCreateT``."""
+
+    var_id: int
+
+
+VardisRecord = VarCreate | VarDelete | VarUpdate | VarSumm | VarReqUpdate | VarReqCreate
+
+
+class Container(msgspec.Struct, frozen=True, gc=False):
+    """An instruction container: 1 to 255 records of the one type that ``ic_type`` stands for in the profile."""
+
+    ic_type: int
+    records: tuple[Any, ...]
+    extra: Extra = ()
+
+
+class Payload(msgspec.Struct, frozen=True, gc=False):
+    """A payload block. ``content`` is a state report, a tuple of containers, or octets of another protocol."""
+
+    protocol_id: int
+    content: ExtendedSafetyData | tuple[Container, ...] | bytes
+    extra: Extra = ()
+
+    @property
+    def srp(self) -> ExtendedSafetyData | None:
+        """The state report, when this is one."""
+        return self.content if isinstance(self.content, ExtendedSafetyData) else None
+
+    @property
+    def vardis(self) -> tuple[Container, ...] | None:
+        """The instruction containers, when this is a VarDis payload."""
+        return self.content if isinstance(self.content, tuple) else None
+
+    @property
+    def data(self) -> bytes | None:
+        """The octets, when the protocol is not known."""
+        return self.content if isinstance(self.content, bytes) else None
+
+
+class Beacon(msgspec.Struct, frozen=True, gc=False):
+    """A bearer payload: header and 1 to 255 payload blocks. ``bp`` is None for a profile that sends no header."""
+
+    bp: BPHeader | None
+    payloads: tuple[Payload, ...]
+
+
+#: The value class of each record type of the schema; SafetyData is made per profile.
+VALUE_CLASSES: dict[str, type[msgspec.Struct]] = {
+    cls.__name__: cls
+    for cls in (
+        Beacon,
+        BPHeader,
+        Payload,
+        ExtendedSafetyData,
+        Container,
+        VarSpec,
+        VarUpdate,
+        VarCreate,
+        VarDelete,
+        VarSumm,
+        VarReqUpdate,
+        VarReqCreate,
+    )
+}
