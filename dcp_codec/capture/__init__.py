@@ -1,16 +1,42 @@
 """Captures as streams of link-layer frames: pcap, pcapng and MCAP, read and written.
 
-Nothing here knows what the frames carry. Everything streams: one record, one chunk at most, is in memory.
+Nothing here knows what the frames carry. Everything streams: one record, one chunk at most, is in memory. Nothing
+of a file that can be opened makes reading raise; what is wrong with it is a list of problems beside the frames.
+The mcap library is imported when the first MCAP file is opened or created.
 """
 
-from dcp_codec.capture.frame import CaptureError, CaptureProblem, Frame
-from dcp_codec.capture.opening import open_capture
+from dcp_codec.capture.attachments import Attachment, attachments, extract_attachment
+from dcp_codec.capture.convert import ConvertReport, convert
+from dcp_codec.capture.frame import (
+    ETHERNET,
+    MAX_FRAME_LENGTH,
+    MAX_TIME_NS,
+    CaptureError,
+    CaptureProblem,
+    Frame,
+)
+from dcp_codec.capture.opening import FORMATS, SUFFIXES, create_capture, open_capture
 from dcp_codec.capture.reader import CaptureReader
+from dcp_codec.capture.writer import CaptureWriter, ChannelMessage, MessageSource
 
 __all__ = [
+    "ETHERNET",
+    "FORMATS",
+    "MAX_FRAME_LENGTH",
+    "MAX_TIME_NS",
+    "SUFFIXES",
+    "Attachment",
     "CaptureError",
     "CaptureProblem",
     "CaptureReader",
+    "CaptureWriter",
+    "ChannelMessage",
+    "ConvertReport",
     "Frame",
+    "MessageSource",
+    "attachments",
+    "convert",
+    "create_capture",
+    "extract_attachment",
     "open_capture",
 ]

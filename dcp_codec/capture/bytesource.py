@@ -74,13 +74,34 @@ class ByteSource:
 
     def skip(self, count: int) -> int:
         """Move the cursor over `count` octets, keeping none; returns how many of them there were."""
-        gone = 0
-        while True:
-            step = min(count - gone, len(self.buffer) - self.start)
-            self.start += step
-            gone += step
-            if gone == count or not self.more(self.start, 1):
-                return gone
+        start, end = self.position, self.position + count
+        while self.position < end:
+            step = min(end - self.position, len(self.buffer) - self.start)
+            if step:
+                self.start += step
+            elif self.size is not None and self._owned and end - self.position > READ_SIZE:
+                self._jump(min(end, self.size))
+                if self.position < end:
+                    break
+            elif not self.more(self.start, 1):
+                break
+        return self.position - start
+
+    def _jump(self, position: int) -> None:
+        """Go on at `position` of a file, with the window empty."""
+        try:
+            self._stream.seek(position)
+        except (OSError, ValueError) as error:
+            self.failure = explain(error)
+            return
+        self.buffer, self.start, self.base = b"", 0, position
+
+    def take(self, count: int) -> bytes:
+        """The `count` octets at the cursor, fewer only at the end, moving it over them."""
+        self.need(count)
+        octets = self.buffer[self.start : self.start + count]
+        self.start += len(octets)
+        return octets
 
     def _piece(self) -> bytes:
         if self.failure:

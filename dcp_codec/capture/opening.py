@@ -1,18 +1,27 @@
-"""Opening a capture: which format it is, is decided by its first octets alone."""
+"""Opening captures: to read, their first octets decide on the format; to write, the suffix or the caller."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
+from dcp_codec.capture.bytesink import open_sink, same_file
 from dcp_codec.capture.bytesource import ByteSource, open_source
 from dcp_codec.capture.frame import ETHERNET, CaptureError
 from dcp_codec.capture.pcap import MAGICS, MODIFIED_MAGICS, PcapReader
 from dcp_codec.capture.pcapng import PcapngReader
+from dcp_codec.capture.pcapngwriter import PcapngWriter
+from dcp_codec.capture.pcapwriter import PcapWriter
 from dcp_codec.capture.reader import CaptureReader
+from dcp_codec.capture.writer import CaptureWriter, MessageSource, Metadata
 
 PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+FORMATS = ("pcap", "pcapng", "mcap")
+#: Suffix of a file -> format that is written to it.
+SUFFIXES: Mapping[str, str] = {".pcap": "pcap", ".cap": "pcap", ".pcapng": "pcapng", ".mcap": "mcap"}
 
 #: First octets of what people mistake for a capture -> what it is and what to do.
 _OTHERS = {
@@ -31,9 +40,7 @@ _OTHERS = {
 _LONGEST_MAGIC = 16
 
 
-def open_capture(
-    source: str | Path | BinaryIO, *, link_types: frozenset[int] = frozenset({ETHERNET})
-) -> CaptureReader:
+def open_capture(source: str | Path | BinaryIO, *, link_types: frozenset[int] = frozenset({ETHERNET})) -> CaptureReader:
     """Open a pcap, pcapng or MCAP file to read its frames; the name does not matter, the contents do.
 
     `source` is a path, ``"-"`` for standard input, or a binary stream, read forward from where it stands and
@@ -50,6 +57,92 @@ def open_capture(
         raise
 
 
+def create_capture(
+    target: str | Path | BinaryIO,
+    *,
+    format: str | None = None,
+    resolution: Literal["ns", "us"] = "ns",
+    metadata: Metadata | None = None,
+    messages: MessageSource | None = None,
+    attachment: Path | None = None,
+    compression: Literal["zstd", "lz4", "none"] = "zstd",
+    lossy: bool = False,
+) -> CaptureWriter:
+    """Create a pcap, pcapng or MCAP file to write frames to.
+
+    `target` is a path, ``"-"`` for standard output, or a binary stream, which is left open; it need not be
+    seekable. A file that exists is only touched when everything else is known to be in order. `format` is "pcap",
+    "pcapng" or "mcap", and may be left out for a path with one of the `SUFFIXES`.
+
+    `resolution` is the unit of the stamps, and `lossy` allows to leave off what the format can not hold (of
+    `Frame`: nanoseconds in microseconds, `interface` in pcap). `metadata` may go on changing: pcapng looks up an
+    interface when it first occurs, MCAP writes what is new at the end. `messages`, `attachment` (a file that is
+    attached byte for byte) and `compression` of the chunks are for MCAP alone.
+
+    Raises `CaptureError` if the file can not be created, the format is not known, or it has no place for what is
+    asked of it.
+    """
+    name = target if isinstance(target, (str, Path)) else getattr(target, "name", "<stream>")
+    kind = format or _format_of(target)
+    if kind not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise CaptureError(f"{name}: {kind!r} is not a format that can be written; there are {known}")
+    if resolution not in ("ns", "us"):
+        raise ValueError(f"resolution {resolution!r} is neither 'ns' nor 'us'")
+    about: Metadata = {} if metadata is None else metadata
+    if kind == "mcap":
+        if resolution != "ns":
+            raise CaptureError(f"{name}: MCAP has nanoseconds and nothing else")
+        return _create_mcap(target, about, messages, attachment, compression)
+    if messages is not None or attachment is not None:
+        raise CaptureError(f"{name}: only MCAP has a place for messages and attachments, not {kind}")
+    sink = open_sink(target)
+    try:
+        if kind == "pcap":
+            return PcapWriter(sink, resolution, lossy=lossy)
+        return PcapngWriter(sink, resolution, about, lossy=lossy)
+    except BaseException:
+        sink.close()
+        raise
+
+
+def _create_mcap(
+    target: str | Path | BinaryIO,
+    metadata: Metadata,
+    messages: MessageSource | None,
+    attachment: Path | None,
+    compression: Literal["zstd", "lz4", "none"],
+) -> CaptureWriter:
+    from dcp_codec.capture.mcapwriter import COMPRESSIONS, McapWriter, OpenAttachment
+
+    if compression not in COMPRESSIONS:
+        raise ValueError(f"compression {compression!r} is none of {', '.join(COMPRESSIONS)}")
+    if attachment is not None and same_file(attachment, target):
+        raise CaptureError(f"{attachment}: can not be attached to itself")
+    original = None if attachment is None else OpenAttachment(attachment)
+    try:
+        sink = open_sink(target)
+        try:
+            return McapWriter(sink, metadata, messages, original, compression)
+        except BaseException:
+            sink.close()
+            raise
+    except BaseException:
+        if original is not None:
+            original.close()
+        raise
+
+
+def _format_of(target: str | Path | BinaryIO) -> str:
+    if not isinstance(target, (str, Path)) or target == "-":
+        raise CaptureError("standard output and streams have no suffix that says which format to write: name it")
+    suffix = Path(target).suffix.lower()
+    if suffix not in SUFFIXES:
+        known = ", ".join(SUFFIXES)
+        raise CaptureError(f"{target}: its suffix does not say which format to write ({known}): name it")
+    return SUFFIXES[suffix]
+
+
 def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
     start = source.more(0, _LONGEST_MAGIC)[:_LONGEST_MAGIC]
     if not start:
@@ -58,6 +151,11 @@ def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
         return PcapReader(source, link_types)
     if start.startswith(PCAPNG_MAGIC):
         return PcapngReader(source, link_types)
+    if start.startswith(MCAP_MAGIC):
+        # Here, so that nobody who has no MCAP file pays for importing the library.
+        from dcp_codec.capture.mcapfile import McapReader
+
+        return McapReader(source, link_types)
     raise CaptureError(f"{source.name}: {_what_else(start)}")
 
 

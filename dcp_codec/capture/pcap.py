@@ -45,8 +45,7 @@ class PcapReader(CaptureReader):
         header = source.more(0, HEADER_LENGTH)
         if len(header) < HEADER_LENGTH:
             raise self._refuse(
-                f"is cut off in the header of a pcap file, which needs {HEADER_LENGTH} octets: "
-                f"there are {len(header)}"
+                f"is cut off in the header of a pcap file, which needs {HEADER_LENGTH} octets: there are {len(header)}"
             )
         self._order, self._stamp, self._scale = MAGICS[header[:4]]
         major, minor, _zone, _figures, snap, link = struct.unpack_from(self._order + "HHiIII", header, 4)

@@ -256,7 +256,7 @@ class PcapngReader(CaptureReader):
             time_ns = self._rounded(time_ns, interface, start)
         time_ns += interface.shift_ns
         if not 0 <= time_ns <= MAX_TIME_NS:
-            time_ns = self._clamped(time_ns, start)
+            time_ns = self._clamped(time_ns, self._source.base + start)
         return Frame(
             number,
             time_ns,
@@ -319,9 +319,7 @@ class PcapngReader(CaptureReader):
         self._log.count(
             ("wrong-link-type", index),
             "wrong-link-type",
-            lambda times: (
-                f"{counted(times, 'frame')} of interface {index} passed over: its link type is {kind}."
-            ),
+            lambda times: f"{counted(times, 'frame')} of interface {index} passed over: its link type is {kind}.",
             self._source.base + start,
             self._number - 1,
         )
@@ -377,23 +375,3 @@ class PcapngReader(CaptureReader):
             self._number - 1,
         )
         return time_ns + (2 * rest >= interface.divide)
-
-    def _clamped(self, time_ns: int, start: int) -> int:
-        offset = self._source.base + start
-        self._log.count(
-            "time-out-of-range",
-            "time-out-of-range",
-            lambda times: (
-                f"{counted(times, 'time')}, the first at octet {offset}, outside of 1970 to 2262: the "
-                "nearest that is inside stands for it."
-            ),
-            offset,
-            self._number - 1,
-        )
-        return min(max(time_ns, 0), MAX_TIME_NS)
-
-    def _damaged(self, reason: str, offset: int, what: str) -> bool:
-        """Something after which the next block can not be found; returns False for the end."""
-        message = f"there is {what} at octet {offset}, and no way to read on from there; {self._so_far()}."
-        self._log.add(reason, message, offset, frame=self._number)
-        return False

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from dcp_codec.capture.bytesource import ByteSource
-from dcp_codec.capture.frame import CaptureError, CaptureProblem, Frame
+from dcp_codec.capture.frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame
 
 #: What is wrong with a number of things, as a sentence.
 Describe = Callable[[int], str]
@@ -46,9 +46,7 @@ class ProblemLog:
         for key, (index, times) in self._counts.items():
             if times > 1:
                 old = self.found[index]
-                self.found[index] = CaptureProblem(
-                    old.reason, self._describe[key](times), old.offset, frame=old.frame
-                )
+                self.found[index] = CaptureProblem(old.reason, self._describe[key](times), old.offset, frame=old.frame)
 
 
 class CaptureReader:
@@ -82,7 +80,7 @@ class CaptureReader:
             self._cut("", self._position, 0, 0)
         self._log.settle()
 
-    def _cut(self, reason: str, offset: int, needed: int, available: int, what: str = "") -> None:
+    def _cut(self, reason: str, offset: int, needed: int, available: int, what: str = "", rest: str = "") -> None:
         """The stream ended where more was needed: because it is shorter, or because reading it failed."""
         if self._source.failure:
             reason, what = "read-error", f"reading stopped at octet {offset} ({self._source.failure})"
@@ -90,12 +88,32 @@ class CaptureReader:
             what = f"{what} at octet {offset} needs {needed} octets, and {available} are left"
         self._log.add(
             reason,
-            f"{what}; {self._so_far()}.",
+            f"{what}; {rest or self._so_far()}.",
             offset,
             needed=needed,
             available=available,
             frame=self._number,
         )
+
+    def _clamped(self, time_ns: int, offset: int) -> int:
+        """The time nearest to `time_ns` that a `Frame` can have."""
+        self._log.count(
+            "time-out-of-range",
+            "time-out-of-range",
+            lambda times: (
+                f"{counted(times, 'time')}, the first at octet {offset}, outside of 1970 to 2262: the "
+                "nearest that is inside stands for it."
+            ),
+            offset,
+            self._number - 1,
+        )
+        return min(max(time_ns, 0), MAX_TIME_NS)
+
+    def _damaged(self, reason: str, offset: int, what: str) -> bool:
+        """Something after which the next record can not be found; returns False for the end."""
+        message = f"there is {what} at octet {offset}, and no way to read on from there; {self._so_far()}."
+        self._log.add(reason, message, offset, frame=self._number)
+        return False
 
     def _so_far(self) -> str:
         return f"{counted(self._frames_read, 'frame')} before it could be read"

@@ -1,0 +1,136 @@
+"""Attachments of MCAP files: what there is, and how to have it back byte for byte."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from dcp_codec.capture.bytesource import READ_SIZE, ByteSource, open_source
+from dcp_codec.capture.frame import CaptureError
+
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD_HEAD = struct.Struct("<BQ")
+_OPCODE = 0x09
+_FOOTER = 0x02
+_TIMES = struct.Struct("<QQ")
+_LENGTH = struct.Struct("<I")
+_SIZE = struct.Struct("<Q")
+_CRC = struct.Struct("<I")
+#: Octets of a name or a media type; longer ones are taken for damage.
+_MAX_TEXT = 65_536
+_MAX_HEAD = _TIMES.size + 2 * (_LENGTH.size + _MAX_TEXT) + _SIZE.size
+
+
+class Attachment(msgspec.Struct, frozen=True):
+    """A file inside an MCAP file."""
+
+    name: str
+    media_type: str
+    #: Octets of the file itself.
+    size: int
+    #: Nanoseconds since the Unix epoch; 0 if not known.
+    log_time: int
+    create_time: int
+    #: Where the content of its record starts in the MCAP file, in octets.
+    offset: int
+
+
+def attachments(path: str | Path) -> list[Attachment]:
+    """The attachments of an MCAP file in their order, also of one that was never finished.
+
+    Of one that is cut off, only those that are there whole. Raises `CaptureError` if it is no MCAP file.
+    """
+    source = open_source(path)
+    try:
+        return list(_scan(source))
+    finally:
+        source.close()
+
+
+def extract_attachment(path: str | Path, attachment: Attachment, target: str | Path) -> None:
+    """Write an attachment of the MCAP file `path` to the file `target`, which it replaces only when complete.
+
+    Raises `CaptureError` if the attachment does not match its checksum, or is not there as described, or
+    `target` can not be written.
+    """
+    source = open_source(path)
+    part = Path(f"{target}.part")
+    try:
+        source.skip(attachment.offset)
+        with part.open("wb") as stream:
+            start = source.position
+            found = _head(source, _MAX_HEAD + attachment.size)
+            if found != attachment:
+                raise CaptureError(f"{path}: has no attachment {attachment.name!r} at octet {start}")
+            crc = zlib.crc32(source.buffer[source.start - (source.position - start) : source.start])
+            left = attachment.size
+            while left:
+                piece = source.take(min(left, READ_SIZE))
+                if not piece:
+                    raise CaptureError(f"{path}: ends within the attachment {attachment.name!r}")
+                stream.write(piece)
+                crc = zlib.crc32(piece, crc)
+                left -= len(piece)
+        expected = source.take(_CRC.size)
+        # 0 says that whoever wrote it made no checksum.
+        if any(expected) and expected != _CRC.pack(crc):
+            raise CaptureError(f"{path}: the attachment {attachment.name!r} does not match its checksum")
+        part.replace(target)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise CaptureError(f"{target}: can not be written: {reason}") from error
+    finally:
+        source.close()
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def _scan(source: ByteSource) -> Iterator[Attachment]:
+    if source.take(len(_MAGIC)) != _MAGIC:
+        raise CaptureError(f"{source.name}: {source.failure or 'is not an MCAP file'}")
+    while source.need(_RECORD_HEAD.size) >= _RECORD_HEAD.size:
+        opcode, length = _RECORD_HEAD.unpack(source.take(_RECORD_HEAD.size))
+        end = source.position + length
+        found = _head(source, length) if opcode == _OPCODE else None
+        left = end - source.position
+        if opcode in (0, _FOOTER) or source.skip(left) < left:
+            return
+        if found is not None:
+            yield found
+
+
+def _head(source: ByteSource, length: int) -> Attachment | None:
+    """What stands before the octets of an attachment, in a record with `length` octets; None if it can not be.
+
+    Moves the cursor to behind it.
+    """
+    offset = source.position
+    # All of it, so that it stays in the window.
+    have = min(source.need(min(length, _MAX_HEAD)), length)
+    buffer, start = source.buffer, source.start
+    stop = start + have
+    at = start + _TIMES.size
+    texts = []
+    for _ in ("name", "media type"):
+        if at + _LENGTH.size > stop:
+            return None
+        (size,) = _LENGTH.unpack_from(buffer, at)
+        at += _LENGTH.size
+        if size > _MAX_TEXT or at + size > stop:
+            return None
+        texts.append(buffer[at : at + size].decode("utf-8", "replace"))
+        at += size
+    if at + _SIZE.size > stop:
+        return None
+    (size,) = _SIZE.unpack_from(buffer, at)
+    at += _SIZE.size
+    if size > length - (at - start) - _CRC.size:
+        return None
+    log_time, create_time = _TIMES.unpack_from(buffer, start)
+    source.start = at
+    return Attachment(texts[0], texts[1], size, log_time, create_time, offset)

@@ -1,0 +1,97 @@
+"""Output of octets to files and pipes, each octet handed to the system before the call returns."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from pathlib import Path
+from typing import BinaryIO
+
+from dcp_codec.capture.bytesource import explain, stream_name
+from dcp_codec.capture.frame import CaptureError
+
+
+class ByteSink:
+    """A place for octets that knows how many went there, also where the system can not tell (pipes).
+
+    It does not buffer: whoever writes passes on whole records, and so a process that is killed leaves whole
+    records behind.
+    """
+
+    def __init__(self, stream: BinaryIO, name: str, *, owned: bool) -> None:
+        self.name = name
+        #: Octets written so far.
+        self.position = 0
+        self.failed = False
+        self._stream = stream
+        self._owned = owned
+
+    def write(self, octets: bytes | memoryview) -> int:
+        """Write all of `octets`; raises `CaptureError` if the system can not."""
+        view = memoryview(octets)
+        try:
+            while view:
+                # Raw files, and pipes above all, may take less than they are given.
+                taken = self._stream.write(view)
+                if not taken:
+                    raise BlockingIOError("the stream is non-blocking and took nothing")
+                view = view[taken:]
+        except (OSError, ValueError) as error:
+            raise self._error(error) from error
+        self.position += len(octets)
+        return len(octets)
+
+    def flush(self) -> None:
+        """Have the stream pass on what it may hold itself."""
+        try:
+            self._stream.flush()
+        except (OSError, ValueError) as error:
+            raise self._error(error) from error
+
+    def close(self) -> None:
+        """Let go of the stream; one that the caller gave is flushed and stays open. May be called again."""
+        if self._owned:
+            self._owned = False
+            try:
+                self._stream.close()
+            except OSError as error:
+                raise self._error(error) from error
+        elif not self.failed and not self._stream.closed:
+            self.flush()
+
+    def _error(self, error: Exception) -> CaptureError:
+        self.failed = True
+        return CaptureError(f"{self.name}: can not be written: {explain(error)}")
+
+
+def open_sink(target: str | Path | BinaryIO) -> ByteSink:
+    """A `ByteSink` on a path (emptied if it exists), on ``"-"`` (standard output), or on a binary stream.
+
+    Raises `CaptureError` if it can not be opened.
+    """
+    if isinstance(target, str) and target == "-":
+        return ByteSink(sys.stdout.buffer, "standard output", owned=False)
+    if not isinstance(target, (str, Path)):
+        return ByteSink(target, stream_name(target), owned=False)
+    try:
+        stream = Path(target).open("wb", buffering=0)  # noqa: SIM115 - the sink closes it
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{target}: can not be written: {explain(error)}") from error
+    return ByteSink(stream, str(target), owned=True)
+
+
+def same_file(one: str | Path | BinaryIO, other: str | Path | BinaryIO) -> bool:
+    """Whether both are one and the same regular file, by whatever names."""
+    first = _identity(one)
+    return first is not None and first == _identity(other)
+
+
+def _identity(place: str | Path | BinaryIO) -> tuple[int, int] | None:
+    try:
+        if isinstance(place, str) and place == "-":
+            return None
+        status = Path(place).stat() if isinstance(place, (str, Path)) else os.fstat(place.fileno())
+    except (OSError, ValueError, AttributeError):
+        return None
+    return (status.st_dev, status.st_ino) if stat.S_ISREG(status.st_mode) else None

@@ -1,0 +1,83 @@
+"""From one capture format to another."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import BinaryIO, Literal, cast
+
+import msgspec
+
+from dcp_codec.capture.bytesink import same_file
+from dcp_codec.capture.frame import CaptureError, CaptureProblem
+from dcp_codec.capture.opening import create_capture, open_capture
+from dcp_codec.capture.writer import MessageSource, Metadata
+
+#: Frames between two reports of progress.
+_STRIDE = 1024
+
+
+class ConvertReport(msgspec.Struct, frozen=True):
+    """What a conversion did."""
+
+    #: Frames that were read, and all of them written.
+    frames: int
+    #: What was wrong with the source, as in `CaptureReader.problems`.
+    problems: tuple[CaptureProblem, ...]
+    #: "pcap", "pcapng" or "mcap".
+    source_format: str
+    target_format: str
+
+
+def convert(
+    source: str | Path | BinaryIO,
+    target: str | Path | BinaryIO,
+    *,
+    format: str | None = None,
+    resolution: Literal["ns", "us"] = "ns",
+    metadata: Metadata | None = None,
+    messages: MessageSource | None = None,
+    attach_source: bool = False,
+    compression: Literal["zstd", "lz4", "none"] = "zstd",
+    lossy: bool = False,
+    progress: Callable[[int, int | None], object] | None = None,
+) -> ConvertReport:
+    """Write the frames of `source` to `target` with their times, octets, lengths and interfaces as they are.
+
+    Options are those of `create_capture`. The metadata of the source goes along as far as the format has a place
+    for it; `metadata` is added and wins. `attach_source` puts the source itself, byte for byte, into an MCAP
+    target. `progress` is called now and then, and at the end, with the octets read and the octets in all, None
+    for pipes.
+
+    The target is only touched once the source is known to be a capture. If a frame can not be written,
+    `CaptureError` says so, and the target holds the frames before it. So it does, with a problem in the report,
+    if the source is cut off or damaged. Raises `CaptureError` also if both are the same file.
+    """
+    if same_file(source, target):
+        raise CaptureError(f"{target}: is the source itself, and would be lost before it is read")
+    attachment = None
+    if attach_source:
+        if not isinstance(source, (str, Path)) or source == "-":
+            raise CaptureError("a source that is not a file can not be attached")
+        attachment = Path(source)
+    with open_capture(source) as reader:
+        # Looked up as it fills: the source may say things on its way, and at its end.
+        about = ChainMap(*(cast("dict[str, Mapping[str, str]]", each) for each in (metadata or {}, reader.metadata)))
+        with create_capture(
+            target,
+            format=format,
+            resolution=resolution,
+            metadata=about,
+            messages=messages,
+            attachment=attachment,
+            compression=compression,
+            lossy=lossy,
+        ) as writer:
+            for frame in reader:
+                writer.write(frame)
+                if progress is not None and writer.frames_written % _STRIDE == 0:
+                    progress(reader.position, reader.size)
+        if progress is not None:
+            progress(reader.position, reader.size)
+        return ConvertReport(writer.frames_written, tuple(reader.problems), reader.format, writer.format)

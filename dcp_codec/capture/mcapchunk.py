@@ -1,0 +1,113 @@
+"""Chunks of MCAP files: their heads, their compression, and what is left of one that is cut off."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from importlib import import_module
+from typing import NamedTuple
+
+#: Octets of a chunk, packed or unpacked, that are held in memory; larger ones are passed over. Writers make
+#: chunks of about a megabyte at most, unless one message is larger.
+MAX_CHUNK_LENGTH = 256 * 1024 * 1024
+
+_PIECE = 1024 * 1024
+# Start and end time, unpacked size, checksum of the unpacked records, length of the compression's name.
+_HEAD = struct.Struct("<QQQII")
+_RECORDS_LENGTH = struct.Struct("<Q")
+
+
+class ChunkError(Exception):
+    """A chunk that can not be read: `reason` as in `CaptureProblem`, the message a half sentence."""
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+class Chunk(NamedTuple):
+    """The records of a chunk, unpacked."""
+
+    records: bytes
+    #: Where the records start within the content of the chunk record, -1 if they are compressed.
+    start: int
+
+
+def open_chunk(content: bytes, length: int) -> Chunk:
+    """Unpack the chunk record of `length` octets of which `content` is there.
+
+    Raises `ChunkError` if a whole one is damaged. Of one that is cut off, gives as much as can be unpacked, which
+    nothing has checked.
+    """
+    whole = len(content) == length
+    try:
+        size, crc, compression, start, stop = _head(content, length)
+    except ChunkError:
+        if whole:
+            raise
+        return Chunk(b"", -1)
+    packed = content[start:stop]
+    records = _unpack(compression, packed, size, whole=whole) if compression else packed
+    if whole:
+        if len(records) != size:
+            raise ChunkError("bad-compression", f"does not have the {size} octets unpacked that it claims")
+        if crc and zlib.crc32(records) != crc:
+            raise ChunkError("bad-crc", "does not match its checksum")
+    return Chunk(records, -1 if compression else start)
+
+
+def _head(content: bytes, length: int) -> tuple[int, int, str, int, int]:
+    """Unpacked size, checksum, compression, and where in `content` the records start and stop."""
+    if len(content) < _HEAD.size:
+        raise ChunkError("bad-record", "is too short for its head")
+    _first, _last, size, crc, name_length = _HEAD.unpack_from(content)
+    start = _HEAD.size + name_length + _RECORDS_LENGTH.size
+    if start > len(content):
+        raise ChunkError("bad-record", "is too short for its head")
+    name = content[_HEAD.size : _HEAD.size + name_length]
+    (records_length,) = _RECORDS_LENGTH.unpack_from(content, start - _RECORDS_LENGTH.size)
+    if records_length > length - start:
+        raise ChunkError("bad-record", f"claims {records_length} octets of records in {length - start}")
+    if size > MAX_CHUNK_LENGTH:
+        raise ChunkError("too-large", f"has {size} octets unpacked, and {MAX_CHUNK_LENGTH} is the most that is read")
+    return size, crc, name.decode("utf-8", "replace"), start, start + records_length
+
+
+def _unpack(compression: str, packed: bytes, size: int, *, whole: bool) -> bytes:
+    """At most `size` octets and one more, so that a small chunk can not claim to be small and fill the memory."""
+    read = _reader(compression, packed)
+    pieces: list[bytes] = []
+    left = size + 1
+    try:
+        while left and (piece := read(min(left, _PIECE))):
+            pieces.append(piece)
+            left -= len(piece)
+    except Exception as error:
+        # zstandard and lz4 raise classes of their own; what they have in common is Exception.
+        if whole:
+            raise ChunkError("bad-compression", f"can not be unpacked ({error})") from error
+    return b"".join(pieces)
+
+
+def _reader(compression: str, packed: bytes) -> Callable[[int], bytes]:
+    """Something that gives the next octets, at most so many, and none at the end of what there is."""
+    try:
+        if compression == "zstd":
+            import zstandard
+
+            return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True).read
+        if compression == "lz4":
+            # By name, since it says nothing of types.
+            unpacker = import_module("lz4.frame").LZ4FrameDecompressor()
+            given = [packed]
+
+            def read(count: int) -> bytes:
+                if unpacker.eof:
+                    return b""
+                return bytes(unpacker.decompress(given.pop() if given else b"", count))
+
+            return read
+    except ImportError as error:
+        raise ChunkError("bad-compression", f"is packed with {compression}, for which {error}") from error
+    raise ChunkError("bad-compression", f"is packed with {compression!r}, which is not known")

@@ -1,0 +1,158 @@
+"""What the writers of all formats share: what can be written, and that a file is always finished."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import TracebackType
+from typing import Protocol, Self
+
+import msgspec
+
+from dcp_codec.capture.bytesink import ByteSink
+from dcp_codec.capture.frame import MAX_FRAME_LENGTH, MAX_TIME_NS, CaptureError, Frame
+
+#: Named records of names and values.
+Metadata = Mapping[str, Mapping[str, str]]
+
+#: Octets of records that are collected before they are handed to the system.
+BATCH_LENGTH = 64 * 1024
+
+MAX_LENGTH_ON_WIRE = 2**32 - 1
+
+
+class ChannelMessage(msgspec.Struct, frozen=True):
+    """A message for a channel of an MCAP file beside the raw frames, such as a frame decoded."""
+
+    #: Such as "/dcp/beacons". A topic may carry messages of several schemas.
+    topic: str
+    schema_name: str
+    #: A JSON Schema of type "object", UTF-8. The same name with other octets is another schema.
+    schema: bytes
+    #: A JSON object, UTF-8.
+    data: bytes
+    #: Nanoseconds since the Unix epoch, 0..`MAX_TIME_NS`.
+    time_ns: int
+
+
+class MessageSource(Protocol):
+    """Says which messages go into an MCAP file after each raw frame."""
+
+    def messages(self, frame: Frame) -> Iterable[ChannelMessage]:
+        """The messages that belong to `frame`, in the order they are to have."""
+        ...
+
+
+class CaptureWriter:
+    """Takes frames for one capture; a context manager.
+
+    The file is finished by `close`, which leaving the with-block calls also after an exception. pcap and
+    pcapng files grow by whole records, at the latest every `BATCH_LENGTH` octets, MCAP files by whole chunks: a
+    process that is killed leaves a file that can be read up to the last batch. Who records slowly and wants
+    more calls `flush` now and then.
+    """
+
+    #: "pcap", "pcapng" or "mcap".
+    format: str = ""
+
+    def __init__(self, sink: ByteSink) -> None:
+        self._sink = sink
+        self._batch: list[bytes] = []
+        self._batched = 0
+        self._closed = False
+        self._written = 0
+
+    @property
+    def name(self) -> str:
+        """The file, as the caller called it."""
+        return self._sink.name
+
+    @property
+    def frames_written(self) -> int:
+        """Frames taken so far."""
+        return self._written
+
+    @property
+    def position(self) -> int:
+        """Octets of the file so far, without those not yet handed to the system."""
+        return self._sink.position
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame.
+
+        Raises `CaptureError` if the format can not hold it, or the file can not be written. After the former
+        the writer can still be used.
+        """
+        if self._closed:
+            raise ValueError(f"{self.name}: is closed")
+        length = len(frame.data)
+        if (
+            length > MAX_FRAME_LENGTH
+            or not length <= frame.orig_len <= MAX_LENGTH_ON_WIRE
+            or not 0 <= frame.time_ns <= MAX_TIME_NS
+        ):
+            raise self._refuse(frame, _unfit(frame))
+        self._write(frame)
+        self._written += 1
+
+    def _write(self, frame: Frame) -> None:
+        raise NotImplementedError
+
+    def _append(self, record: bytes) -> None:
+        """Write a whole record with the next batch."""
+        self._batch.append(record)
+        self._batched += len(record)
+        if self._batched >= BATCH_LENGTH:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        batch, self._batch, self._batched = self._batch, [], 0
+        if batch:
+            self._sink.write(b"".join(batch))
+
+    def _finish(self) -> None:
+        """Write what belongs at the end."""
+        self._hand_over()
+
+    def _refuse(self, frame: Frame, why: str) -> CaptureError:
+        return CaptureError(f"{self.name}: frame {frame.number} can not be written: {why}")
+
+    def flush(self) -> None:
+        """Hand everything taken so far to the system; in MCAP this ends the chunk, so do it sparingly."""
+        self._hand_over()
+        self._sink.flush()
+
+    def close(self) -> None:
+        """Finish the file and let go of it; a stream that the caller gave stays open. May be called again.
+
+        Raises `CaptureError` if the end can not be written; not again if writing failed before.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if not self._sink.failed:
+                self._finish()
+        finally:
+            self._sink.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except CaptureError as second:
+            if error is None:
+                raise
+            # What happened first is what the user needs to hear of.
+            error.add_note(str(second))
+
+
+def _unfit(frame: Frame) -> str:
+    if len(frame.data) > MAX_FRAME_LENGTH:
+        return f"it has {len(frame.data)} octets, and {MAX_FRAME_LENGTH} is the most that capture files hold"
+    if not 0 <= frame.time_ns <= MAX_TIME_NS:
+        return f"its time, {frame.time_ns} ns, is not within 1970 to 2262"
+    return f"its length on the wire, {frame.orig_len}, is not within {len(frame.data)}..{MAX_LENGTH_ON_WIRE}"
