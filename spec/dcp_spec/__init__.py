@@ -1,1 +1,29 @@
-"""What the protocol is: wire profiles, construct schemas, constants, requirements and readings."""
+"""What the protocol is: wire profiles, construct schemas, constants, requirements, readings and parameters.
+
+This package reads nothing but its own data and knows no sockets, clocks or files beyond profiles. The modules are the
+interface: ``profile`` and ``profile_loading`` (how octets are laid out), ``schema`` (construct objects of a profile),
+``requirements`` and ``readings`` (what must hold, and how disputed text is read), ``constants``, ``status`` and
+``parameters`` (what the specification names), ``reasons`` (why octets are no message).
+"""
+
+from .profile import Profile
+from .profile_loading import ProfileError, load_profile, profile_names
+from .readings import reading, readings
+from .requirements import Requirement, requirement, requirements
+from .schema import Schema, build_schema
+from .version import __version__
+
+__all__ = [
+    "Profile",
+    "ProfileError",
+    "Requirement",
+    "Schema",
+    "__version__",
+    "build_schema",
+    "load_profile",
+    "profile_names",
+    "reading",
+    "readings",
+    "requirement",
+    "requirements",
+]

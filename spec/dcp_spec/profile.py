@@ -12,8 +12,9 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from .constants import SpecVersion
+
 ByteOrder = Literal["big", "little"]
-SpecVersion = Literal["1.0", "1.1", "1.2", "1.3", "2.0"]
 Width = Annotated[int, msgspec.Meta(ge=1, le=8)]
 U8 = Annotated[int, msgspec.Meta(ge=0, le=0xFF)]
 Positive = Annotated[int, msgspec.Meta(ge=1)]

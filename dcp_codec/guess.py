@@ -1,0 +1,212 @@
+"""Which profile does a recording speak? Rank profiles by how well they explain its frames.
+
+The version octet does not tell the layout, so every profile is tried. A frame counts fully when it decodes and what
+it says is plausible: time stamps near the time of the recording, coordinates that are numbers, readable descriptions.
+Profiles that explain the frames equally well cannot be told apart by this recording; they are reported as one tie.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, islice
+from typing import Any
+
+import msgspec
+from dcp_spec.constants import BP_MAGIC_NO
+from dcp_spec.profile import Link, Profile
+from dcp_spec.profile_loading import BUILTIN_PROFILES
+
+from .capture import Frame
+from .codec import Codec, get_codec
+from .errors import DecodeError
+from .frames import with_ether_type
+from .framing import Framing, OtherTraffic, bare, locate
+from .values import Beacon, ExtendedSafetyData, SafetyData, VarCreate
+
+#: Frames of a recording that are looked at.
+SAMPLE = 400
+#: Among profiles that explain a recording equally well the first of these is chosen.
+_PREFERENCE = ("cpp-2.0", "dcp-2.0", "cpp-1.3", "dcp-1.3", "dcp-1.2", "cpp-1.2", "dcp-1.1", "dcp-1.0", "sim-1.0")
+_MAGIC = BP_MAGIC_NO.to_bytes(2, "big")
+_UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}
+_GPS_EPOCH = 315_964_800
+_YEAR = 365 * 86_400
+_EARLIEST = 946_684_800  # 2000: a recording stamped earlier has no clock
+_ERA = 1_735_689_600  # 2025: about when the known implementations were in use, for octets without a recording time
+#: Scores closer than this are the same: they come from equal evidence.
+_SAME = 1e-9
+
+
+class Candidate(msgspec.Struct, frozen=True):
+    """How well one profile explains the frames: ``score`` 0..1, ``decoded`` of ``frames`` without error."""
+
+    profile: Profile
+    link: Link
+    score: float
+    decoded: int
+    frames: int
+    doubts: tuple[str, ...] = ()
+
+
+class Guess(msgspec.Struct, frozen=True):
+    """The ranking, best first. ``tied`` are the candidates that explain the frames as well as the best."""
+
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> Candidate:
+        """The chosen candidate."""
+        return self.candidates[0]
+
+    @property
+    def tied(self) -> tuple[Candidate, ...]:
+        """The other candidates with the score of the best."""
+        return tuple(c for c in self.candidates[1:] if self.best.score - c.score < _SAME)
+
+    @property
+    def certainty(self) -> float:
+        """How far the best is ahead of the first that explains the frames less well, 0..1."""
+        others = [c.score for c in self.candidates if self.best.score - c.score >= _SAME]
+        return self.best.score - others[0] if others else 0.0
+
+    def __str__(self) -> str:
+        best = self.best
+        if not best.frames:
+            return f"{best.profile.name} (a guess: there are no frames to tell it by)"
+        sure = "certain" if self.certainty > 0.5 else "likely" if self.certainty > 0.1 else "a weak guess"
+        if self.tied:
+            sure = "one of several"
+        elif best.score < 0.5:
+            sure = "a weak guess"
+        text = f"{best.profile.name} ({sure}: {best.decoded} of {best.frames} sampled frames decode"
+        if self.tied:
+            text += f"; cannot be told apart here from {', '.join(c.profile.name for c in self.tied)}"
+        return text + ")"
+
+
+def sample(frames: Iterable[Frame], limit: int = SAMPLE) -> tuple[list[Frame], Iterator[Frame]]:
+    """The first ``limit`` frames, and an iterator over all of them again with the rest behind."""
+    iterator = iter(frames)
+    first = list(islice(iterator, limit))
+    return first, chain(first, iterator)
+
+
+def guess(
+    frames: Sequence[Frame],
+    *,
+    profiles: Sequence[str] = BUILTIN_PROFILES,
+    framed: bool = True,
+    ether_type: int | None = None,
+) -> Guess:
+    """Rank ``profiles`` for ``frames``. ``framed`` false: the frames are bare bearer payloads."""
+    likely = ether_type if ether_type is not None else _ether_type_of(frames) if framed else None
+    candidates = [_judge(get_codec(name), frames, framed, likely) for name in profiles]
+    rank = {name: place for place, name in enumerate(_PREFERENCE)}
+    candidates.sort(key=lambda c: (-round(c.score, 9), rank.get(c.profile.name, len(rank))))
+    return Guess(tuple(candidates))
+
+
+def looks_bare(octets: bytes, profiles: Sequence[str] = BUILTIN_PROFILES) -> bool:
+    """Whether ``octets`` are rather a bearer payload than a whole Ethernet frame."""
+    frame = Frame(number=1, time_ns=0, data=octets, orig_len=len(octets))
+    as_bare = guess([frame], profiles=profiles, framed=False).best.score
+    as_framed = guess([frame], profiles=profiles, framed=True).best.score
+    if as_bare == as_framed:
+        return octets[1:3] == _MAGIC or octets[0:2] == _MAGIC
+    return as_bare > as_framed
+
+
+def _ether_type_of(frames: Sequence[Frame]) -> int | None:
+    """The EtherType whose frames carry the magic number, if there is exactly one."""
+    found = {
+        frame.data[12] << 8 | frame.data[13] for frame in frames if _MAGIC in (frame.data[14:16], frame.data[15:17])
+    }
+    return found.pop() if len(found) == 1 else None
+
+
+def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int | None) -> Candidate:
+    link = codec.profile.link
+    if ether_type is not None and link.transport == "ethernet":
+        link = with_ether_type(link, ether_type)
+    total, decoded, partly = 0, 0, 0.0
+    evidence: list[float] = []
+    doubts: dict[str, None] = {}
+    for frame in frames:
+        place = locate(frame.data, link) if framed else bare(frame.data)
+        if isinstance(place, OtherTraffic):
+            continue
+        total += 1
+        octets = frame.data[: place.end]
+        try:
+            beacon, _ = codec.decode_from(octets, place.start)
+        except DecodeError as error:
+            # The further it got, the likelier that the frame is damaged rather than of another layout.
+            size = max(1, len(octets) - place.start)
+            partly += 0.1 * max(0, error.problem.offset - place.start) / size
+            continue
+        if not beacon.payloads:
+            continue
+        decoded += 1
+        found = list(_evidence(codec.profile, beacon, frame.time_ns))
+        if found:
+            evidence.append(min(weight for weight, _ in found))
+            doubts.update(dict.fromkeys(doubt for weight, doubt in found if weight < _DOUBTFUL))
+    # What frames say is weighed apart from whether they decode: most beacons say nothing that could be implausible.
+    plausible = sum(evidence) / len(evidence) if evidence else 1.0
+    score = (decoded + partly) / total * (0.3 + 0.7 * plausible) if total else 0.0
+    return Candidate(codec.profile, link, score, decoded, total, tuple(doubts))
+
+
+#: Evidence of less weight than this is told to the user.
+_DOUBTFUL = 0.5
+
+
+def _evidence(profile: Profile, beacon: Beacon, time_ns: int) -> Iterator[tuple[float, str]]:
+    """What a beacon says that can be plausible (weight 1) or not (weight 0), and the doubt when it is not."""
+    for payload in beacon.payloads:
+        content = payload.content
+        if isinstance(content, ExtendedSafetyData):
+            yield _time_weight(profile, content.t_stamp, time_ns), "time stamps of state reports are far from any clock"
+            yield float(_plausible_numbers(content.s_data)), "safety data holds numbers that no position has"
+        elif isinstance(content, tuple):
+            for record in chain.from_iterable(container.records for container in content):
+                if isinstance(record, VarCreate):
+                    yield from _create_evidence(profile, record, time_ns)
+
+
+def _create_evidence(profile: Profile, create: VarCreate, time_ns: int) -> Iterator[tuple[float, str]]:
+    stamp = create.spec.creation_time
+    if stamp is not None:
+        yield _time_weight(profile, stamp, time_ns), "creation times are far from any clock"
+    yield float(create.spec.var_id == create.upd.var_id), "the two identifiers in a VarCreate differ"
+    try:
+        readable = create.spec.descr.decode().isprintable()
+    except UnicodeDecodeError:
+        readable = False
+    yield float(readable), "descriptions are not readable text"
+
+
+def _time_weight(profile: Profile, stamp: int, time_ns: int) -> float:
+    """How plausible a time stamp is: 1 within a day of the recording, less with distance, 0 beyond ten years."""
+    layout = profile.types.timestamp
+    seconds = stamp / _UNITS[layout.unit]
+    if layout.epoch in ("simulation", "boot"):
+        return float(0 <= seconds < _YEAR)
+    if layout.epoch == "gps":
+        seconds += _GPS_EPOCH
+    recorded = time_ns / 1e9
+    days = abs(seconds - (recorded if recorded > _EARLIEST else _ERA)) / 86_400
+    if days > 3650:
+        return 0.0
+    # Both byte orders of one stamp can be plausible; the nearer one is the likelier.
+    return 1.0 if days <= 1 else 1.0 - 0.05 * math.log10(days)
+
+
+def _plausible_numbers(data: SafetyData) -> bool:
+    values: list[Any] = list(data.as_dict().values())
+    return all(
+        math.isfinite(value) and (value == 0 or 1e-30 < abs(value) < 1e12)
+        for value in values
+        if isinstance(value, float)
+    )
