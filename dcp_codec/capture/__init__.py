@@ -14,6 +14,7 @@ from dcp_codec.capture.frame import (
     CaptureError,
     CaptureProblem,
     Frame,
+    Reason,
 )
 from dcp_codec.capture.opening import FORMATS, SUFFIXES, create_capture, open_capture
 from dcp_codec.capture.reader import CaptureReader
@@ -34,6 +35,7 @@ __all__ = [
     "ConvertReport",
     "Frame",
     "MessageSource",
+    "Reason",
     "attachments",
     "convert",
     "create_capture",

@@ -6,7 +6,7 @@ import os
 import stat
 import sys
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 from dcp_codec.capture.bytesource import explain, stream_name
 from dcp_codec.capture.frame import CaptureError
@@ -81,17 +81,18 @@ def open_sink(target: str | Path | BinaryIO) -> ByteSink:
     return ByteSink(stream, str(target), owned=True)
 
 
-def same_file(one: str | Path | BinaryIO, other: str | Path | BinaryIO) -> bool:
-    """Whether both are one and the same regular file, by whatever names."""
-    first = _identity(one)
-    return first is not None and first == _identity(other)
+def same_file(source: str | Path | BinaryIO, target: str | Path | BinaryIO) -> bool:
+    """Whether both are one and the same regular file, by whatever names, or as standard input and output."""
+    first = _identity(source, sys.stdin)
+    return first is not None and first == _identity(target, sys.stdout)
 
 
-def _identity(place: str | Path | BinaryIO) -> tuple[int, int] | None:
+def _identity(place: str | Path | BinaryIO, standard: IO[str]) -> tuple[int, int] | None:
     try:
         if isinstance(place, str) and place == "-":
-            return None
-        status = Path(place).stat() if isinstance(place, (str, Path)) else os.fstat(place.fileno())
+            status = os.fstat(standard.fileno())
+        else:
+            status = Path(place).stat() if isinstance(place, (str, Path)) else os.fstat(place.fileno())
     except (OSError, ValueError, AttributeError):
         return None
     return (status.st_dev, status.st_ino) if stat.S_ISREG(status.st_mode) else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 
 #: The link type of everything this package writes, and by default of everything it reads (LINKTYPE_ETHERNET).
@@ -41,6 +43,33 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     offset: int = -1
 
 
+#: What can be wrong; `CaptureProblem` says what each of them means.
+Reason = Literal[
+    "truncated-header",
+    "truncated-record",
+    "unfinished",
+    "zero-filled",
+    "bad-record-length",
+    "bad-block-length",
+    "bad-record",
+    "bad-option",
+    "bad-message",
+    "bad-crc",
+    "bad-compression",
+    "too-large",
+    "unknown-block",
+    "unknown-record",
+    "unknown-interface",
+    "unknown-version",
+    "wrong-link-type",
+    "rounded-time",
+    "time-out-of-range",
+    "no-time",
+    "trailing-data",
+    "read-error",
+]
+
+
 class CaptureProblem(msgspec.Struct, frozen=True):
     """Something wrong with a capture of which the rest could be read.
 
@@ -59,7 +88,7 @@ class CaptureProblem(msgspec.Struct, frozen=True):
     - ``read-error``: the operating system or a decompressor stopped us.
     """
 
-    reason: str
+    reason: Reason
     #: One sentence: what, where, what was still read. What happens many times is counted in one problem.
     message: str
     #: Octets from the start of the file to where the (first) record concerned starts.

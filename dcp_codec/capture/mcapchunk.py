@@ -8,6 +8,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import NamedTuple
 
+from dcp_codec.capture.frame import Reason
+
 #: Octets of a chunk, packed or unpacked, that are held in memory; larger ones are passed over. Writers make
 #: chunks of about a megabyte at most, unless one message is larger.
 MAX_CHUNK_LENGTH = 256 * 1024 * 1024
@@ -21,7 +23,7 @@ _RECORDS_LENGTH = struct.Struct("<Q")
 class ChunkError(Exception):
     """A chunk that can not be read: `reason` as in `CaptureProblem`, the message a half sentence."""
 
-    def __init__(self, reason: str, message: str) -> None:
+    def __init__(self, reason: Reason, message: str) -> None:
         super().__init__(message)
         self.reason = reason
 

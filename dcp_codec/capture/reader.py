@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Self
 
 from dcp_codec.capture.bytesource import ByteSource
-from dcp_codec.capture.frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame
+from dcp_codec.capture.frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame, Reason
 
 #: What is wrong with a number of things, as a sentence.
 Describe = Callable[[int], str]
@@ -26,12 +26,12 @@ class ProblemLog:
         self._describe: dict[Hashable, Describe] = {}
 
     def add(
-        self, reason: str, message: str, offset: int, *, needed: int = 0, available: int = 0, frame: int = 0
+        self, reason: Reason, message: str, offset: int, *, needed: int = 0, available: int = 0, frame: int = 0
     ) -> None:
         """Something that happens once."""
         self.found.append(CaptureProblem(reason, message, offset, needed, available, frame))
 
-    def count(self, key: Hashable, reason: str, describe: Describe, offset: int, frame: int) -> None:
+    def count(self, key: Hashable, reason: Reason, describe: Describe, offset: int, frame: int) -> None:
         """One more of the kind `key`; the first one gives the place, `describe` the sentence for so many."""
         entry = self._counts.get(key)
         if entry is not None:
@@ -77,10 +77,10 @@ class CaptureReader:
     def _iterate(self) -> Generator[Frame]:
         yield from self._records()
         if self._source.failure and not any(problem.reason == "read-error" for problem in self._log.found):
-            self._cut("", self._position, 0, 0)
+            self._cut("read-error", self._position, 0, 0)
         self._log.settle()
 
-    def _cut(self, reason: str, offset: int, needed: int, available: int, what: str = "", rest: str = "") -> None:
+    def _cut(self, reason: Reason, offset: int, needed: int, available: int, what: str = "", rest: str = "") -> None:
         """The stream ended where more was needed: because it is shorter, or because reading it failed."""
         if self._source.failure:
             reason, what = "read-error", f"reading stopped at octet {offset} ({self._source.failure})"
@@ -109,7 +109,7 @@ class CaptureReader:
         )
         return min(max(time_ns, 0), MAX_TIME_NS)
 
-    def _damaged(self, reason: str, offset: int, what: str) -> bool:
+    def _damaged(self, reason: Reason, offset: int, what: str) -> bool:
         """Something after which the next record can not be found; returns False for the end."""
         message = f"there is {what} at octet {offset}, and no way to read on from there; {self._so_far()}."
         self._log.add(reason, message, offset, frame=self._number)
