@@ -21,7 +21,8 @@ from .capture import Frame
 from .codec import Codec, get_codec
 from .errors import DecodeError
 from .frames import with_ether_type
-from .framing import Framing, OtherTraffic, bare, locate
+from .framing import OtherTraffic, bare, locate
+from .plan import Rest
 from .values import Beacon, ExtendedSafetyData, SafetyData, VarCreate
 
 #: Frames of a recording that are looked at.
@@ -129,7 +130,7 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
     link = codec.profile.link
     if ether_type is not None and link.transport == "ethernet":
         link = with_ether_type(link, ether_type)
-    total, decoded, partly = 0, 0, 0.0
+    total, decoded, damaged, partly = 0, 0, 0, 0.0
     evidence: list[float] = []
     doubts: dict[str, None] = {}
     for frame in frames:
@@ -141,9 +142,9 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
         try:
             beacon, _ = codec.decode_from(octets, place.start)
         except DecodeError as error:
-            # The further it got, the likelier that the frame is damaged rather than of another layout.
-            size = max(1, len(octets) - place.start)
-            partly += 0.1 * max(0, error.problem.offset - place.start) / size
+            damaged += 1
+            if error.problem.reason not in ("bad-magic", "bad-version") and damaged <= _DAMAGED:
+                partly += 0.1 * _known(codec, octets, place.start)
             continue
         if not beacon.payloads:
             continue
@@ -156,6 +157,21 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
     plausible = sum(evidence) / len(evidence) if evidence else 1.0
     score = (decoded + partly) / total * (0.3 + 0.7 * plausible) if total else 0.0
     return Candidate(codec.profile, link, score, decoded, total, tuple(doubts))
+
+
+#: Malformed frames that are looked at in detail, which is slow.
+_DAMAGED = 20
+
+
+def _known(codec: Codec, octets: bytes, start: int) -> float:
+    """Which share of a malformed frame still has a meaning: the more, the likelier that it is only damaged."""
+    found = codec.dissect(octets, start=start)
+    named = sum(
+        field.length
+        for field in found.root.walk()
+        if not field.children and not isinstance(field.layout, Rest) and field.value is not None
+    )
+    return min(1.0, named / max(1, len(octets) - start))
 
 
 #: Evidence of less weight than this is told to the user.

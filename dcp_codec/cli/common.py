@@ -1,0 +1,183 @@
+"""What the subcommands share: options, opening input, choosing the profile, telling what is wrong."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from dcp_spec.profile import Link
+from dcp_spec.profile_loading import ProfileError, profile_names
+
+from dcp_codec.capture import CaptureError, CaptureReader, Frame, open_capture
+from dcp_codec.codec import Codec, get_codec
+from dcp_codec.frames import FrameDissector, with_ether_type
+
+MALFORMED, UNUSABLE = 1, 2
+
+
+class ExpectedError(Exception):
+    """A failure that the user can do something about: shown as one line, with an exit status."""
+
+    def __init__(self, message: str, status: int = UNUSABLE) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+def note(message: str) -> None:
+    """Tell something on stderr, where it does not disturb output that is piped on."""
+    click.echo(f"dcp-codec: {message}", err=True)
+
+
+def ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None) -> int | None:
+    """Parse an EtherType in decimal or 0x hex."""
+    if value is None:
+        return None
+    try:
+        number = int(value, 0)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is no number (for example 0x4953 or 18771)") from None
+    if not 0x0600 <= number <= 0xFFFF:
+        raise click.BadParameter(f"{value} is not in 0x0600..0xffff")
+    return number
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def profile_options(function: F) -> F:
+    """``--profile`` and ``--ether-type``."""
+    function = click.option(
+        "--ether-type",
+        callback=ether_type,
+        metavar="N",
+        help="EtherType of the beacons, decimal or 0x hex, when it is not the profile's.",
+    )(function)
+    return click.option(
+        "-p",
+        "--profile",
+        default="auto",
+        show_default=True,
+        metavar="NAME|FILE|auto",
+        help=f"Wire profile: {', '.join(profile_names())}, a TOML file, or auto to find it out.",
+    )(function)
+
+
+def load_codec(profile: str) -> Codec:
+    """The codec of a named profile or profile file."""
+    try:
+        return get_codec(profile)
+    except ProfileError as error:
+        raise ExpectedError(str(error)) from None
+
+
+def link_of(codec: Codec, ether_type: int | None) -> Link:
+    """Where beacons are: what the profile says, or the EtherType that the user gave."""
+    link = codec.profile.link
+    return link if ether_type is None else with_ether_type(link, ether_type)
+
+
+@contextmanager
+def open_input(name: str) -> Iterator[CaptureReader]:
+    """A capture file, or standard input for ``-``."""
+    try:
+        if name == "-":
+            with open_capture(sys.stdin.buffer) as reader:
+                yield reader
+        else:
+            with open_capture(Path(name)) as reader:
+                yield reader
+    except CaptureError as error:
+        raise ExpectedError(str(error)) from None
+
+
+def choose(
+    profile: str, ether_type: int | None, frames: Iterator[Frame], name: str, *, quiet: bool = False
+) -> tuple[FrameDissector, Iterator[Frame]]:
+    """The dissector for a recording, and its frames again (some are looked at to find out the profile)."""
+    if profile != "auto":
+        codec = load_codec(profile)
+        return FrameDissector(codec, link_of(codec, ether_type)), frames
+    from dcp_codec.guess import guess, sample
+
+    first, frames = sample(frames)
+    found = guess(first, ether_type=ether_type)
+    if not quiet:
+        note(f"{name}: profile {found}")
+    return FrameDissector(get_codec(found.best.profile.name), found.best.link), frames
+
+
+def report_capture_problems(reader: CaptureReader, name: str) -> int:
+    """Tell what is wrong with a capture file itself; returns the exit status it calls for."""
+    for problem in reader.problems:
+        note(f"{name}: {problem.message}")
+    return UNUSABLE if reader.problems else 0
+
+
+def no_beacons_note(name: str, others: dict[str, int], link: Link) -> None:
+    """Tell that there was traffic but none of it DCP, and what to try."""
+    listed = ", ".join(f"{kind} ({count})" for kind, count in list(others.items())[:6]) or "no frames at all"
+    wanted = f"UDP port {link.udp_port}" if link.transport == "udp" else f"EtherType 0x{link.ether_type:04x}"
+    note(f"{name}: no DCP frames under {wanted}; there is: {listed}. Try --ether-type N or another --profile.")
+
+
+@contextmanager
+def progress(reader: CaptureReader, name: str, *, show: bool = True) -> Iterator[Callable[[], None]]:
+    """A progress bar on stderr for long files on a terminal; yields what to call after every frame."""
+    size = reader.size
+    if not show or not sys.stderr.isatty() or size is None or size < 4_000_000:
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(os.path.basename(name), total=size)  # noqa: PTH119 - may be "-"
+        calls = 0
+
+        def advance() -> None:
+            nonlocal calls
+            calls += 1
+            if not calls % 512:
+                bar.update(task, completed=reader.position)
+
+        yield advance
+
+
+def use_colour(choice: str) -> bool:
+    """Whether to colour standard output: as asked, or on a terminal unless NO_COLOR is set."""
+    if choice != "auto":
+        return choice == "always"
+    return sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+
+
+class Output:
+    """Standard output, written in large pieces when it is not a terminal."""
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+        self._size = 0
+        self._immediate = sys.stdout.isatty()
+        if hasattr(sys.stdout, "reconfigure"):
+            # A description may hold what the terminal's encoding cannot show.
+            sys.stdout.reconfigure(errors="backslashreplace")
+
+    def write(self, text: str) -> None:
+        """Write one or more whole lines (without the last line feed)."""
+        self._lines.append(text)
+        self._size += len(text)
+        if self._immediate or self._size > 1 << 16:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand everything to the system now."""
+        if self._lines:
+            sys.stdout.write("\n".join(self._lines) + "\n")
+            self._lines.clear()
+            self._size = 0
+        sys.stdout.flush()

@@ -1,0 +1,138 @@
+"""``dcp-codec convert``: between MCAP, pcap and pcapng."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from dcp_spec.profile import Link
+
+from dcp_codec.capture import FORMATS, CaptureError, convert, extract_attachment, open_capture
+from dcp_codec.capture import attachments as list_attachments
+from dcp_codec.codec import Codec, get_codec
+from dcp_codec.guess import guess, sample
+
+from .common import UNUSABLE, ExpectedError, link_of, load_codec, note, profile_options
+
+
+@click.command(
+    "convert",
+    epilog="Exit status: 0 all good, 2 wrong usage or input that could not be read to its end (what could be read is "
+    "written).",
+)
+@click.argument("source")
+@click.argument("target")
+@profile_options
+@click.option("--to", "form", type=click.Choice(sorted(FORMATS)), help="Format of TARGET, when its name does not say.")
+@click.option(
+    "--resolution",
+    type=click.Choice(["ns", "us"]),
+    default="ns",
+    show_default=True,
+    help="Time stamps of a pcap or pcapng.",
+)
+@click.option("--lossy", is_flag=True, help="Write what the format cannot hold as well as it can.")
+@click.option(
+    "--decoded/--no-decoded", default=True, show_default=True, help="Add channels with decoded messages to an MCAP."
+)
+@click.option("--attach/--no-attach", default=True, show_default=True, help="Attach the original file to an MCAP.")
+@click.option("--compression", type=click.Choice(["zstd", "lz4", "none"]), default="zstd", show_default=True)
+@click.option(
+    "--extract", is_flag=True, help="Instead write the original file that is attached to SOURCE, byte for byte."
+)
+def command(
+    source: str,
+    target: str,
+    profile: str,
+    ether_type: int | None,
+    form: str | None,
+    resolution: str,
+    lossy: bool,
+    decoded: bool,
+    attach: bool,
+    compression: str,
+    extract: bool,
+) -> int:
+    """Convert SOURCE to TARGET without losing an octet or a nanosecond. Either may be - for a pipe.
+
+    An MCAP opens in Foxglove: raw frames, decoded messages and positions have channels of their own.
+    """
+    try:
+        if extract:
+            return _extract(source, target)
+        mcap = form == "mcap" or (form is None and Path(target).suffix == ".mcap")
+        if mcap and source == "-":
+            attach = False
+            if decoded and profile == "auto":
+                raise ExpectedError("a pipe is read once: name the --profile of its frames, or give --no-decoded")
+        messages, metadata = None, None
+        if mcap and decoded:
+            from dcp_codec.mcap_channels import DecodedChannels, capture_metadata
+
+            codec, link = _codec(source, profile, ether_type)
+            messages = DecodedChannels(codec, link)
+            metadata = capture_metadata(codec)
+        with _progress(source) as advance:
+            report = convert(
+                sys.stdin.buffer if source == "-" else Path(source),
+                sys.stdout.buffer if target == "-" else Path(target),
+                format=form,
+                resolution=resolution,  # type: ignore[arg-type]
+                metadata=metadata,
+                messages=messages,
+                attach_source=mcap and attach,
+                compression=compression,  # type: ignore[arg-type]
+                lossy=lossy,
+                progress=advance,
+            )
+    except CaptureError as error:
+        raise ExpectedError(str(error)) from None
+    for problem in report.problems:
+        note(f"{source}: {problem.message}")
+    note(f"{target}: {report.frames} frames, {report.source_format} to {report.target_format}")
+    return UNUSABLE if report.problems else 0
+
+
+def _codec(source: str, profile: str, ether_type: int | None) -> tuple[Codec, Link]:
+    if profile != "auto":
+        codec = load_codec(profile)
+        return codec, link_of(codec, ether_type)
+    with open_capture(Path(source)) as reader:
+        first, _ = sample(reader)
+    found = guess(first, ether_type=ether_type)
+    note(f"{source}: profile {found}")
+    return get_codec(found.best.profile.name), found.best.link
+
+
+def _extract(source: str, target: str) -> int:
+    found = list_attachments(Path(source))
+    if not found:
+        raise ExpectedError(f"{source}: nothing is attached to it")
+    if len(found) > 1:
+        note(f"{source}: has {len(found)} attachments; this is the first, {found[0].name}")
+    if target == "-":
+        raise ExpectedError("an attachment is written to a file: give its name instead of -")
+    extract_attachment(Path(source), found[0], Path(target))
+    note(f"{target}: {found[0].name} as it was attached")
+    return 0
+
+
+@contextmanager
+def _progress(source: str) -> Iterator[Callable[[int, int | None], object] | None]:
+    if (
+        not sys.stderr.isatty()
+        or source == "-"
+        or not Path(source).is_file()
+        or Path(source).stat().st_size < 4_000_000
+    ):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(Path(source).name, total=None)
+        yield lambda done, size: bar.update(task, completed=done, total=size)

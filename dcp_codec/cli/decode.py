@@ -1,0 +1,282 @@
+"""``dcp-codec decode``: show what was said."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any, Protocol
+
+import click
+
+from dcp_codec.capture import Frame
+from dcp_codec.codec import get_codec
+from dcp_codec.frames import DissectedFrame, FrameDissector
+from dcp_codec.framing import OtherTraffic
+
+from .common import (
+    MALFORMED,
+    ExpectedError,
+    Output,
+    choose,
+    link_of,
+    load_codec,
+    no_beacons_note,
+    note,
+    open_input,
+    profile_options,
+    progress,
+    report_capture_problems,
+    use_colour,
+)
+from .filters import Filter, frame_range, parse_time
+from .lines import CsvRenderer, JsonlRenderer, ListRenderer
+from .tree import TreeRenderer
+
+#: Malformed frames that are also named on stderr, where a pipe does not carry them away.
+_NAMED = 5
+
+
+class _Renderer(Protocol):
+    def render(self, frame: DissectedFrame) -> str: ...
+
+
+@click.command(
+    "decode",
+    epilog="FILE is an MCAP, pcap or pcapng recording, or - for standard input. Exit status: 0 all good, 1 malformed "
+    "DCP frames were seen, 2 wrong usage or input that could not be read to its end.",
+)
+@click.argument("files", nargs=-1, metavar="FILE...")
+@click.option("--hex", "hex_text", metavar="HEX", help="Decode these octets: a whole Ethernet frame or a bare beacon.")
+@click.option(
+    "-i", "--interface", metavar="IF", help="Decode live traffic of this interface (needs scapy; Ctrl-C ends)."
+)
+@profile_options
+@click.option(
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(["tree", "list", "csv", "jsonl"]),
+    default="tree",
+    show_default=True,
+    help="A tree of fields, one line per frame, one row per record, or one JSON object per frame.",
+)
+@click.option("--sender", multiple=True, metavar="ID", help="Only beacons of this sender (may be given several times).")
+@click.option("--protocol", multiple=True, metavar="NAME", help="Only beacons with srp, vardis or protocol number N.")
+@click.option("--container", multiple=True, metavar="NAME", help="Only beacons with this container, e.g. UPDATES.")
+@click.option("--variable", multiple=True, type=int, metavar="ID", help="Only beacons that speak of this variable.")
+@click.option("--frames", callback=frame_range, metavar="N[-M]", help="Only these frame numbers.")
+@click.option(
+    "--from",
+    "start",
+    callback=parse_time,
+    metavar="TIME",
+    help="Not before: ISO time, epoch s, or +s from the first frame.",
+)
+@click.option("--to", "end", callback=parse_time, metavar="TIME", help="Not after (as --from).")
+@click.option("--errors-only", is_flag=True, help="Only malformed beacons.")
+@click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="Stop after N shown frames.")
+@click.option("--hexdump/--no-hexdump", default=True, show_default=True, help="Show the octets under each tree.")
+@click.option(
+    "--time",
+    "clock",
+    type=click.Choice(["utc", "epoch", "relative"]),
+    default="utc",
+    show_default=True,
+    help="How the list shows time.",
+)
+@click.option(
+    "--color", type=click.Choice(["auto", "always", "never"]), default="auto", show_default=True, help="Colours."
+)
+def command(
+    files: tuple[str, ...],
+    hex_text: str | None,
+    interface: str | None,
+    profile: str,
+    ether_type: int | None,
+    **options: Any,
+) -> int:
+    """Show every beacon, state report and variable instruction of recordings, and what is wrong with them.
+
+    Without --profile the wire profile is found out and said on stderr.
+    """
+    given = bool(files) + (hex_text is not None) + (interface is not None)
+    if given != 1:
+        raise click.UsageError("give recordings, or --hex HEX, or --interface IF (exactly one of them)")
+    run = _Run(profile, ether_type, options)
+    if hex_text is not None:
+        return run.hex(hex_text)
+    if interface is not None:
+        return run.live(interface)
+    return max(run.file(name) for name in files)
+
+
+class _Run:
+    def __init__(self, profile: str, ether_type: int | None, options: dict[str, Any]) -> None:
+        self.profile = profile
+        self.ether_type = ether_type
+        self.options = options
+        self.output = Output()
+        self.filter = Filter(
+            senders=options["sender"],
+            protocols=options["protocol"],
+            containers=options["container"],
+            variables=options["variable"],
+            frames=options["frames"],
+            start=options["start"],
+            end=options["end"],
+            errors_only=options["errors_only"],
+        )
+        self.shown = 0
+        self._heading_done = False
+
+    def renderer(self, dissector: FrameDissector) -> _Renderer:
+        form = self.options["form"]
+        colour = use_colour(self.options["color"])
+        columns = shutil.get_terminal_size().columns
+        if form == "jsonl":
+            return JsonlRenderer()
+        if form == "list":
+            return ListRenderer(
+                width=columns if sys.stdout.isatty() else None, colour=colour, time=self.options["clock"]
+            )
+        if form == "csv":
+            renderer = CsvRenderer(dissector.codec)
+            if not self._heading_done:
+                self.output.write(renderer.heading())
+                self._heading_done = True
+            return renderer
+        width = columns if sys.stdout.isatty() else 120
+        return TreeRenderer(width=width, colour=colour, hexdump=self.options["hexdump"])
+
+    def file(self, name: str) -> int:
+        """Decode one recording; returns the exit status that it calls for."""
+        with open_input(name) as reader:
+            dissector, frames = choose(self.profile, self.ether_type, iter(reader), name)
+            show = not sys.stdout.isatty()
+            with progress(reader, name, show=show) as advance:
+                status = self.frames(dissector, frames, name, advance)
+            return max(status, report_capture_problems(reader, name))
+
+    def frames(self, dissector: FrameDissector, frames: Iterator[Frame], name: str, advance: Any) -> int:
+        renderer, limit = self.renderer(dissector), self.options["count"]
+        others: Counter[str] = Counter()
+        beacons, malformed = 0, 0
+        examples: list[str] = []
+        try:
+            for frame in frames:
+                advance()
+                self.filter.see(frame)
+                found = dissector.dissect(frame)
+                if isinstance(found, OtherTraffic):
+                    others[f"0x{found.ether_type:04x}" if found.ether_type is not None else found.reason] += 1
+                    continue
+                beacons += 1
+                if not self.filter.wants(found):
+                    continue
+                if errors := found.dissection.errors:
+                    malformed += 1
+                    if malformed <= _NAMED:
+                        examples.append(f"{name}: frame {frame.number}: {errors[0]}")
+                self.output.write(renderer.render(found))
+                self.shown += 1
+                if limit is not None and self.shown >= limit:
+                    break
+        finally:
+            self.output.flush()
+        for example in examples:
+            note(example)
+        if malformed:
+            note(f"{name}: {malformed} of {beacons} DCP frames are malformed")
+        if not beacons:
+            no_beacons_note(name, dict(others.most_common()), dissector.link)
+        return MALFORMED if malformed else 0
+
+    def hex(self, text: str) -> int:
+        """Decode octets given on the command line."""
+        cleaned = re.sub(r"0x|[\s:,-]", "", text)
+        try:
+            octets = bytes.fromhex(cleaned)
+        except ValueError:
+            raise ExpectedError(f"--hex: {text[:60]!r} is not a string of hex octets") from None
+        if not octets:
+            raise ExpectedError("--hex: there are no octets to decode")
+        from dcp_codec.guess import guess, looks_bare
+
+        names = () if self.profile == "auto" else (self.profile,)
+        if names:
+            load_codec(self.profile)
+        frame = Frame(number=1, time_ns=0, data=octets, orig_len=len(octets))
+        is_bare = looks_bare(octets, names) if names else looks_bare(octets)
+        note("--hex: taken as a " + ("bare beacon" if is_bare else "whole Ethernet frame"))
+        if names:
+            codec = load_codec(self.profile)
+            dissector = FrameDissector(codec, link_of(codec, self.ether_type))
+        else:
+            found = guess([frame], framed=not is_bare, ether_type=self.ether_type)
+            note(f"--hex: profile {found}")
+            dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link)
+        result = dissector.dissect_bare(frame) if is_bare else dissector.dissect(frame)
+        if isinstance(result, OtherTraffic):
+            kind = (
+                "shorter than an Ethernet header"
+                if result.ether_type is None
+                else f"EtherType 0x{result.ether_type:04x} at octet 12"
+            )
+            raise ExpectedError(f"--hex: no DCP frame: {kind}; try --ether-type N or another --profile")
+        self.output.write(self.renderer(dissector).render(result))
+        self.output.flush()
+        return MALFORMED if result.dissection.errors else 0
+
+    def live(self, interface: str) -> int:
+        """Decode live traffic until interrupted or --count frames were shown."""
+        from dcp_codec.live import LiveError, open_live
+
+        if self.options["form"] == "tree" and not sys.stdout.isatty():
+            self.output = Output()
+        link = None
+        if self.profile != "auto":
+            codec = load_codec(self.profile)
+            link = link_of(codec, self.ether_type)
+        with ExitStack() as stack:
+            try:
+                reader = stack.enter_context(open_live(interface, link))
+            except LiveError as error:
+                raise ExpectedError(str(error)) from None
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, lambda *_: reader.close())
+            note(f"{interface}: listening; Ctrl-C ends")
+            status = self._live_frames(reader, interface)
+            if reader.dropped:
+                note(f"{interface}: the kernel dropped {reader.dropped} frames that were not read in time")
+            return status
+
+    def _live_frames(self, reader: Any, interface: str) -> int:
+        class Flushing(Output):
+            def write(self, text: str) -> None:
+                super().write(text)
+                self.flush()
+
+        self.output = Flushing()
+        if self.profile != "auto":
+            codec = load_codec(self.profile)
+            return self.frames(
+                FrameDissector(codec, link_of(codec, self.ether_type)), iter(reader), interface, _nothing
+            )
+        # A live source is not looked ahead into for long: the first beacons decide.
+        from dcp_codec.guess import guess, sample
+
+        frames = iter(reader)
+        first, frames = sample(frames, 3)
+        found = guess(first, ether_type=self.ether_type)
+        note(f"{interface}: profile {found}")
+        dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link)
+        return self.frames(dissector, frames, interface, _nothing)
+
+
+def _nothing() -> None:
+    """Stands in for the progress of a source that has no end."""

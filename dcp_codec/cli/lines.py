@@ -1,0 +1,169 @@
+"""Frames as one line each, as rows of CSV, and as JSON lines."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from dcp_codec.codec import Codec
+from dcp_codec.dissect import Field
+from dcp_codec.errors import Problem
+from dcp_codec.frames import DissectedFrame
+from dcp_codec.jsonform import members_json
+
+from .values import payload_name, quoted, utc
+
+
+class ListRenderer:
+    """One line per frame: number, time, sender, sequence number, what it holds, what is wrong.
+
+    ``time`` is ``utc``, ``epoch`` or ``relative`` (seconds since the first frame shown).
+    """
+
+    def __init__(self, *, width: int | None, colour: bool, time: str) -> None:
+        self.width = width
+        self.colour = colour
+        self.time = time
+        self._first: int | None = None
+
+    def render(self, frame: DissectedFrame) -> str:
+        """The line of one frame; cut at the width of the terminal, never when piped."""
+        time_ns = frame.frame.time_ns
+        if self._first is None:
+            self._first = time_ns
+        if self.time == "relative":
+            when = f"{(time_ns - self._first) / 1e9:12.6f}"
+        elif self.time == "epoch":
+            when = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+        else:
+            when = utc(time_ns)
+        header = frame.header
+        seqno = header.child("seqno") if header is not None else None
+        number = f"#{seqno.value}" if seqno is not None and seqno.value is not None else "#?"
+        what = "  ".join(_payload_line(payload) for payload in frame.payloads)
+        text = f"{frame.frame.number:>6}  {when}  {frame.sender or '?':<17}  {number:<7} {what}"
+        if frame.dissection.padding:
+            text += f"  +{len(frame.dissection.padding)} padding"
+        errors = [f"{p.reason} at {p.offset} ({p.path or 'beacon'}) [{p.requirement}]" for p in frame.dissection.errors]
+        wrong = "  ERROR " + "; ".join(errors) if errors else ""
+        if self.width is not None and len(text) + len(wrong) > self.width:
+            # What is wrong is worth more than what is right.
+            text = text[: max(self.width - len(wrong) - 1, 20)] + "…"
+        return text + (click.style(wrong, fg="red") if self.colour and wrong else wrong)
+
+
+def _payload_line(payload: Field) -> str:
+    containers = payload.child("vardis")
+    if containers is None:
+        report = payload.child("srp")
+        number = report.child("seqno") if report is not None else None
+        return f"SRP #{number.value}" if number is not None else payload_name(payload)
+    return " ".join(_container_line(container) for container in containers.children) or "VarDis (empty)"
+
+
+def _container_line(container: Field) -> str:
+    kind, records = container.child("icType"), container.child("records")
+    name = (kind.label or f"type {kind.value}") if kind is not None else "?"
+    shown = [_record_text(record) for record in (records.children if records is not None else [])]
+    return f"{name}({' '.join(shown)})"
+
+
+def _record_text(record: Field) -> str:
+    """``7:3`` variable and sequence number, ``7"pos":3=41424344`` for a create, ``7:3=4142`` for an update."""
+    spec, update = record.child("spec"), record.child("upd") or record
+    var_id = (spec or record).child("varId")
+    text = str(var_id.value) if var_id is not None and var_id.value is not None else "?"
+    descr = spec.child("descr") if spec is not None else None
+    if descr is not None and descr.value is not None:
+        text += quoted(descr.value)
+    seqno, value = update.child("seqno"), update.child("value")
+    if seqno is not None and seqno.value is not None:
+        text += f":{seqno.value}"
+    if value is not None and value.value is not None:
+        text += f"={value.value.hex()}"
+    return text
+
+
+_FRAME_COLUMNS = ("frame", "time_ns", "src", "senderId", "networkId", "bpSeqno")
+_ITEM_COLUMNS = (
+    "payload", "protocolId", "kind", "varId", "seqno", "prodId", "repCnt", "creationTime", "timeout", "descr", "value",
+    "nodeId", "tStamp",
+)  # fmt: skip
+_ERROR_COLUMNS = ("data", "severity", "reason", "path", "offset", "needed", "available", "requirement")
+
+
+class CsvRenderer:
+    """One row per state report, instruction record, unknown payload and problem, under fixed columns.
+
+    ``kind`` says what a row is: ``srp``, the name of a container, ``data`` or ``problem``; a beacon without anything in
+    it has one row of the kind ``beacon``.
+    """
+
+    def __init__(self, codec: Codec) -> None:
+        self.safety = tuple(field.name for field in codec.profile.srp.safety_data)
+        self.columns = (*_FRAME_COLUMNS, *_ITEM_COLUMNS, *self.safety, *_ERROR_COLUMNS)
+        self._buffer = io.StringIO()
+        self._writer = csv.DictWriter(self._buffer, self.columns, restval="", lineterminator="\n")
+
+    def _taken(self) -> str:
+        text = self._buffer.getvalue().removesuffix("\n")
+        self._buffer.seek(0)
+        self._buffer.truncate()
+        return text
+
+    def heading(self) -> str:
+        """The row of column names."""
+        self._writer.writeheader()
+        return self._taken()
+
+    def render(self, frame: DissectedFrame) -> str:
+        """The rows of one frame."""
+        data = frame.as_json()
+        header = data.get("bp") or {}
+        common = {
+            "frame": data["frame"],
+            "time_ns": data["time_ns"],
+            "src": data["src"],
+            "senderId": header.get("senderId"),
+            "networkId": header.get("networkId"),
+            "bpSeqno": header.get("seqno"),
+        }
+        rows = [row for index, payload in enumerate(frame.payloads) for row in self._payload(frame, payload, index)]
+        for row in rows or [{"kind": "beacon"}]:
+            self._writer.writerow({**common, **row})
+        for problem in frame.dissection.problems:
+            self._writer.writerow({**common, **_problem_row(problem)})
+        return self._taken()
+
+    def _payload(self, frame: DissectedFrame, payload: Field, index: int) -> Iterator[dict[str, Any]]:
+        data = members_json(payload, frame.codec.profile.types.node_id.representation)
+        common = {"payload": index, "protocolId": data.get("protocolId")}
+        if "srp" in data:
+            report = data["srp"]
+            flat = {**(report.get("sData") or {}), **{key: report.get(key) for key in ("nodeId", "tStamp", "seqno")}}
+            yield {**common, "kind": "srp", **{key: flat[key] for key in flat if key in self.columns}}
+        for container in data.get("vardis", ()):
+            for record in container.get("records", ()):
+                flat = {**record, **(record.get("spec") or {}), **(record.get("upd") or {})}
+                row = {key: flat[key] for key in flat if key in self.columns}
+                yield {**common, "kind": container.get("icName", container.get("icType")), **row}
+        if "data" in data:
+            yield {**common, "kind": "data", "data": data["data"]}
+
+
+def _problem_row(problem: Problem) -> dict[str, Any]:
+    names = ("severity", "reason", "path", "offset", "needed", "available", "requirement")
+    return {"kind": "problem", **{name: getattr(problem, name) for name in names}}
+
+
+class JsonlRenderer:
+    """One JSON object per frame and line."""
+
+    def render(self, frame: DissectedFrame) -> str:
+        """The object of one frame (``DissectedFrame.as_json``)."""
+        return json.dumps(frame.as_json(), separators=(",", ":"), ensure_ascii=False)

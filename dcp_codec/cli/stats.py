@@ -1,0 +1,118 @@
+"""``dcp-codec stats``: what is in recordings, in numbers."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+
+from dcp_codec.framing import locate
+from dcp_codec.stats import Stats
+
+from .common import (
+    MALFORMED,
+    choose,
+    no_beacons_note,
+    note,
+    open_input,
+    profile_options,
+    progress,
+    report_capture_problems,
+)
+
+
+@click.command(
+    "stats",
+    epilog="Exit status: 0 all good, 1 malformed DCP frames were seen, 2 wrong usage or input that could not be read "
+    "to its end.",
+)
+@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@profile_options
+@click.option("-f", "--format", "form", type=click.Choice(["text", "json"]), default="text", show_default=True)
+def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: str) -> int:
+    """Count beacons, loss, intervals, containers and records, and the last value of every variable.
+
+    With --format json, one object for one file, and a list of objects for several.
+    """
+    status, found = 0, []
+    for name in files:
+        stats, file_status = _read(name, profile, ether_type)
+        status = max(status, file_status)
+        if form == "text":
+            _show(name, stats.as_json(), stats.examples)
+        else:
+            found.append({"file": name, **stats.as_json()})
+    if form == "json":
+        click.echo(json.dumps(found[0] if len(found) == 1 else found, indent=2))
+    return status
+
+
+def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int]:
+    with open_input(name) as reader:
+        dissector, frames = choose(profile, ether_type, iter(reader), name)
+        stats = Stats(dissector.codec, dissector)
+        link = dissector.link
+        with progress(reader, name) as advance:
+            for frame in frames:
+                stats.add(frame, locate(frame.data, link))
+                advance()
+        status = report_capture_problems(reader, name)
+    if stats.malformed:
+        note(f"{name}: {stats.malformed} DCP frames are malformed")
+        status = max(status, MALFORMED)
+    if not stats.beacons and not stats.malformed:
+        no_beacons_note(name, dict(stats.other_traffic.most_common()), link)
+    return stats, status
+
+
+def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    width = None if sys.stdout.isatty() else 120
+    console = Console(width=width, highlight=False, emoji=False, markup=False)
+    span = f", {data['duration_s']:.1f} s" if data["duration_s"] is not None else ""
+    console.print(f"{name}", style="bold", soft_wrap=True)
+    console.print(
+        f"  {data['beacons']} beacons in {data['frames']} frames{span}; profile {data['profile']}; "
+        f"{data['padded']} padded; {data['errors']} malformed"
+    )
+    console.print(f"  payloads: {data['srp']} SRP, {data['vardis']} VarDis, {data['other_payloads']} other\n")
+    if data["senders"]:
+        table = Table("sender", box=None, padding=(0, 2, 0, 0), header_style="bold")
+        for heading in ("beacons", "first", "last", "lost", "restarts", "interval ms", "± ms", "max ms"):
+            table.add_column(heading, justify="right")
+        for sender, one in data["senders"].items():
+            interval = one["interval"]
+            shown = [_ms(interval[key]) for key in ("mean_ms", "stddev_ms", "max_ms")]
+            numbers = (one[key] for key in ("beacons", "first_seqno", "last_seqno", "lost", "restarts"))
+            table.add_row(sender, *("-" if number is None else str(number) for number in numbers), *shown)
+        console.print(table)
+    if data["containers"]:
+        table = Table("container", box=None, padding=(0, 2, 0, 0), header_style="bold")
+        table.add_column("containers", justify="right")
+        table.add_column("records", justify="right")
+        for kind, count in data["containers"].items():
+            table.add_row(kind, str(count), str(data["records"][kind]))
+        console.print()
+        console.print(table)
+    if data["last_sent_value"]:
+        table = Table("variable", box=None, padding=(0, 2, 0, 0), header_style="bold")
+        table.add_column("seqno", justify="right")
+        table.add_column("last value sent", overflow="ellipsis", no_wrap=True)
+        for var_id, last in data["last_sent_value"].items():
+            table.add_row(var_id, str(last["seqno"]), last["value"])
+        console.print()
+        console.print(table)
+    for number, text in examples:
+        console.print(f"  frame {number}: {text}", style="red", soft_wrap=True)
+    if data["other_traffic"]:
+        others = ", ".join(f"{kind} {count}" for kind, count in data["other_traffic"].items())
+        console.print(f"\n  other traffic: {others}")
+    console.print()
+
+
+def _ms(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"

@@ -1,0 +1,176 @@
+"""One frame as an aligned tree of fields with a hexdump; octets at fault are marked."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+
+import click
+from dcp_spec.reasons import REASONS, WARNINGS
+from dcp_spec.requirements import requirement
+
+from dcp_codec.dissect import Dissection, Field
+from dcp_codec.errors import Problem
+from dcp_codec.frames import DissectedFrame
+from dcp_codec.framing import mac
+from dcp_codec.plan import Group, Many, Text
+
+from .values import payload_name, utc, value_text
+
+_NARROW = 60
+_VALUE_COLUMN = 34
+
+
+class TreeRenderer:
+    """Renders frames for a terminal ``width`` columns wide; ``colour`` uses ANSI colours."""
+
+    def __init__(self, *, width: int, colour: bool, hexdump: bool) -> None:
+        self.width = max(width, 40)
+        self.colour = colour
+        self.hexdump = hexdump
+
+    def style(self, text: str, **styles: object) -> str:
+        """``text`` in colour, if wanted."""
+        return click.style(text, **styles) if self.colour else text  # type: ignore[arg-type]
+
+    def render(self, frame: DissectedFrame) -> str:
+        """All lines of one frame."""
+        return "\n".join(self._lines(frame))
+
+    def _lines(self, frame: DissectedFrame) -> Iterator[str]:
+        yield from self._heading(frame)
+        rows = list(_rows(frame.dissection.root, 0))
+        names = min(max((2 * depth + len(field.name) for field, depth in rows), default=0) + 1, 30)
+        problems = _by_path(frame.dissection.problems)
+        for field, depth in rows:
+            yield self._row(frame, field, depth, names)
+            for problem in problems.pop(field.path, []):
+                yield from self._problem(problem)
+        # A problem of a field of which nothing is there has no row.
+        for left in problems.values():
+            for problem in left:
+                yield from self._problem(problem)
+        padding = frame.dissection.padding
+        if padding:
+            text = f"{frame.dissection.end:>6} {len(padding):>4}  padding of the bearer, ignored (BP-RX-14)"
+            yield self.style(text, dim=True)
+        if self.hexdump:
+            yield ""
+            yield from self._dump(frame)
+        yield ""
+
+    def _heading(self, frame: DissectedFrame) -> Iterator[str]:
+        framing, captured = frame.framing, frame.frame
+        parts = [f"Frame {captured.number}"]
+        if captured.time_ns:
+            parts.append(utc(captured.time_ns))
+        if framing.src is not None and framing.dst is not None:
+            parts.append(f"{mac(framing.src)} > {mac(framing.dst)}")
+        if framing.ether_type is not None:
+            parts.append(f"0x{framing.ether_type:04x}")
+        size = f"{len(captured.data)} octets"
+        if captured.orig_len > len(captured.data):
+            size += f" of {captured.orig_len} captured"
+        parts.append(size)
+        yield from (self.style(line, bold=True) for line in textwrap.wrap("  ".join(parts), self.width))
+
+    def _row(self, frame: DissectedFrame, field: Field, depth: int, names: int) -> str:
+        name = "  " * depth + field.name
+        value = value_text(frame.codec.profile, field)
+        if isinstance(field.layout, Group) and field.layout.type_name == "Payload":
+            value = payload_name(field)
+        place = self.style(f"{field.offset:>6} {field.length:>4}  ", dim=True)
+        shown = self.style(f"{name:<{names}}", fg="cyan") if field.children else f"{name:<{names}}"
+        room = self.width - 13 - max(names, len(name)) - 1
+        if len(value) > room > 8:
+            value = value[: room - 1] + "…"
+        hexes = ""
+        if self.width >= _NARROW and not field.children and not isinstance(field.layout, Group | Many):
+            hexes = self._hexes(field, room - len(value) - 2, len(value))
+        return f"{place}{shown} {value}{hexes}".rstrip()
+
+    def _hexes(self, field: Field, room: int, used: int) -> str:
+        raw = field.raw
+        if room < 2 or not raw or field.length > 16:
+            return ""
+        text = raw.hex(" ")
+        if len(text) > room:
+            return ""
+        # One column for the octets, near the values on a wide terminal, further right only where values are long.
+        return " " * (2 + max(0, min(room - len(text), _VALUE_COLUMN - used))) + self.style(text, dim=True)
+
+    def _problem(self, problem: Problem) -> Iterator[str]:
+        error = problem.severity == "error"
+        text = f"{problem.reason}: {(REASONS | WARNINGS).get(problem.reason, '')}"
+        if problem.needed is not None or problem.available is not None:
+            text += f"; needed {_dash(problem.needed)}, available {_dash(problem.available)}"
+        text += f"; at octet {problem.offset}, {problem.path or 'beacon'}"
+        lines = textwrap.wrap(text, max(30, self.width - 15))
+        if problem.requirement:
+            rule = f"{problem.requirement}: {requirement(problem.requirement).statement}"
+            lines += textwrap.wrap(rule, max(30, self.width - 15))
+        for index, line in enumerate(lines):
+            mark = ("ERROR  " if error else "note   ") if not index else "       "
+            yield self.style(f"      {mark}{line}", fg="red" if error else "yellow")
+
+    def _dump(self, frame: DissectedFrame) -> Iterator[str]:
+        data = frame.frame.data
+        wrong = _faulty(frame.dissection, len(data))
+        per_line = 16 if self.width >= 74 else 8
+        for start in range(0, len(data), per_line):
+            chunk = data[start : start + per_line]
+            cells, marks = [], []
+            for index, octet in enumerate(chunk, start=start):
+                cell = f"{octet:02x}"
+                cells.append(self.style(cell, fg="red", bold=True) if index in wrong else cell)
+                marks.append("^^" if index in wrong else "  ")
+            gap = "   " * (per_line - len(chunk))
+            text = "".join(chr(octet) if 32 <= octet < 127 else "." for octet in chunk)
+            yield f"  {start:04x}  {' '.join(cells)}{gap}  {text}"
+            if not self.colour and any(mark.strip() for mark in marks):
+                yield f"        {' '.join(marks)}".rstrip()
+
+
+def _dash(number: int | None) -> str:
+    return "-" if number is None else str(number)
+
+
+def _rows(field: Field, depth: int) -> Iterator[tuple[Field, int]]:
+    """The fields to show with their depth; the root and the halves of a string have no row of their own."""
+    for child in field.children:
+        if isinstance(child.layout, Many):
+            for index, element in enumerate(child.children):
+                element.name = f"{child.name}[{index}]"
+                yield element, depth
+                yield from _rows(element, depth + 1)
+            continue
+        yield child, depth
+        if not isinstance(child.layout, Text):
+            yield from _rows(child, depth + 1)
+
+
+def _by_path(problems: list[Problem]) -> dict[str, list[Problem]]:
+    found: dict[str, list[Problem]] = {}
+    for problem in problems:
+        path = problem.path
+        for end in (".length", ".length2", ".data"):
+            # The halves of a string have no row, the string has.
+            if path.endswith(end) and path.removesuffix(end).rsplit(".", 1)[-1] in ("descr", "value", "prodId"):
+                path = path.removesuffix(end)
+        found.setdefault(path, []).append(problem)
+    return found
+
+
+def _faulty(dissection: Dissection, size: int) -> set[int]:
+    """The octets to mark: those of the field at fault, or the last one where octets are missing."""
+    marked: set[int] = set()
+    fields = {field.path: field for field in dissection.root.walk()}
+    for problem in dissection.errors:
+        field = fields.get(problem.path)
+        if problem.reason == "leftover" and problem.available:
+            marked.update(range(problem.offset, problem.offset + problem.available))
+        elif field is not None and field.length:
+            marked.update(range(field.offset, field.offset + field.length))
+        else:
+            marked.add(problem.offset)
+    return {index if index < size else size - 1 for index in marked}

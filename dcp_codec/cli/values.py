@@ -1,0 +1,101 @@
+"""Dissected values as people read them in a terminal."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
+from dcp_spec.profile import Profile
+
+from dcp_codec.dissect import Field
+from dcp_codec.jsonform import node_id_text
+from dcp_codec.plan import Fill, Group, Many, Rest, Scalar, Text
+
+PROTOCOLS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
+_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+_EPOCHS = {"unix": datetime(1970, 1, 1, tzinfo=UTC), "gps": datetime(1980, 1, 6, tzinfo=UTC)}
+
+
+def utc(time_ns: int) -> str:
+    """``2026-11-21 07:25:51.682044000`` (UTC), or the bare number where the calendar ends."""
+    seconds, ns = divmod(time_ns, 10**9)
+    try:
+        return f"{_EPOCHS['unix'] + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}.{ns:09d}"
+    except OverflowError:
+        return f"{time_ns} ns"
+
+
+def stamp_text(profile: Profile, stamp: int) -> str:
+    """A time stamp of the protocol with its calendar time, where its epoch has one."""
+    layout = profile.types.timestamp
+    epoch = _EPOCHS.get(layout.epoch)
+    if epoch is None or layout.unit == "ps":
+        return f"{stamp} {layout.unit}"
+    offset = int((epoch - _EPOCHS["unix"]).total_seconds()) * 10**9
+    return f"{stamp} {layout.unit} ({utc(stamp * _NS[layout.unit] + offset)})"
+
+
+def octets_text(octets: bytes, limit: int = 32) -> str:
+    """Octets as hex, shortened to ``limit`` octets."""
+    if len(octets) <= limit:
+        return octets.hex()
+    return f"{octets[:limit].hex()}… ({len(octets)} octets)"
+
+
+def quoted(octets: bytes) -> str:
+    """Text octets in quotes, whatever they hold; nothing in them can move the cursor or change colours."""
+    text = octets.decode(errors="backslashreplace")
+    return '"' + "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text) + '"'
+
+
+def value_text(profile: Profile, field: Field) -> str:
+    """What a field says; empty for one that only has parts."""
+    layout, value = field.layout, field.value
+    if isinstance(layout, Group | Many):
+        return _summary(field)
+    if value is None:
+        return "(cut off)" if isinstance(layout, Scalar | Text | Fill) else ""
+    if isinstance(layout, Text) and layout.human and layout.role != "node-id":
+        return quoted(value)
+    if isinstance(layout, Scalar | Text) and layout.role == "node-id":
+        return node_id_text(value, profile.types.node_id.representation)
+    if isinstance(value, bytes):
+        return octets_text(value) if value or isinstance(layout, Rest | Fill) else "(no octets)"
+    if not isinstance(layout, Scalar):
+        return str(value)
+    if layout.role == "timestamp":
+        return stamp_text(profile, value)
+    if field.label is not None:
+        return f"{value} {field.label}"
+    if layout.name == "protocolId" and value in PROTOCOLS:
+        return f"{value} {PROTOCOLS[value]}"
+    if layout.name in ("magicNo", "networkId"):
+        return f"0x{value:0{2 * layout.size}x}"
+    text = f"{value:.15g}" if isinstance(value, float) else str(value)
+    return f"{text} {layout.unit}" if layout.unit and layout.unit != "octets" else text
+
+
+def _summary(field: Field) -> str:
+    if isinstance(field.layout, Many) and not field.children:
+        return "(none)"
+    return ""
+
+
+def payload_name(payload: Field) -> str:
+    """``SRP``, ``VarDis [SUMMARIES 2]``, ``protocol 0x7777 [12]``."""
+    protocol = payload.child("protocolId")
+    if protocol is None or protocol.value is None:
+        return "cut off"
+    containers = payload.child("vardis")
+    if containers is not None:
+        parts = []
+        for container in containers.children:
+            kind, count = container.child("icType"), container.child("icNumRecords")
+            name = (kind.label or f"type {kind.value}") if kind is not None else "?"
+            parts.append(f"{name} {count.value if count is not None else '?'}")
+        return f"VarDis [{', '.join(parts)}]"
+    if payload.child("srp") is not None:
+        return "SRP"
+    data = payload.child("data")
+    name = PROTOCOLS.get(protocol.value, f"protocol 0x{protocol.value:04x}")
+    return f"{name} [{data.length if data is not None else 0} octets]"

@@ -1,0 +1,30 @@
+"""``dcp-codec verify``: recordings against their manifest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .common import ExpectedError
+
+
+@click.command(
+    "verify", epilog="Exit status: 0 everything is as the manifest says, 1 something is not, 2 unreadable manifest."
+)
+@click.argument("manifest", type=click.Path(dir_okay=False, path_type=Path))
+def command(manifest: Path) -> int:
+    """Verify recordings: hashes, attachments, that every beacon decodes and re-encodes identically, and the counts.
+
+    The recordings of this project are verified with: dcp-codec verify captures/manifest.toml
+    """
+    from dcp_codec.goldens import ManifestError, verify
+
+    try:
+        findings = verify(manifest)
+    except ManifestError as error:
+        raise ExpectedError(str(error)) from None
+    for finding in findings:
+        click.echo(str(finding))
+    click.echo(f"{manifest}: {'as it says' if not findings else f'{len(findings)} findings'}")
+    return 1 if findings else 0
