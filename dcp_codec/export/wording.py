@@ -1,0 +1,68 @@
+"""What the exports for people say about a field: one sentence of meaning, unit and requirement."""
+
+from __future__ import annotations
+
+from dcp_spec.profile import Profile
+
+from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+
+_EPOCHS = {
+    "unix": "1970-01-01T00:00:00Z",
+    "gps": "1980-01-06T00:00:00Z",
+    "simulation": "the simulation began",
+    "boot": "the sender was started",
+}
+
+
+def requirement_of(node: Node) -> str | None:
+    """The requirement that a field or record follows, as far as the schema names one."""
+    if isinstance(node, Region | Exact):
+        return requirement_of(node.content) or node.requirement
+    return None if isinstance(node, Rest) else node.requirement
+
+
+def unit_of(node: Node, profile: Profile) -> str:
+    """The unit of a field, for time stamps with the instant they count from; empty without one."""
+    unit = (node.unit or "") if isinstance(node, Scalar | Text) else ""
+    if isinstance(node, Scalar) and node.role == "timestamp":
+        return f"{unit} since {_EPOCHS[profile.types.timestamp.epoch]}"
+    return unit
+
+
+def meaning(node: Node) -> str:
+    """What a field means; never empty."""
+    role = node.role if isinstance(node, Scalar | Text) else None
+    if role == "opaque":
+        return "no meaning" + (f" ({node.doc})" if node.doc else "")
+    if role == "extra":
+        return "not in the specification" + (f": {node.doc}" if node.doc else "")
+    if node.doc:
+        return node.doc
+    if role:
+        return role.replace(".", " ").replace("-", " ")
+    match node:
+        case Rest():
+            return "octets of a protocol that is not known"
+        case Fill():
+            return "unused rest of the fixed area"
+        case Scalar(derived=derived) if derived is not None:
+            what = "size" if derived.kind == "size" else "number of elements"
+            return f"{what} of {derived.of.removeprefix('_.')}"
+        case Many():
+            return "list of records"
+        case Region() | Exact():
+            return meaning(node.content)
+        case Group():
+            return "record"
+        case Select():
+            return "one of several contents"
+        case _:
+            return "value of the application"
+
+
+def description(node: Node, profile: Profile) -> str:
+    """Meaning, unit and requirement in one line."""
+    text, unit, requirement = meaning(node), unit_of(node, profile), requirement_of(node)
+    if unit:
+        text += f", in {unit}"
+    return f"{text} [{requirement}]" if requirement else text
