@@ -9,7 +9,7 @@ import zlib
 import jsonschema
 import pytest
 from dcp_spec.version import __version__
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 
 from dcp_codec.capture import (
@@ -146,6 +146,24 @@ def test_metadata_that_comes_up_while_writing_is_written_at_the_end():
     assert reader.metadata == {"first": {"a": "1"}, "changing": {"b": "2"}, "late": {"c": "?"}}
 
 
+def test_messages_that_do_not_fit_are_refused():
+    class Early:
+        def messages(self, frame):
+            yield ChannelMessage("/early", "test", b"{}", b"{}", -1)
+
+    with (
+        create_capture(io.BytesIO(), format="mcap", messages=Early()) as writer,
+        pytest.raises(CaptureError, match="message on /early"),
+    ):
+        writer.write(FRAMES[0])
+
+
+def test_a_reader_that_can_not_seek_agrees():
+    octets = written(messages=Lengths())
+    found = list(NonSeekingReader(io.BytesIO(octets), validate_crcs=True).iter_messages())
+    assert len(found) == 2 * len(FRAMES)
+
+
 # Attachments.
 
 
@@ -224,6 +242,32 @@ def test_a_damaged_attachment_is_not_extracted(tmp_path):
     path.write_bytes(octets)
     with pytest.raises(CaptureError, match="can not be written"):
         extract_attachment(path, found, tmp_path / "none" / "again")
+
+
+@pytest.mark.parametrize("cut", [1, 4, 10, 100, 120])
+def test_attachments_that_are_cut_off_are_not_listed(tmp_path, cut):
+    original, path = tmp_path / "original", tmp_path / "a.mcap"
+    original.write_bytes(bytes(100))
+    octets = written(FRAMES[:3], attachment=original)
+    path.write_bytes(octets)
+    (found,) = attachments(path)
+    ((offset, length),) = [(at, 9 + len(content)) for opcode, at, content in records(octets) if opcode == 0x09]
+    path.write_bytes(octets[: offset + length])
+    assert attachments(path) == [found]
+    path.write_bytes(octets[: offset + length - cut])
+    assert attachments(path) == []
+
+
+@pytest.mark.parametrize("place", [25, 37, 65])
+def test_attachments_that_contradict_themselves_are_not_listed(tmp_path, place):
+    original, path = tmp_path / "original", tmp_path / "a.mcap"
+    original.write_bytes(bytes(100))
+    octets = bytearray(written(FRAMES[:3], attachment=original))
+    (offset,) = [at for opcode, at, _ in records(bytes(octets)) if opcode == 0x09]
+    # The lengths of the name, of the media type, and of the contents.
+    octets[offset + place : offset + place + 4] = b"\xff\xff\xff\x7f"
+    path.write_bytes(octets)
+    assert attachments(path) == []
 
 
 def test_attachments_of_what_has_none(tmp_path):

@@ -173,6 +173,29 @@ def test_drop_counters(order):
     assert reader.problems == []
 
 
+def test_drop_counters_that_count_for_nothing():
+    other = block(5, struct.pack("<III", 0, 0, 0) + option(5, struct.pack("<Q", 1)))
+    unknown = block(5, struct.pack("<III", 9, 0, 0))
+    short = block(5, struct.pack("<III", 1, 0, 0) + option(5, b"1234"))
+    _, reader = read(section() + interface(link=113) + interface() + other + unknown + short + packet(b"a", which=1))
+    assert reader.dropped == {}
+    assert reasons(reader) == ["unknown-interface", "bad-option"]
+
+
+def test_simple_packets_of_another_link_type_and_of_no_interface():
+    simple = block(3, struct.pack("<I", 4) + b"abcd")
+    frames, reader = read(section() + simple + interface(link=113) + interface() + simple + packet(b"a", which=1))
+    assert [frame.number for frame in frames] == [3]
+    assert reasons(reader) == ["unknown-interface", "wrong-link-type"]
+
+
+def test_more_interfaces_than_anybody_has():
+    frames, reader = read(section() + interface() * 65_537 + packet(b"a"))
+    assert frames == []
+    assert reasons(reader) == ["bad-record"]
+    assert len(reader.metadata) == 1000
+
+
 @pytest.mark.parametrize("kind", [4, 7, 8, 9, 10, 0x0BAD, 0x40000BAD])
 def test_known_blocks_of_no_interest_are_passed_over(kind):
     frames, reader = read(section() + interface() + block(kind, bytes(3000)) + packet(b"a"))

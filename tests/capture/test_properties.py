@@ -94,11 +94,11 @@ def test_microseconds_are_exact_when_there_is_nothing_finer(format, data):
 SOME = [Frame(n, 10**18 + n, bytes([n]) * (n * 7 % 50), 50 + n, 0) for n in range(1, 9)]
 
 
-@pytest.mark.parametrize("format", FORMATS)
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize(
+    ("format", "compression"),
+    [("pcap", "none"), ("pcapng", "none"), *(("mcap", each) for each in ("zstd", "lz4", "none"))],
+)
 def test_cut_off_anywhere_gives_the_frames_before_and_a_problem(format, compression):
-    if format != "mcap" and compression != "none":
-        pytest.skip("only MCAP is compressed")
     octets = written(SOME, format, metadata={"section": {"os": "x"}}, compression=compression)
     counts = []
     # Where a record ends, pcap and pcapng files may just as well have been finished.
@@ -160,7 +160,7 @@ ALL["mcap-lz4"] = written(SOME[:3], "mcap", compression="lz4")
 def test_any_octet_may_be_any_other(name):
     octets = bytearray(ALL[name])
     # Each place, with values that lengths and flags care about.
-    for place, value in itertools.product(range(len(octets)), (0x00, 0x01, 0x7F, 0x80, 0xFF, 0x0A, 0x22, 0x39)):
+    for place, value in itertools.product(range(len(octets)), (0x00, 0x0A, 0x7F, 0x80, 0xFF)):
         before, octets[place] = octets[place], value
         survives(bytes(octets))
         octets[place] = before

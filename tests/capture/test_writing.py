@@ -305,14 +305,35 @@ def test_a_full_disk_is_said_once(format, room):
         record()
 
 
+def test_the_first_error_is_the_one_that_is_raised():
+    def record() -> None:
+        with create_capture(Full(24), format="pcap") as writer:
+            writer.write(FRAMES[0])
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        record()
+    assert caught.value.__notes__ == ["<stream>: can not be written: No space left on device"]
+
+
+def test_a_closed_pipe_is_said():
+    receiving, sending = os.pipe()
+    os.close(receiving)
+    with os.fdopen(sending, "wb", buffering=0) as pipe:
+        with pytest.raises(CaptureError, match="Broken pipe") as caught:
+            create_capture(pipe, format="pcapng")
+        assert isinstance(caught.value.__cause__, BrokenPipeError)
+
+
 RECORDER = """
 import sys
 from dcp_codec.capture import Frame, create_capture
 writer = create_capture(sys.argv[1])
-for number in range(1, 5001):
+for number in range(1, 4101):
     writer.write(Frame(number, number, number.to_bytes(4, "big") * 25, 100))
     if number in (10, 4000):
         writer.flush()
+    if number in (10, 4100):
         print(number, flush=True)
 sys.stdin.read()
 """
@@ -326,10 +347,10 @@ def test_a_killed_recorder_leaves_what_it_flushed(tmp_path, format):
     ) as recorder:
         assert recorder.stdout.readline() == b"10\n"
         assert len(read(path)[0]) >= 10
-        assert recorder.stdout.readline() == b"4000\n"
+        assert recorder.stdout.readline() == b"4100\n"
         recorder.send_signal(signal.SIGKILL)
         recorder.wait()
     frames, reader = read(path)
-    assert 4000 <= len(frames) <= 5000
+    assert 4000 <= len(frames) <= 4100
     assert frames == [(n, n, n.to_bytes(4, "big") * 25, 100, 0) for n in range(1, len(frames) + 1)]
     assert [problem.reason for problem in reader.problems] == (["unfinished"] if format == "mcap" else [])
