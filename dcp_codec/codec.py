@@ -12,6 +12,7 @@ from dcp_spec.schema import Schema, build_schema
 from .decoder import Decode, generate_decoder
 from .dissect import Dissection, dissect
 from .encoder import Encode, generate_encoder
+from .errors import DecodeError, Problem
 from .layout import ValueTypes
 from .lint import warnings
 from .plan import Node, lower
@@ -145,7 +146,11 @@ class Codec:
 
     def decode_report(self, payload: bytes) -> ExtendedSafetyData:
         """Decode an SRP payload, which must be exactly one state report (SRP-RX-01). Raises DecodeError."""
-        report: ExtendedSafetyData = self._decode_report(payload, 0, len(payload))[0]
+        report: ExtendedSafetyData
+        report, end = self._decode_report(payload, 0, len(payload))
+        if end != len(payload):
+            # Only a report without a fixed size can end early.
+            raise DecodeError(Problem("leftover", "", end, 0, len(payload) - end, "SRP-RX-01"), report)
         return report
 
     def encode_report(self, report: ExtendedSafetyData) -> bytes:

@@ -1,7 +1,7 @@
 """Generate the strict encoder of a plan.
 
 The generated function packs neighbouring scalars in one ``struct`` call and derives lengths and counts from what it has
-packed. It does not look for the reason of a failure: when anything raises, :func:`explain` walks plan and value
+packed. It does not look for the reason of a failure: when anything raises, :mod:`dcp_codec.misfit` walks plan and value
 once more, slowly, and names the field.
 """
 
@@ -13,24 +13,14 @@ from typing import Any
 
 from .errors import EncodeError
 from .layout import ValueTypes, joins, packing, scalars_of, walk
+from .misfit import explain, measured, zero
 from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from .source import Source
 
 Encode = Callable[[Any], bytes]
 
 #: What packing a wrong value can raise; anything else is a fault of ours and must show.
-_PACKING_ERRORS = (struct.error, TypeError, ValueError, AttributeError, OverflowError, IndexError)
-
-
-def zero(node: Node) -> Any:
-    """What an extra field holds when the caller gives none (None: as long as the area needs)."""
-    match node:
-        case Scalar(kind="bytes"):
-            return bytes(node.size)
-        case Scalar():
-            return 0
-        case _:
-            return None
+_PACKING_ERRORS = (struct.error, TypeError, ValueError, AttributeError, OverflowError, LookupError)
 
 
 class _Member:
@@ -142,7 +132,8 @@ class _Generator:
         if text.terminated:
             with self.source.block(f"if 0 in {variable}:"):
                 self.source.add("raise ValueError")
-            self.source.add(f"{variable} += b'\\0'")
+            # Not +=, which would change a bytearray of the caller's.
+            self.source.add(f"{variable} = {variable} + b'\\0'")
         for prefix in text.prefixes:
             self._scalar(prefix, f"len({variable})", run, pieces)
         self._pack(run, pieces)
@@ -190,20 +181,13 @@ class _Generator:
             case Rest():
                 source.add(f"{octets} = {value}")
             case Fill():
-                used = scope.members[self._measured(group, node.used)].octets
+                used = scope.members[measured(group, node.used)].octets
                 source.add(f"{octets} = {value} or bytes({node.total} - len({used}))")
                 with source.block(f"if len({octets}) + len({used}) != {node.total}:"):
                     source.add("raise ValueError")
             case _:
                 raise TypeError(f"{type(node).__name__} is no structural member")
         return _Member(octets, None)
-
-    def _measured(self, group: Group, length: str) -> str:
-        """The member that the field ``length`` of ``group`` measures."""
-        for member in group.members:
-            if isinstance(member, Scalar) and member.name == length and member.derived is not None:
-                return member.derived.of
-        raise TypeError(f"{length} measures nothing")
 
     def select(self, node: Select, value: str, octets: str, scope: _Scope, owner: str, group: Group) -> _Member:
         source, items = self.source, self.source.fresh("i")
@@ -228,9 +212,12 @@ class _Generator:
         cls = self.types[element.type_name]
         only = source.constant("only", {cls}, element.type_name)
         required = node.name in self.counted
-        with source.block(f"if {'' if required else f'{items} and '}{{*map(type, {items})}} != {only}:"):
+        sequences = source.constant("sequences", (tuple, list), "sequences")
+        with source.block(
+            f"if not isinstance({items}, {sequences}) or "
+            f"{'' if required else f'{items} and '}{{*map(type, {items})}} != {only}:"
+        ):
             source.add("raise TypeError")
-        source.namespace["type"] = type
         scalars = scalars_of(element)
         flat = scalars is not None and len(scalars) == len(element.members) and not self.types.slots(element)[1]
         if scalars is not None and flat and all(s.stored and s.kind != "bytes" for s in scalars):
@@ -271,127 +258,6 @@ def generate_encoder(plan: Node, types: ValueTypes, title: str) -> Encode:
             return generated(value)
         except _PACKING_ERRORS as error:
             explain(plan, types, value)
-            # Every part fits its own fields, so it is a whole that is longer than its length field can say.
-            raise EncodeError("", f"a payload or the whole beacon is too long for its length field ({error})") from None
+            raise EncodeError("", f"cannot be put on the wire ({error})") from error
 
     return encode
-
-
-# -- why a value cannot be encoded ----------------------------------------------------------------------------
-
-
-def explain(plan: Node, types: ValueTypes, value: Any) -> None:
-    """Raise :class:`EncodeError` for the first part of ``value`` that does not fit the plan; return if there is none."""
-    _Explainer(types).node(plan, value, "", {})
-
-
-class _Explainer:
-    def __init__(self, types: ValueTypes) -> None:
-        self.types = types
-
-    def node(self, node: Node, value: Any, path: str, siblings: dict[str, Any]) -> None:
-        match node:
-            case Scalar():
-                self.scalar(node, value, path)
-            case Text():
-                self.text(node, value, path)
-            case Rest():
-                self.octets(value, path)
-            case Group():
-                self.group(node, value, path)
-            case Exact():
-                self.group(node.content, value, path)
-            case Many():
-                self.many(node, value, path)
-            case Region():
-                self.node(node.content, value, path, siblings)
-            case Select():
-                self.select(node, value, path, siblings)
-            case Fill():
-                if value:
-                    self.octets(value, path)
-
-    def octets(self, value: Any, path: str) -> None:
-        if not isinstance(value, bytes | bytearray):
-            raise EncodeError(path, f"needs bytes, not {type(value).__name__}")
-
-    def scalar(self, scalar: Scalar, value: Any, path: str) -> None:
-        if scalar.kind == "bytes":
-            self.octets(value, path)
-            if len(value) != scalar.size:
-                raise EncodeError(path, f"needs {scalar.size} octets, not {len(value)}")
-        elif scalar.kind == "int":
-            if not isinstance(value, int):
-                raise EncodeError(path, f"needs an integer, not {type(value).__name__}")
-            low = -(1 << (8 * scalar.size - 1)) if scalar.signed else 0
-            high = (1 << (8 * scalar.size - scalar.signed)) - 1
-            if not low <= value <= high:
-                raise EncodeError(path, f"{value} is not in {low}..{high}")
-        elif not isinstance(value, int | float):
-            raise EncodeError(path, f"needs a number, not {type(value).__name__}")
-        else:
-            try:
-                struct.pack(f">{scalar.code}", value)
-            except (OverflowError, struct.error):
-                raise EncodeError(path, f"{value!r} does not fit {scalar.size} octets of floating point") from None
-
-    def text(self, text: Text, value: Any, path: str) -> None:
-        self.octets(value, path)
-        if text.terminated and 0 in value:
-            raise EncodeError(path, "must not hold a NUL octet, which ends it")
-        for prefix in text.prefixes:
-            room = (1 << (8 * prefix.size)) - 1 - text.terminated
-            if len(value) > room:
-                raise EncodeError(path, f"{len(value)} octets, at most {room} can be announced")
-
-    def group(self, group: Group, value: Any, path: str) -> None:
-        cls = self.types[group.type_name]
-        if not isinstance(value, cls):
-            raise EncodeError(path, f"needs a {cls.__name__}, not {type(value).__name__}")
-        foreign = self.types.slots(group)[1]
-        extra = getattr(value, "extra", ()) or tuple(zero(member) for member in foreign)
-        if foreign and len(extra) != len(foreign):
-            names = ", ".join(member.name for member in foreign)
-            raise EncodeError(f"{path}.extra".lstrip("."), f"needs {len(foreign)} entries ({names}), not {len(extra)}")
-        siblings: dict[str, Any] = {}
-        for member in group.members:
-            attribute = self.types.attribute(group, member)
-            if attribute is not None:
-                siblings[member.name] = getattr(value, attribute)
-            elif member in foreign:
-                siblings[member.name] = extra[foreign.index(member)]
-        for member in group.members:
-            if member.name in siblings:
-                here = f"{path}.{member.name}" if path else member.name
-                self.node(member, siblings[member.name], here, siblings)
-        self.derived(group, siblings, path)
-
-    def derived(self, group: Group, siblings: dict[str, Any], path: str) -> None:
-        """Counts that a sibling list (also one record up) must allow."""
-        nested = [member for member in group.members if isinstance(member, Group)]
-        for scalar in [m for g in (group, *nested) for m in g.members if isinstance(m, Scalar)]:
-            if scalar.derived is None or scalar.derived.kind != "count":
-                continue
-            name = scalar.derived.of.rsplit(".", 1)[-1]
-            if name in siblings and not 1 <= len(siblings[name]) < 1 << (8 * scalar.size):
-                here = f"{path}.{name}" if path else name
-                high = (1 << (8 * scalar.size)) - 1
-                raise EncodeError(here, f"{len(siblings[name])} elements, needs 1..{high}")
-
-    def many(self, many: Many, value: Any, path: str) -> None:
-        if not isinstance(value, tuple | list):
-            raise EncodeError(path, f"needs a tuple of {many.element.type_name}, not {type(value).__name__}")
-        for index, element in enumerate(value):
-            if type(element) is not self.types[many.element.type_name]:
-                expected = many.element.type_name
-                raise EncodeError(f"{path}[{index}]", f"needs a {expected}, not {type(element).__name__}")
-            self.group(many.element, element, f"{path}[{index}]")
-
-    def select(self, select: Select, value: Any, path: str, siblings: dict[str, Any]) -> None:
-        key = siblings[select.key]
-        case = select.cases.get(key, select.default)
-        stem = path.rsplit(".", 1)[0] if "." in path else ""
-        if case is None:
-            known = ", ".join(str(number) for number in sorted(select.cases))
-            raise EncodeError(f"{stem}.{select.key}".lstrip("."), f"{key} is none of {known}")
-        self.node(case, value, f"{stem}.{case.name}".lstrip("."), siblings)
