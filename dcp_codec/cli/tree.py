@@ -80,12 +80,14 @@ class TreeRenderer:
         if isinstance(field.layout, Group) and field.layout.type_name == "Payload":
             value = payload_name(field)
         place = self.style(f"{field.offset:>6} {field.length:>4}  ", dim=True)
-        shown = self.style(f"{name:<{names}}", fg="cyan") if field.children else f"{name:<{names}}"
+        record = isinstance(field.layout, Group | Many)
+        shown = self.style(f"{name:<{names}}", fg="cyan") if record else f"{name:<{names}}"
         room = self.width - 13 - max(names, len(name)) - 1
         if len(value) > room > 8:
             value = value[: room - 1] + "…"
         hexes = ""
-        if self.width >= _NARROW and not field.children and not isinstance(field.layout, Group | Many):
+        leaf = isinstance(field.layout, Text) or not field.children
+        if self.width >= _NARROW and leaf and not isinstance(field.layout, Group | Many):
             hexes = self._hexes(field, room - len(value) - 2, len(value))
         return f"{place}{shown} {value}{hexes}".rstrip()
 

@@ -18,11 +18,11 @@ def command(manifest: Path) -> int:
 
     The recordings of this project are verified with: dcp-codec verify captures/manifest.toml
     """
-    from dcp_codec.goldens import ManifestError, verify
+    from dcp_codec.goldens import GoldensError, verify
 
     try:
         findings = verify(manifest)
-    except ManifestError as error:
+    except GoldensError as error:
         raise ExpectedError(str(error)) from None
     for finding in findings:
         click.echo(str(finding))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
 from dcp_codec import Codec
 from dcp_codec.capture import Frame, create_capture
 from dcp_codec.cli import main
@@ -38,9 +39,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
 
 def beacon(seqno: int, *, sender: bytes = NODE) -> Beacon:
     """A beacon that creates variable 7 and summarises 7 and 9."""
-    create = VarCreate(
-        VarSpec(7, sender, 2, b"pos", creation_time=START_NS, timeout=5000), VarUpdate(7, 3, b"ABCD")
-    )
+    create = VarCreate(VarSpec(7, sender, 2, b"pos", creation_time=START_NS, timeout=5000), VarUpdate(7, 3, b"ABCD"))
     containers = (Container(5, (create,)), Container(1, (VarSumm(7, 3), VarSumm(9, 0))))
     return Beacon(BPHeader(sender, seqno, network_id=0x1111), (Payload(2, containers),))
 

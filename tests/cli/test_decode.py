@@ -80,7 +80,7 @@ def test_tree_shows_offset_length_name_value_and_octets(run, tmp_path, good):
     assert ["23", "2", "networkId", "0x1111", "11", "11"] in rows
     assert ["36", "1", "icType", "5", "CREATE-VARIABLES", "05"] in rows
     assert ["56", "4", "descr", '"pos"', "03", "70", "6f", "73"] in rows
-    assert ["0000", "ff", "ff"] == next(row for row in rows if row[:1] == ["0000"])[:3]
+    assert next(row for row in rows if row[:1] == ["0000"])[:3] == ["0000", "ff", "ff"]
 
 
 def test_list_has_one_line_per_frame(run, tmp_path, good):
@@ -256,7 +256,13 @@ def test_ether_type_option(run, tmp_path, codec):
         (("a.pcap", "--from", "yesterday"), "no ISO 8601 time"),
         (("a.pcap", "--ether-type", "0x12345"), "not in 0x0600..0xffff"),
         (("a.pcap", "--ether-type", "beacon"), "no number"),
-        (("a.pcap", "--no-such-option",), "--no-such-option"),
+        (
+            (
+                "a.pcap",
+                "--no-such-option",
+            ),
+            "--no-such-option",
+        ),
         (("a.pcap", "--profile", "cpp-20"), "cpp-2.0"),
     ],
 )
