@@ -112,25 +112,25 @@ class Finding(msgspec.Struct, frozen=True):
         return f"{self.file}: {self.check}: {self.message}"
 
 
-class ManifestError(Exception):
+class GoldensError(Exception):
     """The manifest, or a recording that files are to be made from, cannot be used."""
 
 
 def load_manifest(path: Path) -> Manifest:
-    """Read a manifest. Raises :class:`ManifestError` naming the file and the key."""
+    """Read a manifest. Raises :class:`GoldensError` naming the file and the key."""
     try:
         return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Manifest)
     except OSError as error:
-        raise ManifestError(f"{path}: cannot be read ({error.strerror})") from None
+        raise GoldensError(f"{path}: cannot be read ({error.strerror})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
-        raise ManifestError(f"{path}: {error}") from None
+        raise GoldensError(f"{path}: {error}") from None
 
 
 # -- verify -------------------------------------------------------------------------------------------------------
 
 
 def verify(manifest: Path) -> list[Finding]:
-    """Check every recording of a manifest; empty if all is as it says. Raises :class:`ManifestError`.
+    """Check every recording of a manifest; empty if all is as it says. Raises :class:`GoldensError`.
 
     The hash of the file; the hash of the recording attached to it, and that its frames are the file's own; that every
     frame is a beacon without errors that encodes to the same octets; the counts. A recording beside the manifest that
@@ -153,16 +153,16 @@ def _verify_one(folder: Path, golden: Golden) -> list[Finding]:
     path = folder / golden.file
     if not path.is_file():
         return [Finding(golden.file, "file", "there is no such file")]
-    findings = []
-    if (found := _sha256(path)) != golden.sha256:
-        findings.append(Finding(golden.file, "hash", f"SHA-256 is {found}, not {golden.sha256 or 'stated'}"))
+    findings: list[Finding] = []
     try:
+        if (found := _sha256(path)) != golden.sha256:
+            findings.append(Finding(golden.file, "hash", f"SHA-256 is {found}, not {golden.sha256 or 'stated'}"))
         codec = Codec(golden.profile)
         with open_capture(path) as reader:
             frames = list(reader)
             findings += [Finding(golden.file, "capture", problem.message) for problem in reader.problems]
         findings += [Finding(golden.file, "attachment", text) for text in _attachment(path, golden, frames)]
-    except (CaptureError, ProfileError) as error:
+    except (CaptureError, ProfileError, OSError) as error:
         return [*findings, Finding(golden.file, "capture", str(error))]
     if len(frames) != golden.frames:
         findings.append(Finding(golden.file, "frames", f"there are {len(frames)}, not {golden.frames}"))
@@ -301,7 +301,7 @@ def make(manifest: Path, originals: Path | None = None) -> Manifest:
 
     ``originals`` is the folder with the recordings; without it those attached to the present files are taken.
     Expected counts come from the ``.json`` of the same name beside a recording, made by an independent decoder; where
-    there is none they stay as they are. Raises :class:`ManifestError`; the manifest is written last.
+    there is none they stay as they are. Raises :class:`GoldensError`; the manifest is written last.
     """
     old = load_manifest(manifest)
     new = Manifest(made_with=_versions(), capture=tuple(_make_one(manifest, each, originals) for each in old.capture))
@@ -328,7 +328,7 @@ def _make_one(manifest: Path, golden: Golden, originals: Path | None) -> Golden:
                 attach_source=True,
             )
             if report.problems:
-                raise ManifestError(f"{original}: {report.problems[0].message}")
+                raise GoldensError(f"{original}: {report.problems[0].message}")
             target.write_bytes(fresh.read_bytes())
             return msgspec.structs.replace(
                 golden,
@@ -339,7 +339,7 @@ def _make_one(manifest: Path, golden: Golden, originals: Path | None) -> Golden:
                 expected=_independent(original.with_name(f"{original.stem}.json")) or golden.expected,
             )
     except (CaptureError, ProfileError, OSError) as error:
-        raise ManifestError(f"{golden.file}: {error}") from error
+        raise GoldensError(f"{golden.file}: {error}") from error
 
 
 def _take_out(path: Path, name: str, target: Path) -> None:
@@ -347,7 +347,7 @@ def _take_out(path: Path, name: str, target: Path) -> None:
         if attachment.name == name:
             extract_attachment(path, attachment, target)
             return
-    raise ManifestError(f"{path}: has no attachment called {name}")
+    raise GoldensError(f"{path}: has no attachment called {name}")
 
 
 def _independent(path: Path) -> Counts | None:
@@ -367,7 +367,7 @@ def _independent(path: Path) -> Counts | None:
         senders = dict(sorted(found["senders"].items()))
         return msgspec.convert({**counts, "senders": senders, "last_sent_value": values}, Counts)
     except (msgspec.MsgspecError, LookupError, ValueError, TypeError, AttributeError) as error:
-        raise ManifestError(f"{path}: does not hold counts ({error})") from error
+        raise GoldensError(f"{path}: does not hold counts ({error})") from error
 
 
 def _versions() -> dict[str, str]:
@@ -399,7 +399,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(f"{golden.file}: {golden.frames} frames, SHA-256 {golden.sha256}")
         findings = verify(options.manifest)
         number = len(load_manifest(options.manifest).capture)
-    except ManifestError as error:
+    except GoldensError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     for finding in findings:

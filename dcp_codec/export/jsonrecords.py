@@ -149,7 +149,7 @@ class RecordSchemas:
         requirement = f" [{group.requirement}]" if group.requirement else ""
         schema: JSONSchema = {
             "title": group.type_name,
-            "description": f"{group.doc or f'record {group.type_name}'}{requirement}",
+            "description": f"{meaning(group)}{requirement}",
             "type": "object",
             "properties": properties,
         }
@@ -269,6 +269,8 @@ class RecordSchemas:
                 required += [] if content.human and content.role != "node-id" else [member.name]
             elif not (isinstance(content, Scalar) and content.kind == "float"):
                 required.append(member.name)
+                if isinstance(content, Scalar) and content.names is not None and content.name_field is not None:
+                    required.append(content.name_field)
         return ViewerRecord(properties, required, alternatives)
 
 

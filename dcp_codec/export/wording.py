@@ -49,11 +49,11 @@ def meaning(node: Node) -> str:
             what = "size" if derived.kind == "size" else "number of elements"
             return f"{what} of {derived.of.removeprefix('_.')}"
         case Many():
-            return "list of records"
+            return f"list of {node.element.type_name}"
         case Region() | Exact():
             return meaning(node.content)
         case Group():
-            return "record"
+            return f"record {node.type_name}"
         case Select():
             return "one of several contents"
         case _:

@@ -1,0 +1,111 @@
+"""A small beacon of a profile, and octets written out with the names of their fields."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
+
+from dcp_codec.codec import Codec
+from dcp_codec.dissect import Field
+from dcp_codec.jsonform import scalar_json
+from dcp_codec.plan import Fill, Rest, Scalar
+from dcp_codec.values import (
+    Beacon,
+    BPHeader,
+    Container,
+    ExtendedSafetyData,
+    Payload,
+    VarCreate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
+
+#: 2023-11-14T22:13:20Z
+_NOW_S = 1_700_000_000
+_UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}
+_OCTETS_A_LINE = 8
+
+
+def example_beacon(codec: Codec) -> Beacon:
+    """A beacon with a state report, if the profile has one, and the creation and summary of a variable."""
+    profile = codec.profile
+    node = b"\x02\x00\x00\x00\x00\x01"
+    node_id = node.hex(":").encode() if profile.types.node_id.length is not None else _sized(node, codec)
+    header = None
+    if profile.bp.header:
+        network_id = profile.bp.network_id if profile.has_header_field("networkId") else None
+        if profile.has_header_field("networkId") and network_id is None:
+            network_id = 0
+        header = BPHeader(node_id, 41, network_id)
+    payloads = []
+    if codec.report_plan is not None:
+        payloads.append(Payload(BP_PROTID_SRP, _report(codec, node_id)))
+    payloads.append(Payload(BP_PROTID_VARDIS, _containers(codec, node_id)))
+    return Beacon(header, tuple(payloads))
+
+
+def _sized(node: bytes, codec: Codec) -> bytes:
+    width = codec.profile.types.node_id.width
+    return node.rjust(width, b"\0")[-width:]
+
+
+def _now(codec: Codec) -> int:
+    stamp = codec.profile.types.timestamp
+    since = _NOW_S if stamp.epoch in ("unix", "gps") else 12
+    bits = 8 * stamp.width - stamp.signed
+    return since * _UNITS[stamp.unit] % (1 << bits)
+
+
+def _report(codec: Codec, node_id: bytes) -> ExtendedSafetyData:
+    values: dict[str, Any] = {}
+    for number, member in enumerate(codec.profile.srp.safety_data, start=1):
+        if member.type == "opaque":
+            values[member.name] = bytes(member.octets)
+        else:
+            values[member.name] = number * 1.5 if member.type.startswith("f") else number
+    return ExtendedSafetyData(codec.safety_data_type(**values), node_id, _now(codec), 7)
+
+
+def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
+    numbers = codec.profile.vardis.container_types.by_name()
+    has = codec.profile.vardis.var_spec
+    spec = VarSpec(
+        7,
+        node_id,
+        2,
+        b"pos",
+        _now(codec) if "creationTime" in has else None,
+        5000 % (1 << 8 * codec.profile.types.var_timeout.width) if "timeout" in has else None,
+    )
+    create = VarCreate(spec, VarUpdate(7, 3, b"ABCD"))
+    return (
+        Container(numbers["CREATE-VARIABLES"], (create,)),
+        Container(numbers["SUMMARIES"], (VarSumm(7, 3), VarSumm(9, 0))),
+    )
+
+
+def annotated(codec: Codec, octets: bytes) -> Iterator[str]:
+    """One line for each field of a beacon: offset, octets in hex, path, value. Never raises."""
+    dissection = codec.dissect(octets)
+    leaves = [field for field in dissection.root.walk() if not field.children and field.length]
+    names, width = max((len(field.path) for field in leaves), default=0), 3 * _OCTETS_A_LINE - 1
+    yield f"{'offset':6}  {'octets':{width}}  {'field':{names}}  value"
+    for field in leaves:
+        yield f"{field.offset:#06x}  {_hex(field):{width}}  {field.path:{names}}  {_value(field, codec)}".rstrip()
+
+
+def _hex(field: Field) -> str:
+    raw = field.raw
+    if len(raw) <= _OCTETS_A_LINE:
+        return raw.hex(" ")
+    return f"{raw[:3].hex(' ')} .. {raw[-2:].hex(' ')}"
+
+
+def _value(field: Field, codec: Codec) -> str:
+    if isinstance(field.layout, Rest | Fill) or (isinstance(field.layout, Scalar) and field.layout.role == "opaque"):
+        return f"({field.length} octet{'' if field.length == 1 else 's'})"
+    value = scalar_json(field.layout, field.value, codec.profile.types.node_id.representation)
+    return f"{value} {field.label}" if field.label else f"{value}"
