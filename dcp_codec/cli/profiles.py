@@ -39,36 +39,12 @@ def _show(name: str, form: str) -> int:
     if form == "json":
         click.echo(msgspec.json.format(msgspec.json.encode(profile), indent=2).decode())
     elif form == "toml":
-        click.echo(profile_toml(msgspec.to_builtins(profile)), nl=False)
+        from dcp_codec.export.tomltext import profile_toml
+
+        click.echo(profile_toml(profile), nl=False)
     else:
         from dcp_codec.codec import Codec
         from dcp_codec.export.markdown import format_tables
 
         click.echo(format_tables(Codec(profile)))
     return 0
-
-
-def profile_toml(data: dict[str, object]) -> str:
-    """A profile as a TOML file that loads again to the same profile; unset keys are left out."""
-    lines = [
-        f"{key} = {_toml(value)}" for key, value in data.items() if not isinstance(value, dict) and value is not None
-    ]
-    for key, value in data.items():
-        if isinstance(value, dict):
-            lines += ["", f"[{key}]"]
-            lines += [f"{_key(inner)} = {_toml(each)}" for inner, each in value.items() if each is not None]
-    return "\n".join(lines) + "\n"
-
-
-def _key(key: str) -> str:
-    return key if key.replace("-", "").replace("_", "").isalnum() else json.dumps(key)
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, dict):
-        inner = ", ".join(f"{_key(key)} = {_toml(each)}" for key, each in value.items() if each is not None)
-        return f"{{ {inner} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(each) for each in value)}]"
-    # JSON's spelling of strings, numbers and booleans is also TOML's.
-    return json.dumps(value, ensure_ascii=False)

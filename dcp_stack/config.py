@@ -1,0 +1,130 @@
+"""How a node is set up: identity, profile, parameters under the specification's names, and chosen readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import msgspec
+from dcp_spec.constants import Features, features
+from dcp_spec.parameters import Sizes
+from dcp_spec.profile import Profile
+from dcp_spec.readings import reading
+
+from dcp_codec.codec import Codec
+
+MS = 1_000_000
+"""ns in a millisecond."""
+
+
+class BPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Beaconing (dcp-bp.md#bp-interface-configurable-parameters). Sizes in octets, the period in ms."""
+
+    beacon_period_ms: int = 100
+    """BPPAR_BEACON_PERIOD (BP-PAR-03)."""
+    max_packet_size: int | None = None
+    """BPPAR_MAXIMUM_PACKET_SIZE; None for the profile's max_beacon_size (BP-PAR-04)."""
+    network_id: int | None = None
+    """BPPAR_NETWORK_ID; None for the profile's value (BP-PAR-05)."""
+    jitter: float = 0.1
+    """Each interval is the period times a uniform factor in 1 - jitter .. 1 + jitter (BP-TX-02); 0 is strict."""
+    triggered: bool = False
+    """A new payload brings the next beacon forward to now (BP-TXP-07)."""
+
+
+class SRPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """State reporting (dcp-srp.md#srp-configurable-parameters)."""
+
+    neighbour_table_timeout_ms: int = 3000
+    """SRPPAR_NEIGHBOUR_TABLE_TIMEOUT (SRP-PAR-01)."""
+    max_neighbours: int = 4096
+    """Entries beyond this are not taken: nothing received may use up memory."""
+    safety_data: Mapping[str, float | int | str] | None = None
+    """Safety data handed down at start, by the profile's field names; None for none."""
+
+
+class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Variable dissemination (dcp-vardis.md#vardis-configurable-parameters); None takes the profile's limit."""
+
+    max_value_length: int | None = None
+    max_description_length: int | None = None
+    max_repetitions: int | None = None
+    max_payload_size: int | None = None
+    max_summaries: int | None = None
+    scrubbing_period_ms: int = 1000
+    buffer_check_period_ms: int = 50
+    max_variables: int = 65_536
+    """Variables beyond this are not taken from others and refused to applications."""
+    bp_queue_entries: int = 1
+    """maxEntries with which VarDis registers (VD-INI-02): one payload, so that what is sent is fresh."""
+
+
+class NodeConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole node. ``readings`` chooses among the alternatives of disputed text (``dcp_spec.readings``) by id."""
+
+    node_id: bytes
+    codec: Codec
+    bp: BPConfig = BPConfig()
+    srp: SRPConfig | None = SRPConfig()
+    """None: no SRP on this node."""
+    vardis: VardisConfig | None = VardisConfig()
+    """None: no VarDis on this node."""
+    readings: Mapping[str, str] = msgspec.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Raises ``ValueError`` for a node id of the wrong width, an unknown reading or one that is no alternative."""
+        layout = self.profile.types.node_id
+        if layout.length is None and len(self.node_id) != layout.width:
+            raise ValueError(f"node id {self.node_id.hex(':')} has {len(self.node_id)} octets, not {layout.width}")
+        for identifier, choice in self.readings.items():
+            reading(identifier).alternative(choice)
+
+    @property
+    def profile(self) -> Profile:
+        """The wire profile."""
+        return self.codec.profile
+
+    @property
+    def features(self) -> Features:
+        """What the specification version of the profile has (C.7)."""
+        return features(self.profile.spec_version)
+
+    def reading(self, identifier: str) -> str:
+        """The chosen alternative of a disputed text; ours unless ``readings`` says otherwise."""
+        default = reading(identifier).default
+        return self.readings.get(identifier) or (default.name if default is not None else "")
+
+
+Layer = Literal["bp", "srp", "vardis"]
+
+
+def sizes(config: NodeConfig) -> Sizes:
+    """The serialized sizes that bounds of parameters depend on, for the profile of a node."""
+    profile, types = config.profile, config.profile.types
+    widths = {
+        "varId": types.var_id.width,
+        "prodId": types.node_id.width,
+        "repCnt": types.var_rep_cnt.width,
+        "creationTime": types.timestamp.width,
+        "timeout": types.var_timeout.width,
+        "descr": sum(length.width for length in types.string.lengths) + types.string.terminated,
+    }
+    value = sum(length.width for length in types.value.lengths) + types.value.terminated
+    from dcp_spec.bp import header_size
+
+    return Sizes(
+        version=profile.spec_version,
+        uwb_max_packet_size=profile.limits.uwb_max_packet,
+        node_id=types.node_id.width,
+        network_id=types.network_id.width,
+        var_len=types.value.lengths[0].width,
+        bp_header=header_size(profile),
+        bp_payload_header=types.protocol_id.width + types.bp_length.width,
+        ic_header=2,
+        var_spec_fixed=sum(widths[name] for name in profile.vardis.var_spec),
+        var_update_fixed=types.var_id.width + types.var_seqno.width + value,
+        var_summ=types.var_id.width + types.var_seqno.width,
+        max_packet_size=config.bp.max_packet_size or profile.limits.max_beacon_size,
+        max_payload_size=profile.limits.max_vardis_payload,
+        max_value_length=profile.limits.max_value_length,
+    )

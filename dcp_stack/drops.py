@@ -1,0 +1,37 @@
+"""The named reasons for which received octets and records are ignored, with the requirement that asks for it.
+
+Reasons of malformed octets come from ``dcp_spec.reasons``; those below are about well-formed ones.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+#: reason -> (requirement, meaning)
+DROPS: Final[dict[str, tuple[str, str]]] = {
+    "inactive": ("BP-RX-13", "the entity is not active"),
+    "foreign-network": ("BP-RX-05", "the beacon belongs to another network"),
+    "own-beacon": ("BP-RX-06", "the beacon carries the own node identifier as sender"),
+    "unregistered-protocol": ("BP-RX-08", "no client is registered for the protocol of the block"),
+    "empty-payload": ("BP-TXP-03", "the block has no octets"),
+    "own-report": ("SRP-RX-02", "the state report is about the own node"),
+    "wrong-length": ("SRP-RX-01", "the payload is not exactly one state report"),
+    "table-full": ("SRP-RX-03", "the neighbour table has no room for another node"),
+    "vardis-inactive": ("VD-MGT-03", "VarDis is not active"),
+    "not-newer-create": ("VD-PC-01", "the variable is known from the same or a later creation"),
+    "own-create": ("VD-PC-03", "the variable is produced by this node"),
+    "bad-value": ("VD-PC-04", "the value is empty or longer than allowed"),
+    "bad-description": ("VD-PC-05", "the description is empty or longer than allowed"),
+    "bad-repcnt": ("VD-PC-06", "the repetition count is zero or larger than allowed"),
+    "id-mismatch": ("VD-PC-01", "the two identifiers of a VarCreate differ (X14)"),
+    "delete-unknown": ("VD-PD-01", "the variable to delete is not known"),
+    "delete-deleted": ("VD-PD-02", "the variable to delete is deleted already"),
+    "delete-own": ("VD-PD-03", "the variable to delete is produced by this node"),
+    "update-unknown": ("VD-PU-01", "the updated variable is not known; it is requested"),
+    "update-deleted": ("VD-PU-02", "the updated variable is deleted"),
+    "update-own": ("VD-PU-03", "the updated variable is produced by this node"),
+    "update-bad-value": ("VD-PU-04", "the value is empty or longer than allowed"),
+    "update-equal": ("VD-PU-05", "the update has the stored sequence number"),
+    "update-older": ("VD-PU-06", "the update is older than what is stored"),
+    "database-full": ("VD-PC-07", "the database has no room for another variable"),
+}

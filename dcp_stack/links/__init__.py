@@ -1,0 +1,1 @@
+"""Links: what carries bearer payloads between nodes. Each is imported when it is used."""
