@@ -1,0 +1,118 @@
+"""A node: BP with SRP and VarDis as its clients, composed without any input or output of its own.
+
+Order of calls: :meth:`Node.start` once, then any of the input methods, and after each of them ``take_effects()`` for
+what to do and ``poll_timeout()`` for when to call ``handle_timeout`` next. Applications call the services of ``bp``,
+``srp`` and ``vardis`` directly, and after them the same two.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
+
+from .bp import BeaconingProtocol
+from .config import NodeConfig
+from .effects import Effect, PayloadReceived, PayloadTransmitted
+from .srp import StateReporting
+from .vardis import Vardis
+
+
+class Node:
+    """One node of a network; every time is an int in ns (``now`` monotonic, ``wall`` since 1970)."""
+
+    def __init__(self, config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> None:
+        self.config = config
+        self._rng = rng
+        self._effects: list[Effect] = []
+        self._pending: list[Effect] = []
+        self._build(now, wall)
+
+    def _build(self, now: int, wall: int) -> None:
+        config, emit = self.config, self._pending.append
+        self.bp = BeaconingProtocol(config, rng=self._rng, emit=emit, now=now, wall=wall)
+        self.srp = StateReporting(config, self.bp, emit=emit, now=now, wall=wall) if config.srp else None
+        self.vardis = Vardis(config, self.bp, emit=emit, now=now, wall=wall) if config.vardis else None
+
+    def start(self, now: int, wall: int) -> None:
+        """Let the client protocols register; from here on the node beacons when there is something to say."""
+        if self.srp is not None:
+            self.srp.start(now, wall)
+        if self.vardis is not None:
+            self.vardis.start(now, wall)
+        initial = self.config.srp.safety_data if self.config.srp is not None else None
+        if self.srp is not None and initial is not None:
+            self.srp.update_safety_data(initial, now=now, wall=wall)
+        self._settle(now, wall)
+
+    def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
+        """A bearer payload was received. Never raises, whatever the octets are."""
+        self.bp.handle_beacon(octets, now=now, wall=wall)
+        self._settle(now, wall)
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        """Time has come, or passed; calling too early does no harm."""
+        # Clients first: what they submit now goes into the beacon of now.
+        if self.srp is not None:
+            self.srp.handle_timeout(now, wall)
+        if self.vardis is not None:
+            self.vardis.handle_timeout(now, wall)
+        self.bp.handle_timeout(now, wall)
+        self._settle(now, wall)
+
+    def poll_timeout(self) -> int | None:
+        """When ``handle_timeout`` is due next (monotonic ns), None if nothing is pending."""
+        entities = (self.bp, self.srp, self.vardis)
+        due = [when for entity in entities if entity is not None and (when := entity.poll_timeout()) is not None]
+        return min(due, default=None)
+
+    def settle(self, now: int, wall: int) -> None:
+        """Carry on what service calls on ``bp``, ``srp`` or ``vardis`` have set off; call it after them."""
+        self._settle(now, wall)
+
+    def take_effects(self) -> list[Effect]:
+        """Everything to do since the last call, in order; indications for SRP and VarDis have been handled inside."""
+        taken, self._effects = self._effects, []
+        return taken
+
+    def shutdown(self, now: int, wall: int) -> None:
+        """Deregister the client protocols (SRP-SHD-01, VD-SHD-01 to VD-SHD-03)."""
+        if self.vardis is not None:
+            self.vardis.shutdown()
+        if self.srp is not None:
+            self.srp.shutdown()
+        self._settle(now, wall)
+
+    def reset(self, now: int, wall: int) -> None:
+        """Back to the state after :meth:`start`: nothing registered, known or counted, sequence numbers from the start."""
+        self._pending.clear()
+        self._effects.clear()
+        self._build(now, wall)
+        self.start(now, wall)
+
+    def _settle(self, now: int, wall: int) -> None:
+        """Deliver indications to SRP and VarDis. What they emit in turn is handled in the same order."""
+        pending = self._pending
+        # The list grows while it is walked: a client that submits a payload may set off more.
+        for effect in pending:
+            match effect:
+                case PayloadReceived(protocol_id=protocol) if protocol == BP_PROTID_SRP and self.srp is not None:
+                    self.srp.handle_payload(effect.payload, effect.sender_id, now=now, wall=wall)
+                case PayloadReceived(protocol_id=protocol) if protocol == BP_PROTID_VARDIS and self.vardis is not None:
+                    self.vardis.handle_payload(effect.payload, now=now, wall=wall)
+                case PayloadTransmitted(protocol_id=protocol) if protocol == BP_PROTID_VARDIS and self.vardis is not None:
+                    self.vardis.payload_transmitted(now, wall)
+                case PayloadTransmitted(protocol_id=protocol) if protocol == BP_PROTID_SRP and self.srp is not None:
+                    pass
+                case _:
+                    self._effects.append(effect)
+        pending.clear()
+
+    def snapshot(self) -> dict[str, Any]:
+        """The state of all entities as plain data, for displays and comparisons."""
+        return {
+            name: entity.snapshot()
+            for name, entity in (("bp", self.bp), ("srp", self.srp), ("vardis", self.vardis))
+            if entity is not None
+        }
