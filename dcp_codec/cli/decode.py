@@ -142,7 +142,10 @@ class _Run:
             return JsonlRenderer()
         if form == "list":
             return ListRenderer(
-                width=columns if sys.stdout.isatty() else None, colour=colour, time=self.options["clock"]
+                width=columns if sys.stdout.isatty() else None,
+                colour=colour,
+                time=self.options["clock"],
+                origin=lambda: self.filter.origin,
             )
         if form == "csv":
             renderer = CsvRenderer(dissector.codec)

@@ -85,8 +85,13 @@ class Filter:
         if self._first is None:
             self._first = frame.time_ns
 
+    @property
+    def origin(self) -> int:
+        """The time of the first frame of the recording, in ns; 0 before it was seen."""
+        return self._first or 0
+
     def _ns(self, moment: Moment) -> int:
-        return moment.ns + (self._first or 0) if moment.relative else moment.ns
+        return moment.ns + self.origin if moment.relative else moment.ns
 
     def wants(self, found: DissectedFrame) -> bool:
         """Whether to show this frame."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import click
@@ -22,22 +22,20 @@ from .values import payload_name, quoted, utc
 class ListRenderer:
     """One line per frame: number, time, sender, sequence number, what it holds, what is wrong.
 
-    ``time`` is ``utc``, ``epoch`` or ``relative`` (seconds since the first frame shown).
+    ``time`` is ``utc``, ``epoch`` or ``relative``: seconds since what ``origin`` returns, in ns.
     """
 
-    def __init__(self, *, width: int | None, colour: bool, time: str) -> None:
+    def __init__(self, *, width: int | None, colour: bool, time: str, origin: Callable[[], int]) -> None:
         self.width = width
         self.colour = colour
         self.time = time
-        self._first: int | None = None
+        self.origin = origin
 
     def render(self, frame: DissectedFrame) -> str:
         """The line of one frame; cut at the width of the terminal, never when piped."""
         time_ns = frame.frame.time_ns
-        if self._first is None:
-            self._first = time_ns
         if self.time == "relative":
-            when = f"{(time_ns - self._first) / 1e9:12.6f}"
+            when = f"{(time_ns - self.origin()) / 1e9:12.6f}"
         elif self.time == "epoch":
             when = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
         else:

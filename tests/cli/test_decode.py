@@ -90,6 +90,9 @@ def test_list_has_one_line_per_frame(run, tmp_path, good):
     assert 'CREATE-VARIABLES(7"pos":3=41424344) SUMMARIES(7:3 9:0)' in lines[0]
     assert lines[4].split()[:4] == ["5", "0.400000", "02:00:00:00:00:02", "#41"]
     assert "+9 padding" in lines[4]
+    # Relative to the recording, not to what is shown of it.
+    only = run("decode", "-f", "list", "--time", "relative", "--frames", "5", tmp_path / "a.mcap").out.split()
+    assert only[:2] == ["5", "0.400000"]
     assert "profile cpp-2.0" in result.err
 
 
