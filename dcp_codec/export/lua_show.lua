@@ -4,14 +4,6 @@ local function hex(octets)
     return (octets:gsub(".", function(octet) return string.format("%02x", octet:byte()) end))
 end
 
-local function node_text(octets)
-    if PROFILE.node_ids == "text" then
-        return octets
-    end
-    local digits = hex(octets)
-    return PROFILE.node_ids == "mac" and digits:gsub("%x%x", "%0:"):sub(1, -2) or digits
-end
-
 -- Whether the octets are UTF-8: no overlong forms, no surrogates, nothing above U+10FFFF.
 local function is_utf8(octets)
     local at = 1
@@ -39,6 +31,15 @@ local function is_utf8(octets)
         at = at + 1 + more
     end
     return true
+end
+
+local function node_text(octets)
+    if PROFILE.node_ids == "text" then
+        -- Wireshark takes labels that are not UTF-8 as they are and hands them on.
+        return is_utf8(octets) and octets or (octets:gsub("[\128-\255]", "?"))
+    end
+    local digits = hex(octets)
+    return PROFILE.node_ids == "mac" and digits:gsub("%x%x", "%0:"):sub(1, -2) or digits
 end
 
 -- Every record of a message, outer ones first.

@@ -48,6 +48,6 @@ def _key(key: str | int) -> str:
 
 
 _RESERVED = frozenset(
-    "and break do else elseif end false for function goto if in local nil not or repeat return then true until while"
-    .split()
+    ["and", "break", "do", "else", "elseif", "end", "false", "for", "function", "goto", "if", "in", "local", "nil"]
+    + ["not", "or", "repeat", "return", "then", "true", "until", "while"]
 )
