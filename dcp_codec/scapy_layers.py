@@ -36,7 +36,8 @@ from .errors import Problem
 from .layout import walk
 from .plan import Group, Many, Rest
 from .scapy_fields import Octets
-from .scapy_packets import PlanPacket, Shape
+from .scapy_packets import PlanPacket
+from .scapy_shape import Shape
 from .values import Beacon
 
 __all__ = [
@@ -172,8 +173,8 @@ class _Containers(_Layer):
             self._append("vardis", layer)
         elif isinstance(layer, _RECORDS):
             containers = self.getfieldval("vardis")
-            last = containers[-1] if containers else None
-            if not (isinstance(last, VardisContainer) and type(layer) in map(type, last.getfieldval("records"))):
+            last = containers[-1] if containers and isinstance(containers[-1], VardisContainer) else None
+            if last is None or any(type(record) is not type(layer) for record in last.getfieldval("records")):
                 last = VardisContainer()
                 self._append("vardis", last)
             last._place(layer)
@@ -299,6 +300,7 @@ class _Session:
                 packets=_BY_TYPE,
                 representation=profile.types.node_id.representation,
                 defaults={"network-id": profile.bp.network_id or 0},
+                base=PlanPacket,
                 opened="BPHeader",
             )
             layer.lay_out(codec.report_plan or group if layer is SRPReport else group, shape)
@@ -338,12 +340,13 @@ def use_profile(profile: Profile | str | Path) -> Codec:
     """Make all layers those of ``profile``: a loaded one, the name of a built-in one, or the path of a TOML file.
 
     Binds :class:`DCPBeacon` to the profile's EtherType (also behind VLAN tags) or UDP port, instead of that of the
-    profile before. Packets that exist keep their values but cannot be built any more; make or dissect them anew.
-    Returns the codec of the profile. Raises ``dcp_spec.profile_loading.ProfileError``.
+    profile before. Packets of another profile keep their values but cannot be built any more: make or dissect them
+    anew. Returns the codec of the profile. Raises ``dcp_spec.profile_loading.ProfileError``.
     """
     codec = Codec(profile)
-    _session.use(codec)
-    return codec
+    if codec.profile != _session.codec.profile:
+        _session.use(codec)
+    return _session.codec
 
 
 def export_script(profile_name_or_path: str) -> str:

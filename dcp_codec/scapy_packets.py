@@ -1,197 +1,26 @@
 """Scapy packets that are made from a plan: the layout is read from it, not written down again.
 
-:class:`Shape` lists the scapy fields of one record, :class:`PlanPacket` fills them from a dissection of
-:mod:`dcp_codec.dissect` and builds octets from them. Both know the node types of :mod:`dcp_codec.plan` and nothing of
+:class:`PlanPacket` fills the scapy fields of a record (:mod:`dcp_codec.scapy_shape`) from a dissection of
+:mod:`dcp_codec.dissect` and builds octets from them. It knows the node types of :mod:`dcp_codec.plan` and nothing of
 DCP. Octets that belong to no field become ``Raw`` behind the record, or at the end of the list, where they were found.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
+from scapy.config import conf
 from scapy.fields import ConditionalField, RawVal
 from scapy.packet import Packet, Raw
 from scapy.volatile import VolatileValue
 
 from .dissect import Field as Found
 from .dissect import dissect
-from .jsonform import node_id_text
-from .layout import read_scalar
-from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
-from .scapy_fields import (
-    ChosenField,
-    NodeIdField,
-    NodeIdTextField,
-    Octets,
-    OctetsField,
-    RecordField,
-    RecordListField,
-    ScalarField,
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Member:
-    """The scapy fields of one member of a record: its own, those of its lengths, those of each choice by its label."""
-
-    node: Node
-    name: str = ""
-    lengths: tuple[str, ...] = ()
-    choices: Mapping[str, str] | None = None
-    opened: tuple[Member, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The fields that hold the content."""
-        return tuple(self.choices.values()) if self.choices else (self.name,)
-
-    def flat(self) -> Iterator[Member]:
-        """The members of an opened record, or else this one."""
-        if not self.opened:
-            yield self
-        for member in self.opened:
-            yield from member.flat()
-
-
-@dataclass(frozen=True, slots=True)
-class Following:
-    """How a field follows from others while it is None: the octets that they take (``size``), the number of their
-    elements (``count``), what they are a choice of (``choice``), the room they leave of ``total`` octets (``room``)."""
-
-    kind: Literal["size", "count", "choice", "room"]
-    of: Member
-    total: int = 0
-
-
-class Shape:
-    """The scapy fields of a record: ``desc`` in wire order, ``members`` of the record, ``following`` by field."""
-
-    def __init__(
-        self,
-        group: Group,
-        *,
-        packets: Mapping[str, type[PlanPacket]],
-        representation: str,
-        defaults: Mapping[str, Any],
-        opened: str = "",
-    ) -> None:
-        """``packets``: the class of each record type; ``representation`` of node identifiers; ``defaults`` by role.
-
-        Fields of a record of the type ``opened`` stand among those of the record around it.
-        """
-        self.packets = packets
-        self.representation = representation
-        self.defaults = defaults
-        self.opened = opened
-        self.desc: list[Any] = []
-        self.following: dict[str, Following] = {}
-        self.chosen: dict[str, Member] = {}
-        self.members = self._members(group)
-        by_name = {each.node.name: each for member in self.members for each in member.flat()}
-        for member in by_name.values():
-            node = member.node
-            if isinstance(node, Scalar) and node.derived is not None:
-                self.following[member.name] = Following(node.derived.kind, by_name[_last(node.derived.of)])
-            elif isinstance(node, Fill):
-                measured = by_name[node.used].node
-                assert isinstance(measured, Scalar)
-                assert measured.derived is not None
-                self.following[member.name] = Following("room", by_name[_last(measured.derived.of)], node.total)
-            elif isinstance(select := _content(node), Select):
-                self.following[by_name[select.key].name] = Following("choice", member)
-                self.chosen[by_name[select.key].name] = member
-
-    def _members(self, group: Group) -> tuple[Member, ...]:
-        choices = {select.key: select for select in map(_content, group.members) if isinstance(select, Select)}
-        return tuple(self._member(node, node, choices) for node in group.members)
-
-    def _member(self, node: Node, content: Node, choices: Mapping[str, Select]) -> Member:
-        match content:
-            case Scalar():
-                return Member(node, self._scalar(content, choices.get(content.name)))
-            case Text():
-                return self._text(content)
-            case Group() if content.type_name == self.opened:
-                return Member(node, opened=self._members(content))
-            case Rest():
-                return Member(node, self._put(OctetsField(_free(content.name), b"", content)))
-            case Fill():
-                return Member(node, self._put(OctetsField(_free(content.name), None, content)))
-            case Group() | Exact() | Many():
-                return Member(node, self._put(self._record(content, standing=True)))
-            case Region():
-                return self._member(node, content.content, choices)
-            case Select():
-                return self._select(node, content)
-
-    def _scalar(self, node: Scalar, select: Select | None) -> str:
-        name, names = _free(node.name), node.names
-        if select is not None and names is None:
-            names = {number: case.name for number, case in select.cases.items()}
-        if select is not None or node.derived is not None:
-            return self._put(ScalarField(name, None, node, names))
-        if node.role == "node-id":
-            zero = node_id_text(bytes(node.size), self.representation)
-            return self._put(NodeIdField(name, zero, node, self.representation))
-        zero = self.defaults.get(node.role or "", read_scalar(node, bytes(node.size)))
-        return self._put(ScalarField(name, zero if node.rule is None else node.rule.value, node, names))
-
-    def _text(self, node: Text) -> Member:
-        stem = node.name
-        lengths = tuple(self._put(ScalarField(f"{stem}L{prefix.name[1:]}", None, prefix)) for prefix in node.prefixes)
-        is_node_id = node.role == "node-id"
-        made = NodeIdTextField(_free(stem), "", node) if is_node_id else OctetsField(_free(stem), b"", node)
-        member = Member(node, self._put(made), lengths)
-        self.following.update((length, Following("size", member)) for length in lengths)
-        return member
-
-    def _select(self, node: Node, select: Select) -> Member:
-        cases = [*select.cases.values(), *([select.default] if select.default is not None else [])]
-        by_label = {case.name: case for case in reversed(cases)}
-        if len(by_label) == 1:
-            return Member(node, self._put(self._record(cases[0], standing=False)))
-        names: dict[str, str] = {}
-        for label in dict.fromkeys(case.name for case in cases):
-            case = by_label[label]
-            if isinstance(case, Rest):
-                made: Any = OctetsField(_free(label), b"", case)
-            else:
-                made = self._record(case, standing=False)
-            names[label] = self._put(ChosenField(made, _condition(select.key, made.name)))
-        return Member(node, choices=names)
-
-    def _record(self, node: Node, *, standing: bool) -> Any:
-        """A field of one record or a list of them; one that is always there (``standing``) has a default."""
-        if isinstance(node, Many):
-            return RecordListField(_free(node.name), [], self.packets[node.element.type_name])
-        group = node.content if isinstance(node, Exact) else node
-        assert isinstance(group, Group)
-        packet = self.packets[group.type_name]
-        return RecordField(_free(node.name), packet() if standing else None, packet)
-
-    def _put(self, made: Any) -> str:
-        self.desc.append(made)
-        return str(made.name)
-
-
-def _content(node: Node) -> Node:
-    return node.content if isinstance(node, Region) else node
-
-
-def _last(reference: str) -> str:
-    return reference.rsplit(".", 1)[-1]
-
-
-def _free(name: str) -> str:
-    """``name``, or ``name_`` where scapy's packets have an attribute of that name already."""
-    return f"{name}_" if hasattr(PlanPacket, name) else name
-
-
-def _condition(key: str, name: str) -> Any:
-    return lambda packet: packet.chosen(_free(key)) == name
+from .plan import Group, Many, Node, Rest, Select, Text
+from .scapy_fields import Octets
+from .scapy_shape import Following, Member, Shape, content_of
 
 
 class PlanPacket(Packet):
@@ -241,7 +70,7 @@ class PlanPacket(Packet):
     def chosen(self, key: str) -> str:
         """The field of the content there is: the one that was given, else the one that the field ``key`` says."""
         member = self.shape.chosen[key]
-        choices, select = member.choices or {}, _content(member.node)
+        choices, select = member.choices or {}, content_of(member.node)
         for name in choices.values():
             value = self.getfieldval(name)
             if isinstance(value, VolatileValue) or value:
@@ -253,7 +82,7 @@ class PlanPacket(Packet):
 
     def _choice(self, member: Member) -> int:
         """The number that stands for the content there is, 0 if none does."""
-        select = _content(member.node)
+        select = content_of(member.node)
         assert isinstance(select, Select)
         for number, case in select.cases.items():
             if member.choices:
@@ -270,18 +99,35 @@ class PlanPacket(Packet):
         for member in self.shape.chosen.values():
             if attr in member.names and val:
                 for other in member.names:
-                    if other != attr:
-                        self.fields[other] = self._field(other).any2i(self, None)
+                    if other != attr and self._field(other).islist:
+                        self.fields[other] = []
+                    elif other != attr:
+                        self.fields.pop(other, None)
 
     # -- building -------------------------------------------------------------------------------------------------
+
+    def copy(self) -> Any:
+        self._check()
+        return super().copy()
+
+    def clone_with(self, *args: Any, **fields: Any) -> Any:
+        self._check()
+        return super().clone_with(*args, **fields)
+
+    def do_build(self) -> bytes:
+        self._check()
+        return bytes(super().do_build())
+
+    def _check(self) -> None:
+        # Scapy would take the values of one layout over into fields of the other.
+        if any(self.fieldtype.get(each.name) is not each for each in self.shape.desc):
+            raise RuntimeError(f"this {type(self).__name__} was made under another profile: make it anew")
 
     def self_build(self) -> bytes:
         # Every field is built once, so that random values do not change between a content and its length.
         built: dict[str, bytes] = {}
         missing: list[str] = []
         for each in self.shape.desc:
-            if self.fieldtype.get(each.name) is not each:
-                raise RuntimeError(f"this {type(self).__name__} was made under another profile: make it anew")
             if isinstance(each, ConditionalField) and not each._evalcond(self):
                 continue
             value = self.getfieldval(each.name)
@@ -376,7 +222,7 @@ class PlanPacket(Packet):
 
     def _inside(self, part: Found, stop: int, octets: bytes) -> PlanPacket:
         assert isinstance(part.layout, Group)
-        packet = self.shape.packets[part.layout.type_name]()
+        packet: PlanPacket = self.shape.packets[part.layout.type_name]()
         packet.add_parent(self)
         packet._fill(part, stop, octets)
         return packet
@@ -400,6 +246,8 @@ class PlanPacket(Packet):
                 self.fields[name] = [] if self._field(name).islist else Octets()
 
 
-# The class itself is laid out empty, so that it can be asked for its attributes before there is a profile.
+# The class itself is no layer: it is laid out empty, and scapy is not to list it.
+conf.layers.remove(PlanPacket)
+conf.layers.ldict.pop(__name__, None)
 PlanPacket.layout = Group("", "", (), 0)
 PlanPacket.shape = Shape(Group("", "", (), 0), packets={}, representation="mac", defaults={})

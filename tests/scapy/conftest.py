@@ -10,8 +10,9 @@ import pytest
 
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 
-from dcp_codec import Codec, scapy_layers
 from dcp_spec.profile_loading import BUILTIN_PROFILES
+
+from dcp_codec import Codec, scapy_layers
 
 ODD_PROFILES: dict[str, str] = runpy.run_path(str(Path(__file__).parent.parent / "codec" / "conftest.py"))[
     "ODD_PROFILES"

@@ -9,6 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scapy.layers.l2 import Ether
+from scapy.packet import Padding, Raw
+
 from dcp_codec import Codec, strategies
 from dcp_codec.capture import open_capture
 from dcp_codec.dissect import Dissection
@@ -17,13 +22,9 @@ from dcp_codec.framing import Framing, locate
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.plan import Scalar, Text
 from dcp_codec.scapy_layers import DCPBeacon, DCPPayload, Octets, use_profile
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from scapy.layers.l2 import Ether
-from scapy.packet import Padding, Raw
 
 RECORDINGS = sorted((Path(__file__).parent.parent.parent / "captures").glob("*.mcap"))
-PER_PROFILE = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+PER_PROFILE = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def reach(beacon: Any, path: str) -> Any:
@@ -34,10 +35,8 @@ def reach(beacon: Any, path: str) -> Any:
             owner = found[0]
             return owner.getfieldval(previous if name == "data" else f"{previous}L{name[1:]}")
         value = found.getfieldval(name)
-        if index:
-            found = value[int(index)]
-        else:
-            found = value if hasattr(value, "fields_desc") else (found, value)
+        is_leaf = not index and not hasattr(value, "fields_desc")
+        found = (found, value) if is_leaf else value[int(index)] if index else value
         previous = name
     return found[1] if isinstance(found, tuple) else found
 
@@ -57,7 +56,12 @@ def assert_same(codec: Codec, beacon: Any, dissection: Dissection) -> None:
         if found.children or isinstance(found.value, float):
             continue
         if isinstance(found.layout, Scalar | Text) and found.value is not None:
-            assert reach(beacon, found.path) == expected(codec, found), found.path
+            held = reach(beacon, found.path)
+            if isinstance(held, Octets) and dissection.errors:
+                # A value that would not give these octets again, such as a string without its NUL.
+                assert bytes(held) == found.raw, found.path
+            else:
+                assert held == expected(codec, found), found.path
 
 
 @pytest.mark.skipif(not RECORDINGS, reason="captures/*.mcap are not there")
