@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import msgspec
-from dcp_spec.reasons import REASONS, WARNINGS
+from dcp_spec.reasons import REASONS, WARNINGS, quantity
 
 
 class Problem(msgspec.Struct, frozen=True):
@@ -26,8 +26,8 @@ class Problem(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         text = f"{self.path or 'beacon'} at octet {self.offset}: {self.reason}"
-        if self.needed is not None or self.available is not None:
-            text += f" (needed {self.needed}, available {self.available})"
+        if numbers := quantity(self.reason, self.needed, self.available):
+            text += f" ({numbers})"
         meaning = REASONS.get(self.reason) or WARNINGS.get(self.reason)
         text += f": {meaning}" if meaning else ""
         return f"{text} [{self.requirement}]" if self.requirement else text

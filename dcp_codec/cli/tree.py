@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterator
 
 import click
-from dcp_spec.reasons import REASONS, WARNINGS
+from dcp_spec.reasons import REASONS, WARNINGS, quantity
 from dcp_spec.requirements import requirement
 
 from dcp_codec.dissect import Dissection, Field
@@ -104,8 +104,8 @@ class TreeRenderer:
     def _problem(self, problem: Problem) -> Iterator[str]:
         error = problem.severity == "error"
         text = f"{problem.reason}: {(REASONS | WARNINGS).get(problem.reason, '')}"
-        if problem.needed is not None or problem.available is not None:
-            text += f"; needed {_dash(problem.needed)}, available {_dash(problem.available)}"
+        if numbers := quantity(problem.reason, problem.needed, problem.available):
+            text += f"; {numbers}"
         text += f"; at octet {problem.offset}, {problem.path or 'beacon'}"
         lines = textwrap.wrap(text, max(30, self.width - 15))
         if problem.requirement:
@@ -131,10 +131,6 @@ class TreeRenderer:
             yield f"  {start:04x}  {' '.join(cells)}{gap}  {text}"
             if not self.colour and any(mark.strip() for mark in marks):
                 yield f"        {' '.join(marks)}".rstrip()
-
-
-def _dash(number: int | None) -> str:
-    return "-" if number is None else str(number)
 
 
 def _rows(field: Field, depth: int) -> Iterator[tuple[Field, int]]:

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from typing import Final
 
-#: reason -> what it means. ``needed`` and ``available`` are octets unless the text says otherwise.
+#: reason -> what it means. ``needed`` and ``available`` of a problem are octets, but for :data:`COMPARISONS`.
 REASONS: Final[dict[str, str]] = {
     "truncated": "the field needs more octets than its region has left",
-    "bad-version": "the version octet is not the protocol's (needed: the value, available: what was found)",
-    "bad-magic": "the magic number is not the protocol's (needed: the value, available: what was found)",
-    "bad-length": "a length field that has one fixed value holds another (needed: the value, available: found)",
+    "bad-version": "the version octet is not the protocol's",
+    "bad-magic": "the magic number is not the protocol's",
+    "bad-length": "a length field that has one fixed value holds another",
     "zero-length": "a length that must not be zero is zero",
     "zero-count": "a count that must be at least one is zero",
     "beacon-overrun": "the header announces more octets than the frame holds",
     "block-overrun": "a payload block announces more octets than the beacon has left",
     "list-overrun": "an instruction list announces more octets than the payload has left",
     "area-overrun": "a payload is longer than the fixed area that should hold it",
-    "wrong-length": "a payload of fixed size has another size (needed: the size, available: found)",
-    "leftover": "octets are left inside a region after its content (available: how many)",
-    "count-mismatch": "a count does not agree with what is there (needed: announced, available: present)",
-    "unknown-type": "the type number has no meaning in this profile (available: the number)",
-    "length-mismatch": "two length fields of one value differ (needed: the first, available: the second)",
+    "wrong-length": "a payload of fixed size has another size",
+    "leftover": "octets are left inside a region after its content",
+    "count-mismatch": "a count does not agree with what is there",
+    "unknown-type": "the type number has no meaning in this profile",
+    "length-mismatch": "two length fields of one value differ",
     "bad-terminator": "a string does not end with its only NUL octet",
 }
 
@@ -35,3 +35,32 @@ WARNINGS: Final[dict[str, str]] = {
     "duplicate-variable": "one variable appears twice in one container",
     "invalid-utf8": "the description is not valid UTF-8",
 }
+
+#: Reasons whose ``needed`` and ``available`` are the number that should be there and the one that was found.
+COMPARISONS: Final = frozenset(
+    {
+        "bad-version",
+        "bad-magic",
+        "bad-length",
+        "zero-length",
+        "zero-count",
+        "count-mismatch",
+        "unknown-type",
+        "length-mismatch",
+        "zero-repetitions",
+        "id-mismatch",
+        "duplicate-variable",
+    }
+)
+
+
+def quantity(reason: str, needed: int | None, available: int | None) -> str:
+    """What was needed and what was there, in words; empty if the problem has no numbers."""
+    if reason in COMPARISONS:
+        expected = f"expected {needed}, " if needed is not None else ""
+        return f"{expected}found {available}" if available is not None else expected.removesuffix(", ")
+    if reason == "leftover":
+        return f"{available} octets too many"
+    if needed is None and available is None:
+        return ""
+    return f"needs {needed} octets, {available} there"
