@@ -3,13 +3,14 @@
 This package reads nothing but its own data and knows no sockets, clocks or files beyond profiles. The modules are the
 interface: ``profile`` and ``profile_loading`` (how octets are laid out), ``schema`` (construct objects of a profile),
 ``requirements`` and ``readings`` (what must hold, and how disputed text is read), ``constants``, ``status`` and
-``parameters`` (what the specification names), ``reasons`` (why octets are no message).
+``parameters`` (what the specification names), ``reasons`` (why octets are no message). The mappings of everything,
+``requirements()`` and ``readings()``, are in the modules of those names, which a package cannot also export.
 """
 
 from .profile import Profile
 from .profile_loading import ProfileError, load_profile, profile_names
-from .readings import reading, readings
-from .requirements import Requirement, requirement, requirements
+from .readings import reading
+from .requirements import Requirement, requirement
 from .schema import Schema, build_schema
 from .version import __version__
 
@@ -23,7 +24,5 @@ __all__ = [
     "load_profile",
     "profile_names",
     "reading",
-    "readings",
     "requirement",
-    "requirements",
 ]
