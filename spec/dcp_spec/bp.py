@@ -10,22 +10,8 @@ import construct as cs
 from .combinators import Choice, Counted, CountOf, Expect, Field, Filler, Record, Sized, SizeOf, UntilEnd
 from .constants import BP_MAGIC_NO, BP_VERSION
 from .profile import IntType, Profile
+from .profile_loading import header_size as header_size  # of the beacon, and asked for here
 from .scalars import foreign, integer, node_id
-
-
-def header_size(profile: Profile) -> int:
-    """Octets of the BP header of this profile (0 when it sends none)."""
-    types = profile.types
-    sizes = {
-        "version": 1,
-        "magicNo": types.magic_no.width,
-        "senderId": types.node_id.width,
-        "networkId": types.network_id.width,
-        "length": types.bp_length.width,
-        "numPayloads": 1,
-        "seqno": types.bp_seqno.width,
-    }
-    return sum(sizes[name] for name in profile.bp.header)
 
 
 def header(profile: Profile, payloads: Any) -> Record:

@@ -18,6 +18,8 @@ ByteOrder = Literal["big", "little"]
 Width = Annotated[int, msgspec.Meta(ge=1, le=8)]
 U8 = Annotated[int, msgspec.Meta(ge=0, le=0xFF)]
 Positive = Annotated[int, msgspec.Meta(ge=1)]
+#: Octets of a part: nothing in a beacon is larger than a datagram.
+Size = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
 
 
 class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -75,7 +77,7 @@ class Link(_Part, frozen=True):
 class Opaque(_Part, frozen=True):
     """Octets inside a record that carry no meaning: kept when decoding, ignored by receivers."""
 
-    opaque: Positive
+    opaque: Annotated[int, msgspec.Meta(ge=1, le=0xFFFF)]
     name: str
     note: str = ""
 
@@ -118,7 +120,7 @@ class BPLayout(_Part, frozen=True):
     header: tuple[str, ...]
     payload_header: tuple[str | Opaque, ...] = ("protocolId", "length")
     length_means: Literal["blocks", "header-size"] = "blocks"
-    payload_area: Annotated[int, msgspec.Meta(ge=0)] = 0
+    payload_area: Size = 0
     network_id: Annotated[int, msgspec.Meta(ge=0)] | None = None
 
 
@@ -133,7 +135,7 @@ class SafetyField(_Part, frozen=True):
     byte_order: ByteOrder = "big"
     unit: str = ""
     role: Literal["", "position.x", "position.y", "position.z", "velocity.x", "velocity.y", "velocity.z"] = ""
-    octets: Annotated[int, msgspec.Meta(ge=0)] = 0
+    octets: Size = 0
 
     @property
     def width(self) -> int:

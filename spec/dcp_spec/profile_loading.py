@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib.resources
+import keyword
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from .constants import BP_MAGIC_NO
 from .profile import IntType, NodeIdType, Opaque, Profile
 
 BUILTIN_PROFILES: tuple[str, ...] = (
@@ -31,6 +34,13 @@ BUILTIN_PROFILES: tuple[str, ...] = (
 _HEADER_FIELDS = ("version", "magicNo", "senderId", "networkId", "length", "numPayloads", "seqno")
 _RECORD_FIELDS = ("sData", "nodeId", "tStamp", "seqno")
 _SPEC_FIELDS = ("varId", "prodId", "repCnt", "creationTime", "timeout", "descr")
+# What fields of the implementation's own may not be called: what else the record around them has under a name.
+_TAKEN = {
+    "bp.payload_header": ("protocolId", "length", "content", "area", "srp", "vardis", "data", "extra"),
+    "srp.record": (*_RECORD_FIELDS, "extra"),
+    "srp.safety_data": ("as_dict", "extra"),
+    "vardis.container_extra": ("icType", "icName", "icNumRecords", "listLength", "records", "extra"),
+}
 _MAX_DEPTH = 8
 
 
@@ -53,7 +63,7 @@ def load_profile(name_or_path: str | Path) -> Profile:
     if text in BUILTIN_PROFILES:
         return _load_builtin(text)
     path = Path(text)
-    if path.suffix != ".toml" and not path.exists():
+    if path.suffix != ".toml" and not _exists(path):
         near = difflib.get_close_matches(text, BUILTIN_PROFILES, n=3, cutoff=0.4)
         hint = f"did you mean {' or '.join(near)}?" if near else "the built-in ones are: " + ", ".join(BUILTIN_PROFILES)
         raise ProfileError(
@@ -72,14 +82,25 @@ def _read_builtin(name: str) -> dict[str, Any]:
     return tomllib.loads(resource.read_text(encoding="utf-8"))
 
 
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name too long for the file system
+        return False
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        octets = path.read_bytes()
     except FileNotFoundError:
         raise ProfileError(f"{path}: there is no such profile file") from None
     except OSError as error:
         raise ProfileError(f"{path}: cannot read this profile file ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # a name that no file can have
+        raise ProfileError(f"{str(path)!r}: cannot read this profile file ({error})") from None
+    try:
+        return tomllib.loads(octets.decode())
+    except (ValueError, RecursionError) as error:
         raise ProfileError(f"{path}: this is not a TOML file: {error}") from None
 
 
@@ -133,6 +154,8 @@ def _explain(message: str) -> str:
 
 def contradictions(profile: Profile) -> Iterable[str]:
     """Yield what in ``profile`` contradicts itself or the specification, one sentence each."""
+    if not profile.name or not profile.name.isprintable():
+        yield f"name = {profile.name!r}: needs characters, and only such as can be printed on one line"
     yield from _bp_contradictions(profile)
     yield from _srp_contradictions(profile)
     yield from _vardis_contradictions(profile)
@@ -146,6 +169,23 @@ def _listed(key: str, found: Iterable[str], known: tuple[str, ...]) -> Iterable[
             yield f"{key} has {name!r}, which is none of {', '.join(known)}"
     for name in sorted({name for name in seen if seen.count(name) > 1}):
         yield f"{key} lists {name!r} twice"
+
+
+def _own_names(key: str, names: list[str]) -> Iterable[str]:
+    """Names of fields that the specification does not have must be usable as attributes and free."""
+    taken = {_bare(name): name for name in _TAKEN[key]}
+    for name in names:
+        if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name) or keyword.iskeyword(name):
+            yield f"{key}: field name {name!r} is no plain name (letters, digits, _; first a letter; no word of Python)"
+        elif _bare(name) in taken:
+            yield f"{key}: field name {name!r} is taken ({taken[_bare(name)]})"
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield f"{key}: field name {name!r} is used twice"
+
+
+def _bare(name: str) -> str:
+    """What names have in common that would collide as attributes: sData and s_data."""
+    return name.replace("_", "").lower()
 
 
 def _bp_contradictions(profile: Profile) -> Iterable[str]:
@@ -172,8 +212,30 @@ def _bp_contradictions(profile: Profile) -> Iterable[str]:
     yield from _listed("bp.payload_header", block, ("protocolId", "length"))
     if sorted(block) != ["length", "protocolId"]:
         yield "bp.payload_header needs protocolId and length (BP-HDR-11)"
-    if profile.bp.length_means == "header-size" and "length" not in header:
-        yield "bp.length_means is set but bp.header has no length"
+    own = [member.name for member in profile.bp.payload_header if isinstance(member, Opaque)]
+    yield from _own_names("bp.payload_header", own)
+    if profile.bp.length_means == "header-size":
+        if "length" not in header:
+            yield "bp.length_means is set but bp.header has no length"
+        elif (size := header_size(profile)) >= 1 << (8 * profile.types.bp_length.width):
+            yield f"types.bp_length.width = {profile.types.bp_length.width}: cannot state a header of {size} octets"
+    if header and profile.types.magic_no.width < 2:
+        yield f"types.magic_no.width = 1: the magic number {BP_MAGIC_NO:#x} needs 2 octets (BP-HDR-02)"
+
+
+def header_size(profile: Profile) -> int:
+    """Octets of the BP header of this profile (0 when it sends none)."""
+    types = profile.types
+    sizes = {
+        "version": 1,
+        "magicNo": types.magic_no.width,
+        "senderId": types.node_id.width,
+        "networkId": types.network_id.width,
+        "length": types.bp_length.width,
+        "numPayloads": 1,
+        "seqno": types.bp_seqno.width,
+    }
+    return sum(sizes.get(name, 0) for name in profile.bp.header)
 
 
 def _srp_contradictions(profile: Profile) -> Iterable[str]:
@@ -189,16 +251,15 @@ def _srp_contradictions(profile: Profile) -> Iterable[str]:
             yield f"srp.record lacks {name} (SRP-TYP-03)"
     if not srp.safety_data:
         yield "srp.safety_data lists no field; a state report needs a SafetyDataT of fixed size (SRP-TYP-02)"
-    members = [member.name for member in srp.record if isinstance(member, Opaque)]
-    members += [member.name for member in srp.safety_data]
+    own = [member.name for member in srp.record if isinstance(member, Opaque)]
+    data = [member.name for member in srp.safety_data]
+    yield from _own_names("srp.record", own)
+    yield from _own_names("srp.safety_data", data)
+    for name in sorted(set(own) & set(data)):
+        yield f"srp: field name {name!r} is used twice"
     for field in srp.safety_data:
         if (field.type == "opaque") != (field.octets > 0):
             yield f"srp.safety_data: octets belongs to the type opaque, and only there (field {field.name!r})"
-    for name in members:
-        if not name.isidentifier() or name.startswith("_"):
-            yield f"srp: field name {name!r} is no plain name (letters, digits, _; first a letter)"
-    for name in sorted({name for name in members if members.count(name) > 1}):
-        yield f"srp: field name {name!r} is used twice"
     roles = [member.role for member in srp.safety_data if member.role]
     for role in sorted({role for role in roles if roles.count(role) > 1}):
         yield f"srp.safety_data: two fields have the role {role}"
@@ -233,9 +294,20 @@ def _vardis_contradictions(profile: Profile) -> Iterable[str]:
             yield f"vardis.var_spec has {name}, which came with specification 2.0, not {profile.spec_version}"
         if name not in vardis.var_spec and profile.spec_version >= "2.0":
             yield f"vardis.var_spec lacks {name}, which specification 2.0 has (VD-TYP-05)"
+    yield from _own_names("vardis.container_extra", [member.name for member in vardis.container_extra])
     numbers = list(vardis.container_types.by_name().values())
     for number in sorted({number for number in numbers if numbers.count(number) > 1}):
         yield f"vardis.container_types uses the number {number} twice"
+
+
+def _lengths(profile: Profile) -> Iterable[tuple[str, IntType | None]]:
+    types = profile.types
+    yield "types.bp_length", types.bp_length
+    yield "types.node_id.length", types.node_id.length
+    yield "vardis.list_length", profile.vardis.list_length
+    for name, text in (("string", types.string), ("value", types.value)):
+        for length in text.lengths:
+            yield f"types.{name}.lengths", length
 
 
 def _type_contradictions(profile: Profile) -> Iterable[str]:
@@ -244,6 +316,8 @@ def _type_contradictions(profile: Profile) -> Iterable[str]:
         yield "types.node_id.width = 0: give a width of at least one octet or a length (DATA-04)"
     if node_id.representation == "mac" and node_id.width != 6:
         yield f"types.node_id: representation mac has 6 octets, not {node_id.width}"
+    if node_id.representation == "mac" and node_id.length is not None:
+        yield "types.node_id: representation mac has 6 octets and therefore no length"
     if node_id.representation == "text" and node_id.length is None:
         yield "types.node_id: representation text needs a length"
     for name in ("string", "value"):
@@ -252,11 +326,14 @@ def _type_contradictions(profile: Profile) -> Iterable[str]:
             yield f"types.{name}: needs a length or a terminator, or nobody can tell where it ends"
     if not profile.types.value.lengths:
         yield "types.value: a value may hold any octet and therefore needs a length, not a terminator (DATA-06)"
+    for key, length in _lengths(profile):
+        if length is not None and length.signed:
+            yield f"{key}: a length cannot be signed"
     for key, limit, text in (
         ("max_value_length", profile.limits.max_value_length, profile.types.value),
         ("max_description_length", profile.limits.max_description_length, profile.types.string),
     ):
-        widths = [length.width for length in text.lengths if isinstance(length, IntType)]
+        widths = [length.width for length in text.lengths]
         room = (1 << (8 * min(widths))) - 1 - text.terminated if widths else None
         if room is not None and limit > room:
             yield f"limits.{key} = {limit} but the length field of that type can say {room} at most"
