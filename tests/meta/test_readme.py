@@ -1,0 +1,51 @@
+"""What the README shows is what the commands print."""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+
+import pytest
+
+from dcp_codec.capture import convert
+from dcp_codec.cli import main
+
+ROOT = Path(__file__).parents[2]
+_SESSION = re.compile(r"^\$ dcp-codec ((?:decode|stats|guess)[^\n#]*)\n((?:(?!\$ |```).*\n)*)", re.MULTILINE)
+
+
+def sessions() -> list[tuple[str, list[str]]]:
+    """Every shown dcp-codec command that reads a recording, with the lines shown for it."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return [(command.strip(), shown.splitlines()) for command, shown in _SESSION.findall(text)]
+
+
+def damaged_flight(folder: Path) -> None:
+    """The recording of the README: c_latejoin with the container type of frame 5 set to 9."""
+    convert(ROOT / "captures" / "c_latejoin.mcap", folder / "flight.pcap")
+    data = bytearray((folder / "flight.pcap").read_bytes())
+    position = 24
+    for _ in range(4):
+        position += 16 + struct.unpack_from("<I", data, position + 8)[0]
+    data[position + 16 + 36] = 9
+    (folder / "flight.pcap").write_bytes(data)
+
+
+def test_there_are_sessions():
+    assert len(sessions()) >= 3
+
+
+@pytest.mark.parametrize(("command", "shown"), sessions(), ids=lambda value: value if isinstance(value, str) else "")
+def test_shown_output_is_printed(command, shown, tmp_path, monkeypatch, capsys):
+    (tmp_path / "captures").symlink_to(ROOT / "captures")
+    damaged_flight(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        main(command.split())
+    printed = capsys.readouterr()
+    lines = [line.rstrip() for line in (printed.err + printed.out).splitlines()]
+    expected = [line.rstrip() for line in shown if line.strip() not in ("", "...")]
+    assert expected
+    missing = [line for line in expected if line not in lines]
+    assert missing == []
