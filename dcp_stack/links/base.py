@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import msgspec
 
@@ -38,16 +38,33 @@ class Link(Protocol):
     back by itself when the interface below it does.
     """
 
-    name: str
-    counters: LinkCounters
-    max_packet_size: int
+    @property
+    def name(self) -> str:
+        """What the link is on, for people: ``eth:wlan0``, ``udp:239.73.126.1:18771``."""
+        ...
+
+    @property
+    def counters(self) -> LinkCounters:
+        """The counters as of now; take them anew for each look, some are only brought up to date here."""
+        ...
+
+    @property
+    def max_packet_size(self) -> int:
+        """The longest bearer payload in octets that :meth:`send` takes (UWB-03)."""
+        ...
 
     def fileno(self) -> int:
-        """A descriptor that is readable when :meth:`receive` has something; -1 if the link has none."""
+        """A descriptor that is readable when :meth:`receive` has something; -1 if the link has none.
+
+        It stays the same until :meth:`close`, also across outages.
+        """
         ...
 
     def receive(self) -> list[Reception]:
-        """Everything that has arrived, without waiting; empty when there is nothing."""
+        """What has arrived, without waiting; empty when there is nothing.
+
+        Of a flood a portion is handed out (some hundred), and the descriptor stays readable.
+        """
         ...
 
     def send(self, octets: bytes) -> bool:
@@ -55,7 +72,16 @@ class Link(Protocol):
         ...
 
     def close(self) -> None:
-        """Give everything back; may be called twice."""
+        """Give everything back; may be called twice. Afterwards nothing arrives and nothing is sent."""
+        ...
+
+
+@runtime_checkable
+class TimedLink(Link, Protocol):
+    """A link without a descriptor that knows when to ask it instead."""
+
+    def poll_timeout(self) -> int | None:
+        """When :meth:`receive` has something next, in ns of the link's clock (monotonic); None: not before a send."""
         ...
 
 

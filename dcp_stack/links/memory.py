@@ -1,0 +1,377 @@
+"""A broadcast medium in memory and in virtual time, for tests and for simulations of many nodes.
+
+Order of calls: nodes join, then :meth:`Medium.broadcast` any number of times, :meth:`Medium.poll_timeout` for the time
+of the next arrival, and :meth:`Medium.deliver` at that time. What happens depends on the seed, on the configuration
+and on these calls alone: each sender has a random generator of its own, which is asked for receivers in ascending
+order. Another node's traffic therefore does not change what becomes of a frame.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+import random
+import struct
+from collections import deque
+from collections.abc import Callable, Iterable
+from time import time_ns
+from typing import NamedTuple
+
+import msgspec
+
+from dcp_stack.links.base import LinkCounters, Reception
+from dcp_stack.links.topology import Full, Topology
+
+#: 2026-01-01T00:00:00Z in ns since 1970: the wall clock at virtual time 0, unless said otherwise.
+WALL_START = 1_767_225_600_000_000_000
+
+Delay = Callable[[random.Random], int]
+"""How long a frame is under way, in ns >= 0, drawn anew for each receiver."""
+
+
+class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a directed connection does to frames. Probabilities are 0..1, times in ns.
+
+    A delay is ``delay`` plus a uniform part of ``jitter``, or what ``distribution`` draws. Frames overtake one another
+    as their delays have it. ``reorder`` is the probability that a frame is held up for another ``reorder_delay``.
+    Each of the two frames of a duplicate has a delay of its own.
+    """
+
+    loss: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    delay: int = 0
+    jitter: int = 0
+    reorder_delay: int = 50_000_000
+    distribution: Delay | None = None
+
+    def __post_init__(self) -> None:
+        """Raises ``ValueError`` for what is no probability or no time."""
+        for name in ("loss", "duplicate", "reorder"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} {getattr(self, name)} is not within 0..1")
+        for name in ("delay", "jitter", "reorder_delay"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} {getattr(self, name)} ns is negative")
+
+    @property
+    def uniform(self) -> bool:
+        """Whether all frames that are not lost take the same time, once."""
+        return not (self.duplicate or self.reorder or self.jitter or self.distribution)
+
+    def draw(self, generator: random.Random) -> int:
+        """The delay of one frame in ns."""
+        if self.distribution is not None:
+            delay = self.distribution(generator)
+        else:
+            delay = self.delay + (generator.randrange(self.jitter + 1) if self.jitter else 0)
+        if self.reorder and generator.random() < self.reorder:
+            delay += self.reorder_delay
+        return delay
+
+
+PERFECT = Quality()
+
+
+def exponential(minimum: int, mean: int) -> Delay:
+    """A delay of ``minimum`` and an exponential part with this mean, in ns."""
+    return lambda generator: minimum + round(generator.expovariate(1.0) * mean)
+
+
+def normal(mean: int, deviation: int, minimum: int = 0) -> Delay:
+    """A delay with this mean and standard deviation in ns, never below ``minimum``."""
+    return lambda generator: max(minimum, round(generator.gauss(mean, deviation)))
+
+
+class Delivery(NamedTuple):
+    """A frame arrives at one node. ``time`` is virtual, in ns."""
+
+    time: int
+    sender: int
+    receiver: int
+    reception: Reception
+
+
+class MediumCounters(msgspec.Struct):
+    """``expected`` is what a perfect medium would have delivered: neighbours of the sender, for each frame.
+
+    ``expected + duplicated == lost + missed + delivered`` and what is still under way; ``missed`` came to a node that
+    had left.
+    """
+
+    frames: int = 0
+    expected: int = 0
+    lost: int = 0
+    duplicated: int = 0
+    delivered: int = 0
+    missed: int = 0
+
+
+class TraceDigest:
+    """A hash of all deliveries in their order; equal digests mean that the same things happened at the same times."""
+
+    _RECORD = struct.Struct("<QIII")
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+        self.deliveries = 0
+
+    def __call__(self, delivery: Delivery) -> None:
+        """Take note of one delivery."""
+        octets = delivery.reception.octets
+        self._hash.update(self._RECORD.pack(delivery.time, delivery.sender, delivery.receiver, len(octets)))
+        self._hash.update(octets)
+        self.deliveries += 1
+
+    def hexdigest(self) -> str:
+        """SHA-256 of what was seen so far."""
+        return self._hash.hexdigest()
+
+
+class _Flight(NamedTuple):
+    """A frame under way to receivers whom it reaches at the same time; compared by time, then by order of sending."""
+
+    time: int
+    number: int
+    sender: int
+    receivers: tuple[int, ...]
+    octets: bytes
+
+
+class Medium:
+    """The medium. Nodes have numbers from 0, in the order in which they joined.
+
+    ``observer`` sees every delivery in order (:class:`TraceDigest` is one). ``wall_start`` is the wall clock at time 0
+    in ns since 1970. ``clock`` (ns, monotonic) makes the links of this medium run by themselves, for programs in real
+    time, and the wall clock the real one; without it somebody calls :meth:`deliver` or :meth:`advance`.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        *,
+        quality: Quality = PERFECT,
+        topology: Topology | None = None,
+        max_packet_size: int = 1500,
+        wall_start: int | None = None,
+        observer: Callable[[Delivery], None] | None = None,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
+        self.max_packet_size = max_packet_size
+        self.counters = MediumCounters()
+        self.now = 0
+        self.topology: Topology = Full() if topology is None else topology
+        self._seed = seed
+        self._quality = quality
+        self._qualities: dict[int, dict[int, Quality]] = {}
+        if wall_start is None:
+            wall_start = WALL_START if clock is None else time_ns() - clock()
+        self._wall_start = wall_start
+        self._observer = observer
+        self._clock = clock
+        self._nodes: list[MemoryLink] = []
+        self._generators: list[random.Random] = []
+        self._groups: dict[int, int] | None = None
+        self._rows: dict[int, tuple[int, ...]] = {}
+        self._rows_of = (-1, -1)
+        self._flights: list[_Flight] = []
+        self._number = 0
+
+    # -- who is there, and who hears whom --------------------------------------------------------------------------
+
+    def join(self, *, name: str = "", address: bytes | None = None) -> MemoryLink:
+        """Add a node; its link. ``address`` is the source of its frames, by default 02:00 and its number."""
+        index = len(self._nodes)
+        link = MemoryLink(self, index, name or f"memory:{index}", address or b"\x02\x00" + index.to_bytes(4, "big"))
+        self._nodes.append(link)
+        self._generators.append(random.Random(f"{self._seed}/{index}"))  # noqa: S311 - to be repeatable is the point
+        return link
+
+    def __len__(self) -> int:
+        return len(self._nodes)
+
+    def set_quality(self, sender: int, receiver: int, quality: Quality | None) -> None:
+        """Give one direction between two nodes a quality of its own; None takes it back.
+
+        ``Quality(loss=1)`` in one direction makes a connection asymmetric.
+        """
+        special = self._qualities.setdefault(sender, {})
+        if quality is None:
+            special.pop(receiver, None)
+        else:
+            special[receiver] = quality
+        if not special:
+            del self._qualities[sender]
+
+    def partition(self, *groups: Iterable[int]) -> None:
+        """From now on frames stay inside their group; nodes in none of ``groups`` form one more together.
+
+        What is under way still arrives. Raises ``ValueError`` for a node in two groups.
+        """
+        members: dict[int, int] = {}
+        for number, group in enumerate(groups, start=1):
+            for node in group:
+                if node in members:
+                    raise ValueError(f"node {node} is in two groups")
+                members[node] = number
+        self._groups = members
+        self._rows.clear()
+
+    def heal(self) -> None:
+        """End the partition."""
+        self._groups = None
+        self._rows.clear()
+
+    def neighbours(self, sender: int) -> tuple[int, ...]:
+        """The nodes in reach of ``sender`` now, ascending."""
+        state = (self.topology.version, len(self._nodes))
+        if state != self._rows_of:
+            self._rows.clear()
+            self._rows_of = state
+        row = self._rows.get(sender)
+        if row is None:
+            count = len(self._nodes)
+            found = {node for node in self.topology.neighbours(sender, count) if 0 <= node < count and node != sender}
+            if self._groups is not None:
+                own = self._groups.get(sender, 0)
+                found = {node for node in found if self._groups.get(node, 0) == own}
+            row = self._rows[sender] = tuple(sorted(found))
+        return row
+
+    # -- frames ----------------------------------------------------------------------------------------------------
+
+    def broadcast(self, sender: int, octets: bytes, now: int) -> None:
+        """``sender`` transmits at ``now`` (ns, virtual; never before the last time given)."""
+        self._go_to(now)
+        receivers = self.neighbours(sender)
+        counters = self.counters
+        counters.frames += 1
+        counters.expected += len(receivers)
+        generator, quality = self._generators[sender], self._quality
+        special = self._qualities.get(sender)
+        if special is None and quality.uniform:
+            # One entry for all, however many.
+            if quality.loss:
+                loss, draw = quality.loss, generator.random
+                heard = tuple([receiver for receiver in receivers if draw() >= loss])
+                counters.lost += len(receivers) - len(heard)
+                receivers = heard
+            if receivers:
+                self._schedule(now + quality.delay, sender, receivers, octets)
+            return
+        for receiver in receivers:
+            self._send_to(receiver, sender, octets, (special or {}).get(receiver, quality))
+
+    def _send_to(self, receiver: int, sender: int, octets: bytes, quality: Quality) -> None:
+        generator = self._generators[sender]
+        if quality.loss and generator.random() < quality.loss:
+            self.counters.lost += 1
+            return
+        self._schedule(self.now + quality.draw(generator), sender, (receiver,), octets)
+        if quality.duplicate and generator.random() < quality.duplicate:
+            self.counters.duplicated += 1
+            self._schedule(self.now + quality.draw(generator), sender, (receiver,), octets)
+
+    def _schedule(self, time: int, sender: int, receivers: tuple[int, ...], octets: bytes) -> None:
+        # The number is unique, so that a heap never compares further, and equal times keep the order of sending.
+        heapq.heappush(self._flights, _Flight(max(time, self.now), self._number, sender, receivers, octets))
+        self._number += 1
+
+    def poll_timeout(self) -> int | None:
+        """The virtual time of the next arrival in ns, None when nothing is under way."""
+        return self._flights[0].time if self._flights else None
+
+    def deliver(self, now: int) -> list[Delivery]:
+        """What has arrived by ``now``: by time of arrival, then in the order of sending, then by receiver."""
+        self._go_to(now)
+        deliveries: list[Delivery] = []
+        flights, nodes, observer = self._flights, self._nodes, self._observer
+        while flights and flights[0].time <= now:
+            time, _, sender, receivers, octets = heapq.heappop(flights)
+            # Shared by all whom it reaches.
+            reception = Reception(octets, self._wall_start + time, nodes[sender].address)
+            for receiver in receivers:
+                if nodes[receiver].closed:
+                    self.counters.missed += 1
+                    continue
+                deliveries.append(Delivery(time, sender, receiver, reception))
+        self.counters.delivered += len(deliveries)
+        if observer is not None:
+            for delivery in deliveries:
+                observer(delivery)
+        return deliveries
+
+    def advance(self, now: int) -> None:
+        """Deliver to the links, for those who use them: :meth:`MemoryLink.receive` then has it."""
+        for delivery in self.deliver(now):
+            self._nodes[delivery.receiver].put(delivery.reception)
+
+    def tick(self) -> int:
+        """Advance to the time of the clock, if there is one; the time of now."""
+        if self._clock is not None:
+            self.advance(max(self.now, self._clock()))
+        return self.now
+
+    def _go_to(self, now: int) -> None:
+        if now < self.now:
+            raise ValueError(f"virtual time cannot go back from {self.now} to {now} ns")
+        self.now = now
+
+
+class MemoryLink:
+    """The link of one node of a :class:`Medium`. Has no descriptor; :meth:`poll_timeout` says when to look.
+
+    Received frames wait here until they are taken; ``inbox_limit`` of them at most, then they are lost as in the
+    buffer of a socket (``kernel_drops``).
+    """
+
+    def __init__(self, medium: Medium, index: int, name: str, address: bytes, inbox_limit: int = 65_536) -> None:
+        """Made by :meth:`Medium.join`."""
+        self.name = name
+        self.counters = LinkCounters()
+        self.max_packet_size = medium.max_packet_size
+        self.index = index
+        self.address = address
+        self.closed = False
+        self._medium = medium
+        self._inbox: deque[Reception] = deque()
+        self._inbox_limit = inbox_limit
+
+    def fileno(self) -> int:
+        """There is none."""
+        return -1
+
+    def poll_timeout(self) -> int | None:
+        """When to call :meth:`receive`, in the medium's time."""
+        return self._medium.now if self._inbox else self._medium.poll_timeout()
+
+    def put(self, reception: Reception) -> None:
+        """A frame arrives (called by the medium)."""
+        if len(self._inbox) >= self._inbox_limit:
+            self.counters.kernel_drops += 1
+        else:
+            self._inbox.append(reception)
+
+    def receive(self) -> list[Reception]:
+        """What has arrived by the medium's time."""
+        if self.closed:
+            return []
+        self._medium.tick()
+        receptions = list(self._inbox)
+        self._inbox.clear()
+        self.counters.received += len(receptions)
+        return receptions
+
+    def send(self, octets: bytes) -> bool:
+        """Broadcast at the medium's time; False if the link is closed or the packet too long."""
+        if self.closed or len(octets) > self.max_packet_size:
+            self.counters.send_errors += 1
+            return False
+        self._medium.broadcast(self.index, octets, self._medium.tick())
+        self.counters.sent += 1
+        return True
+
+    def close(self) -> None:
+        """Leave: from now on this node hears nothing."""
+        self.closed = True
+        self._inbox.clear()
