@@ -9,6 +9,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import chain
 from typing import Any, Protocol
 
 import click
@@ -39,6 +40,10 @@ from .tree import TreeRenderer
 
 #: Malformed frames that are also named on stderr, where a pipe does not carry them away.
 _NAMED = 5
+
+
+#: What of live traffic decides on the profile: so many beacons, among at most so many frames.
+_FIRST_BEACONS, _FIRST_FRAMES = 3, 100
 
 
 class _Renderer(Protocol):
@@ -270,12 +275,19 @@ class _Run:
             return self.frames(
                 FrameDissector(codec, link_of(codec, self.ether_type)), iter(reader), interface, _nothing
             )
-        # A live source is not looked ahead into for long: the first beacons decide.
-        from dcp_codec.guess import guess, sample
+        # A live source is not looked ahead into for long: the first beacons decide, behind whatever else is there.
+        from dcp_codec.guess import guess
 
         frames = iter(reader)
-        first, frames = sample(frames, 3)
+        first: list[Frame] = []
         found = guess(first, ether_type=self.ether_type)
+        while found.best.decoded < _FIRST_BEACONS and len(first) < _FIRST_FRAMES:
+            frame = next(frames, None)
+            if frame is None:
+                break
+            first.append(frame)
+            found = guess(first, ether_type=self.ether_type)
+        frames = chain(first, frames)
         note(f"{interface}: profile {found}")
         dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link)
         return self.frames(dissector, frames, interface, _nothing)
