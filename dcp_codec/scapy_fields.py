@@ -117,6 +117,9 @@ class ScalarField(PlanField):
             return _exactly(bytes(value), node.size)
         if not isinstance(value, int):
             raise TypeError("not an integer")
+        low, high = _bounds(node)
+        if not low <= value <= high:
+            raise ValueError(f"not in {low}..{high}")
         return value.to_bytes(node.size, node.order, signed=node.signed)
 
     def h2i(self, _pkt: Any, x: Any) -> Any:
@@ -142,8 +145,7 @@ class ScalarField(PlanField):
             return RandBin(node.size)
         if node.kind == "float":
             return RandFloat(-1000, 1000)
-        half = 1 << (8 * node.size - 1)
-        return RandNum(-half, half - 1) if node.signed else RandNum(0, 2 * half - 1)
+        return RandNum(*_bounds(node))
 
 
 class NodeIdField(ScalarField):
@@ -248,6 +250,12 @@ class ChosenField(ConditionalField):
         if pkt and not self._evalcond(pkt):
             return [] if self.fld.islist else None
         return self.fld.i2h(pkt, val)
+
+
+def _bounds(node: Scalar) -> tuple[int, int]:
+    """The least and the greatest integer that a scalar holds."""
+    values = 1 << (8 * node.size)
+    return (-values // 2, values // 2 - 1) if node.signed else (0, values - 1)
 
 
 def _exactly(octets: bytes, size: int) -> bytes:

@@ -250,7 +250,8 @@ class DCPBeacon(_Layer):
     def mysummary(self) -> str:
         text = "DCP"
         if "senderId" in self.fieldtype:
-            text += f" {self.senderId} seqno {self.getfieldval('seqno')}"
+            sender = self._field("senderId").i2repr(self, self.getfieldval("senderId"))
+            text += f" {sender} seqno {self.getfieldval('seqno')!r}"
         blocks = [each.mysummary() or each.name for each in self.getfieldval("payloads")]
         text += f": {', '.join(blocks)}" if blocks else ""
         try:

@@ -50,12 +50,12 @@ class Process:
             pytest.fail(f"the process ended with {self.popen.returncode}: {errors}")
         return found
 
-    def has_line(self, patience: float) -> bool:
-        """Whether a line comes within ``patience`` seconds; it is read."""
+    def line_or_none(self, patience: float) -> str | None:
+        """The next line, or None if none comes within ``patience`` seconds."""
         try:
-            return self._lines.get(timeout=patience) is not None
+            return self._lines.get(timeout=patience)
         except queue.Empty:
-            return False
+            return None
 
     def say(self, text: str) -> None:
         """Write a line to the process."""

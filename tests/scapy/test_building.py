@@ -192,7 +192,7 @@ def test_lies_are_told_as_given(lie: Callable[[], Packet], octets: str) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: bytes(DCPBeacon(seqno=1 << 32)), "seqno"),
+        (lambda: bytes(DCPBeacon(seqno=1 << 32)), r"seqno: 4294967296 does not fit \(not in 0\.\.4294967295\)"),
         (lambda: bytes(DCPBeacon(seqno=-1)), "seqno"),
         (lambda: bytes(DCPBeacon(seqno="many")), "seqno"),
         (lambda: bytes(DCPBeacon(senderId="02:00")), "senderId"),
