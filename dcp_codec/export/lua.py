@@ -11,8 +11,8 @@ Names for display filters follow one rule: the path of the field in our JSON wit
 
 A record or an element of a list can be asked for, too (``dcp.payloads.srp``). A string or value is its octets; the
 lengths in front of them are ``....value.length`` (and ``length2``), a final NUL ``....terminator``. A time stamp that
-counts from 1970 stays the integer that it is and has ``....date`` below it. Characters that Wireshark does not allow in
-a name become ``_``. Every problem is also expert information, ``dcp.expert.`` and its reason.
+counts from 1970 stays the integer that it is and has ``....date`` below it. Every problem is also expert information,
+``dcp.expert.`` and its reason.
 
 The script is the layout of the profile as Lua tables, made from its plan, and in front of an interpreter of these
 tables (``lua_walk.lua``, ``lua_show.lua``) that is the same for all profiles.
@@ -73,11 +73,7 @@ def wireshark_dissector(codec: Codec) -> str:
 
 def filter_name(path: str) -> str:
     """The display filter name of the field at ``path`` (a path of our JSON, with or without indices)."""
-    return "dcp." + _legal(re.sub(r"\[\d+\]", "", path))
-
-
-def _legal(path: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", path)
+    return "dcp." + re.sub(r"\[\d+\]", "", path)
 
 
 def _one_line(text: str) -> str:
@@ -123,7 +119,6 @@ class _Layout:
 
     def field(self, path: str, of_type: str, base: str | None = None, **more: Any) -> str:
         """Register a field; one path can be met several times, as the varId of all kinds of records."""
-        path = _legal(path)
         made = {"path": path, "name": path.rsplit(".", 1)[-1], "type": of_type, "base": base, **more}
         known = self.fields.setdefault(path, made)
         if (known["type"], known.get("base")) != (made["type"], made.get("base")):

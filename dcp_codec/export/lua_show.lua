@@ -214,8 +214,8 @@ function dcp.dissector(buf, pinfo, tree)
             rules[record.type](s, record)
         end
     end)
-    if ends > 0 then
-        root:set_len(ends)
+    if s.pos > 0 then
+        root:set_len(s.pos)
     end
     if ends < size then
         root:add(F.padding, buf(ends, size - ends), size - ends):append_text(" octets behind the beacon")

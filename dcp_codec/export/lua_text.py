@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -44,10 +45,11 @@ def literal(value: Any, depth: int = 0) -> str:
 def _key(key: str | int) -> str:
     if isinstance(key, int):
         return f"[{key}] = "
-    return f"{key} = " if key.isidentifier() and key.isascii() and key not in _RESERVED else f"[{quoted(key)}] = "
+    return (
+        f"{key} = " if key.isidentifier() and key.isascii() and not _RESERVED.fullmatch(key) else f"[{quoted(key)}] = "
+    )
 
 
-_RESERVED = frozenset(
-    ["and", "break", "do", "else", "elseif", "end", "false", "for", "function", "goto", "if", "in", "local", "nil"]
-    + ["not", "or", "repeat", "return", "then", "true", "until", "while"]
+_RESERVED = re.compile(
+    "and|break|do|else|elseif|end|false|for|function|goto|if|in|local|nil|not|or|repeat|return|then|true|until|while"
 )

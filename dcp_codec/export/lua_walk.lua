@@ -206,7 +206,7 @@ function visit.text(s, node, tree, path, stop)
     s.pos = start + length.n
     local found = show_text(s, node, tree, path, start, length.n)
     if node.terminated then
-        local nul = octets_of(s, start, length.n):find("\0", 1, true) or 0
+        local nul = octets_of(s, start, length.n):find("\0", 1, true)
         if nul ~= length.n then
             problem(s, found.item, "bad-terminator", path .. ".data", start, nil, nil, "DATA-07")
         end

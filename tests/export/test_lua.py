@@ -370,6 +370,6 @@ def test_every_field_of_every_layout_agrees(codec: Codec, tmp_path: Path) -> Non
 def test_malformed_beacons_have_the_same_fields_and_problems(codec: Codec, tmp_path: Path) -> None:
     beacons = strategies.beacons(codec).map(codec.encode)
     mutations = strategies.mutations(beacons, codec.dissect)
-    payloads = [*malformed(codec, codec.encode(everything(codec))), *drawn(mutations, 200)]
+    payloads = [*malformed(codec, codec.encode(everything(codec))), *drawn(mutations, 100)]
     _, found = compare(codec, wireshark_dissector(codec), write(tmp_path / "c.pcap", codec.profile.link, payloads))
     assert found == []

@@ -1,0 +1,231 @@
+"""The Kaitai Struct export, compiled to Python, reads what the codec reads and refuses the rest."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import re
+import runpy
+import struct
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+from dcp_spec.profile_loading import BUILTIN_PROFILES
+
+from dcp_codec import Codec, DecodeError, Field, get_codec, strategies
+from dcp_codec.capture import open_capture
+from dcp_codec.export.ksy import kaitai_name, kaitai_struct
+from dcp_codec.frames import DissectedFrame, FrameDissector
+from dcp_codec.plan import Many, Text
+
+ROOT = Path(__file__).parent.parent.parent
+COMPILER = ROOT / "node_modules" / "kaitai-struct-compiler"
+harness = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("test_lua.py"))))
+
+#: Reads a .ksy as JSON, writes {file name: source}; the YAML itself is read by PyYAML.
+COMPILE = """
+const compiler = require(process.argv[1]);
+const chunks = [];
+process.stdin.on("data", (chunk) => chunks.push(chunk)).on("end", () =>
+    compiler.compile("python", JSON.parse(Buffer.concat(chunks)), null, false)
+        .then((files) => process.stdout.write(JSON.stringify(files)))
+        .catch((error) => { process.stderr.write(String(error)); process.exitCode = 1; }));
+"""
+
+
+@pytest.fixture(scope="session")
+def compiler() -> Path:
+    """The Kaitai Struct compiler of package.json, installed into node_modules when it is not there."""
+    # Workers of pytest-xdist wait for the one that installs.
+    with Path(tempfile.gettempdir(), f"dcp-npm-{os.getuid()}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not COMPILER.exists():
+            command = ["npm", "install", "--no-package-lock", "--no-audit", "--no-fund", "--ignore-scripts"]
+            try:
+                done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+                why = done.stderr
+            except (OSError, subprocess.TimeoutExpired) as error:
+                why = str(error)
+            if not COMPILER.exists():
+                message = f"the npm package kaitai-struct-compiler cannot be had: {why}"
+                if os.environ.get("DCP_REQUIRE_TOOLS") == "1":
+                    pytest.fail(message, pytrace=False)
+                pytest.skip(message)
+    return COMPILER
+
+
+def compiled(codec: Codec, compiler: Path) -> Any:
+    """The root class that Kaitai generates for a profile."""
+    document = json.dumps(yaml.safe_load(kaitai_struct(codec)))
+    done = subprocess.run(
+        ["node", "-e", COMPILE, str(compiler)], input=document, capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    [(name, source)] = json.loads(done.stdout).items()
+    module = ModuleType(name.removesuffix(".py"))
+    sys.modules[module.__name__] = module
+    exec(compile(source, name, "exec"), module.__dict__)
+    return getattr(module, "".join(word.capitalize() for word in module.__name__.split("_")))
+
+
+@pytest.fixture(scope="module", params=[*BUILTIN_PROFILES, *harness.ODD_PROFILES])
+def codec(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Codec:
+    if request.param not in harness.ODD_PROFILES:
+        return get_codec(request.param)
+    path = tmp_path_factory.mktemp("profiles") / f"{request.param}.toml"
+    path.write_text(harness.ODD_PROFILES[request.param], encoding="utf-8")
+    return Codec(path)
+
+
+@pytest.fixture(scope="module")
+def root_type(codec: Codec, compiler: Path) -> Any:
+    return compiled(codec, compiler)
+
+
+def reached(root: Any, path: str) -> Any:
+    """What Kaitai has at a path of ours."""
+    here = root
+    for part in path.split("."):
+        name, _, index = part.partition("[")
+        attribute = kaitai_name(name)
+        # A client payload goes by its label with us, and always is the content of its block in Kaitai.
+        here = getattr(here, attribute) if hasattr(here, attribute) else here.content
+        if index:
+            # The list of a region has a type of its own around it.
+            here = (here if isinstance(here, list) else getattr(here, attribute))[int(index.rstrip("]"))]
+    return here
+
+
+def plain(value: Any) -> Any:
+    """A value that compares equal when it is the same, also if it is no number."""
+    value = getattr(value, "value", value)
+    return struct.pack(">d", value) if isinstance(value, float) else value
+
+
+def compare(dissected: Field, root: Any) -> int:
+    """Compare every field of a message; returns how many there were."""
+    compared = 0
+    for field in dissected.walk():
+        path, layout = field.path, field.layout
+        if isinstance(layout, Text) and field.name == "data":
+            continue
+        if isinstance(layout, Many):
+            found = reached(root, path)
+            found = found if isinstance(found, list) else getattr(found, kaitai_name(field.name))
+            assert len(found) == len(field.children), path
+            continue
+        if field.value is None:
+            continue
+        if length := re.fullmatch(r"(.*?)([^.]+)\.length(\d*)", path):
+            text, name = dissected.find(f"{length[1]}{length[2]}"), f"len_{kaitai_name(length[2])}"
+            if text is not None and isinstance(text.layout, Text):
+                path = f"{length[1]}{name}" + (f"_{length[3]}" if length[3] else "")
+        assert plain(reached(root, path)) == plain(field.value), path
+        compared += 1
+    return compared
+
+
+def parsed(root_type: Any, octets: bytes) -> Any:
+    """The message as Kaitai reads it, None if it refuses."""
+    from kaitaistruct import KaitaiStructError
+
+    try:
+        return root_type.from_bytes(octets)
+    except (KaitaiStructError, EOFError, ValueError):
+        return None
+
+
+def refusal(codec: Codec, octets: bytes) -> str | None:
+    """Why the codec refuses octets, None if it does not."""
+    try:
+        codec.decode(octets)
+    except DecodeError as error:
+        return error.problem.reason
+    return None
+
+
+@pytest.mark.tool("node", "npm")
+@pytest.mark.parametrize("recording", harness.RECORDINGS, ids=lambda path: path.stem)
+def test_every_field_of_the_recordings_agrees(recording: Path, compiler: Path) -> None:
+    codec = get_codec("cpp-1.3" if "v1.3" in recording.stem else "cpp-2.0")
+    root_type, dissector, compared = compiled(codec, compiler), FrameDissector(codec), 0
+    with open_capture(recording) as frames:
+        for frame in frames:
+            ours = dissector.dissect(frame)
+            if isinstance(ours, DissectedFrame):
+                root = root_type.from_bytes(frame.data[ours.framing.start : ours.framing.end])
+                compared += compare(ours.dissection.root, root)
+                assert root.padding == ours.dissection.padding
+    assert compared > 7_000
+
+
+@pytest.mark.tool("node", "npm")
+def test_every_field_of_every_layout_agrees(codec: Codec, root_type: Any) -> None:
+    octets = codec.encode(harness.everything(codec))
+    for beacon in [octets, *harness.drawn(strategies.beacons(codec).map(codec.encode), 100)]:
+        root = root_type.from_bytes(beacon)
+        assert compare(codec.dissect(beacon).root, root) >= len(codec.profile.bp.header)
+
+
+@pytest.mark.tool("node", "npm")
+def test_octets_that_the_codec_refuses_are_refused(codec: Codec, root_type: Any) -> None:
+    beacons = strategies.beacons(codec).map(codec.encode)
+    octets = codec.encode(harness.everything(codec))
+    wrong = [*harness.malformed(codec, octets), *harness.drawn(strategies.mutations(beacons, codec.dissect), 150)]
+    refused = 0
+    for candidate in wrong:
+        reason = refusal(codec, candidate)
+        refused += reason is not None
+        if reason != "bad-terminator":
+            # Kaitai has no check that counted octets hold no further NUL.
+            assert (parsed(root_type, candidate) is None) == (reason is not None), (reason, candidate.hex())
+    assert refused > 100
+
+
+def test_the_file_speaks_of_the_specification() -> None:
+    text = kaitai_struct(get_codec("cpp-2.0"))
+    document = yaml.safe_load(text)
+    assert text.startswith("# Generated by dcp-codec ")
+    assert "        valid: 0x497e\n" in text
+    assert document["meta"]["id"] == "dcp_cpp_2_0"
+    assert document["enums"]["ic_type"][5] == {"id": "create_variables", "-orig-id": "CREATE-VARIABLES"}
+    header = document["types"]["bp_header"]
+    assert header["-orig-id"] == "BPHeader"
+    assert [field["-orig-id"] for field in header["seq"]] == list(get_codec("cpp-2.0").profile.bp.header)
+    assert "(BP-HDR-10)" in header["doc-ref"]
+
+
+def test_descriptions_are_decoded_when_asked_for() -> None:
+    spec = yaml.safe_load(kaitai_struct(get_codec("dcp-2.0")))["types"]["var_spec"]
+    assert spec["instances"]["descr_text"]["value"] == 'descr.to_s("UTF-8")'
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("numPayloads", "num_payloads"),
+        ("BPHeader", "bp_header"),
+        ("REQUEST-VARUPDATES", "request_varupdates"),
+        ("sData", "s_data"),
+        ("Größe 2", "gr_e_2"),
+        ("7up", "f_7up"),
+        ("°", "f"),
+    ],
+)
+def test_names(name: str, expected: str) -> None:
+    assert kaitai_name(name) == expected
+
+
+def test_two_members_of_one_name_are_refused(tmp_path: Path) -> None:
+    members = '{ name = "aB", type = "u8" }, { name = "a_b", type = "u8" }'
+    path = tmp_path / "own.toml"
+    path.write_text(f'extends = "dcp-2.0"\nname = "own"\n[srp]\nsafety_data = [{members}]\n', encoding="utf-8")
+    with pytest.raises(ValueError, match="SafetyData: two members would be called a_b"):
+        kaitai_struct(Codec(path))
