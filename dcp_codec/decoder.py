@@ -184,7 +184,7 @@ class _Generator:
             self.fail("truncated", text.requirement, path.field("data"), "o", first.variable, f"{end} - o")
         source.add(f"{variable} = b[o:{stop}]")
         if text.terminated:
-            with source.block(f"if {variable}.find(0) != {first.variable} - 1:"):
+            with source.block(f"if not {first.variable} or {variable}.find(0) != {first.variable} - 1:"):
                 self.fail("bad-terminator", "DATA-07", path.field("data"), "o", "None", "None")
             source.add(f"{variable} = {variable}[:-1]")
         source.add(f"o = {stop}")

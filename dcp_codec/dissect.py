@@ -226,7 +226,7 @@ class _Walker:
         data = self.b[start:stop]
         self.o = stop
         if node.terminated:
-            if data.find(0) != first.value - 1:
+            if not data or data.find(0) != first.value - 1:
                 self.problem("bad-terminator", path, start, None, None, "DATA-07")
             data = data.removesuffix(b"\0")
         whole.value = data

@@ -215,6 +215,9 @@ def lower(subcon: Any, name: str = "") -> Node:
 
 def _lower_field(field: dc.Field) -> Node:
     node = lower(field.subcon, field.name)
+    if isinstance(node, Text):
+        # A value that is cut off in its length breaks the same rule as one cut off behind it.
+        node = replace(node, prefixes=tuple(replace(each, requirement=field.requirement) for each in node.prefixes))
     if isinstance(node, Scalar | Text):
         return replace(node, requirement=field.requirement, role=field.role, unit=field.unit, doc=field.docs)
     return replace(node, doc=field.docs)
