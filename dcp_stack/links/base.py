@@ -53,6 +53,11 @@ class Link(Protocol):
         """The longest bearer payload in octets that :meth:`send` takes (UWB-03)."""
         ...
 
+    @property
+    def source(self) -> bytes:
+        """Our own address, as it is in ``Reception.source`` at those who hear us; empty if the link has none."""
+        ...
+
     def fileno(self) -> int:
         """A descriptor that is readable when :meth:`receive` has something; -1 if the link has none.
 

@@ -179,10 +179,10 @@ class Medium:
 
     # -- who is there, and who hears whom --------------------------------------------------------------------------
 
-    def join(self, *, name: str = "", address: bytes | None = None) -> MemoryLink:
-        """Add a node; its link. ``address`` is the source of its frames, by default 02:00 and its number."""
+    def join(self, *, name: str = "", source: bytes | None = None) -> MemoryLink:
+        """Add a node; its link. ``source`` is the address of its frames, by default 02:00 and its number."""
         index = len(self._nodes)
-        link = MemoryLink(self, index, name or f"memory:{index}", address or b"\x02\x00" + index.to_bytes(4, "big"))
+        link = MemoryLink(self, index, name or f"memory:{index}", source or b"\x02\x00" + index.to_bytes(4, "big"))
         self._nodes.append(link)
         self._generators.append(random.Random(f"{self._seed}/{index}"))  # noqa: S311 - to be repeatable is the point
         return link
@@ -289,7 +289,7 @@ class Medium:
         while flights and flights[0].time <= now:
             time, _, sender, receivers, octets = heapq.heappop(flights)
             # Shared by all whom it reaches.
-            reception = Reception(octets, self._wall_start + time, nodes[sender].address)
+            reception = Reception(octets, self._wall_start + time, nodes[sender].source)
             for receiver in receivers:
                 if nodes[receiver].closed:
                     self.counters.missed += 1
@@ -325,13 +325,13 @@ class MemoryLink:
     buffer of a socket (``kernel_drops``).
     """
 
-    def __init__(self, medium: Medium, index: int, name: str, address: bytes, inbox_limit: int = 65_536) -> None:
+    def __init__(self, medium: Medium, index: int, name: str, source: bytes, inbox_limit: int = 65_536) -> None:
         """Made by :meth:`Medium.join`."""
         self.name = name
         self.counters = LinkCounters()
         self.max_packet_size = medium.max_packet_size
         self.index = index
-        self.address = address
+        self.source = source
         self.closed = False
         self._medium = medium
         self._inbox: deque[Reception] = deque()

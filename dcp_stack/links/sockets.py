@@ -126,6 +126,11 @@ class SocketLink:
         """The longest bearer payload in octets."""
         raise NotImplementedError
 
+    @property
+    def source(self) -> bytes:
+        """Our own address."""
+        raise NotImplementedError
+
     def fileno(self) -> int:
         """The descriptor to wait for, -1 after :meth:`close`."""
         return -1 if self._closed else self._selector.fileno()

@@ -87,9 +87,9 @@ class UDPLink(SocketLink):
         super().__init__(f"udp:{group}:{port}")
 
     @property
-    def address(self) -> tuple[str, int]:
-        """The address and port that datagrams are sent from."""
-        return self._own
+    def source(self) -> bytes:
+        """Address and port that datagrams are sent from, 6 octets."""
+        return _octets(self._own)
 
     @property
     def max_packet_size(self) -> int:
@@ -177,9 +177,7 @@ class UDPLink(SocketLink):
             if sender == own:
                 # Comes with multicast on one host, and is no one's loss: not counted.
                 continue
-            address, port = sender
-            source_octets = socket.inet_aton(address) + port.to_bytes(2, "big")
-            receptions.append(Reception(octets, arrival(ancillary), source_octets))
+            receptions.append(Reception(octets, arrival(ancillary), _octets(sender)))
 
     def _transmit(self, octets: bytes) -> None:
         if self._sender is None:
@@ -204,6 +202,11 @@ class UDPLink(SocketLink):
         except OSError as error:
             return error.errno == errno.EADDRINUSE
         return False
+
+
+def _octets(address: tuple[str, int]) -> bytes:
+    host, port = address
+    return socket.inet_aton(host) + port.to_bytes(2, "big")
 
 
 def _payload_of(sender: socket.socket) -> int:

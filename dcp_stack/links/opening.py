@@ -1,0 +1,111 @@
+"""Links as people name them on a command line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+
+from dcp_stack.config import NodeConfig
+from dcp_stack.links.base import Link, LinkError
+
+#: What :func:`open_link` understands, for help texts.
+FORMS: Mapping[str, str] = {
+    "eth:IF[,source=MAC|node][,type=0xNNNN][,size=N]": "Ethernet frames on an interface; needs a privilege",
+    "udp[:GROUP[:PORT]][,interface=ADDRESS][,ttl=N][,size=N]": "UDP multicast or broadcast; stays on this host",
+    "replay:FILE[,speed=X][,source=MAC]": "a recording, as if it happened now",
+}
+
+Options = dict[str, str]
+
+
+def open_link(spec: str, config: NodeConfig) -> Link:
+    """Open the link that ``spec`` names (:data:`FORMS`) for a node; the profile says how beacons are told.
+
+    Frames on ``eth`` are sent from the address of the interface, except in profiles without a beacon header, where it
+    is all that identifies the sender: there from the node identifier if it is an address.
+
+    Raises :class:`LinkError` for a text that names no link, and if it cannot be opened.
+    """
+    body, options = _split(spec)
+    kind, _, rest = body.partition(":")
+    opener = _OPENERS.get(kind)
+    if opener is None:
+        forms = "\n".join(f"  {form}  {about}" for form, about in FORMS.items())
+        raise LinkError(f"{spec!r} is not a link; there are\n{forms}")
+    known, open_it = opener
+    for name in options:
+        if name not in known:
+            raise LinkError(f"{spec}: {kind} has no option {name!r}; there are {', '.join(known)}")
+    try:
+        return open_it(rest, options, config)
+    except ValueError as error:
+        raise LinkError(f"{spec}: {error}") from error
+
+
+def _split(spec: str) -> tuple[str, Options]:
+    """The text without its options, and the options: a file name may have commas, too."""
+    options: Options = {}
+    while found := re.fullmatch(r"(.*),([a-z]+)=([^,]*)", spec, re.DOTALL):
+        spec, name, value = found.groups()
+        options.setdefault(name, value)
+    return spec, options
+
+
+def _open_eth(interface: str, options: Options, config: NodeConfig) -> Link:
+    from dcp_stack.links.ethernet import open_ethernet
+
+    if not interface:
+        raise LinkError("eth: which interface? as in eth:wlan0")
+    profile, node = config.profile, config.node_id
+    ether_type = _number(options, "type", profile.link.ether_type)
+    if ether_type is None:
+        raise LinkError(f"eth:{interface}: profile {profile.name} knows no EtherType; name it, as in ,type=0x88b5")
+    source = _address(options, node)
+    if "source" not in options and not profile.bp.header and len(node) == 6 and not node[0] & 1:
+        source = node
+    return open_ethernet(interface, ether_type, source=source, max_packet_size=_number(options, "size", None))
+
+
+def _open_udp(rest: str, options: Options, config: NodeConfig) -> Link:
+    from dcp_stack.links.udp import DEFAULT_GROUP, DEFAULT_PORT, open_udp
+
+    group, _, port = rest.partition(":")
+    return open_udp(
+        group or DEFAULT_GROUP,
+        int(port) if port else config.profile.link.udp_port or DEFAULT_PORT,
+        options.get("interface", "127.0.0.1"),
+        ttl=int(options.get("ttl", "1")),
+        max_packet_size=_number(options, "size", None),
+    )
+
+
+def _open_replay(path: str, options: Options, config: NodeConfig) -> Link:
+    from dcp_stack.links.replay import open_replay
+
+    if not path:
+        raise LinkError("replay: which file? as in replay:flight.mcap")
+    source = _address(options, config.node_id) or b""
+    return open_replay(path, config.profile.link, speed=float(options.get("speed", "1")), source=source)
+
+
+_OPENERS: Mapping[str, tuple[tuple[str, ...], Callable[[str, Options, NodeConfig], Link]]] = {
+    "eth": (("source", "type", "size"), _open_eth),
+    "udp": (("interface", "ttl", "size"), _open_udp),
+    "replay": (("speed", "source"), _open_replay),
+}
+
+
+def _number(options: Options, name: str, default: int | None) -> int | None:
+    return int(options[name], 0) if name in options else default
+
+
+def _address(options: Options, node: bytes) -> bytes | None:
+    """The address in ``source``: a MAC address, or that of the node."""
+    text = options.get("source")
+    if text is None:
+        return None
+    if text == "node":
+        return node
+    if not re.fullmatch(r"[0-9A-Fa-f]{2}([:-][0-9A-Fa-f]{2}){5}", text):
+        raise LinkError(f"source {text!r} is neither 'node' nor an address such as 02:00:00:00:00:01")
+    return bytes.fromhex(re.sub("[:-]", "", text))

@@ -1,0 +1,166 @@
+"""A recording as a link: its frames arrive again, at the distances they had."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from dcp_spec.profile import Link as Framing
+
+from dcp_codec.capture import CaptureError, CaptureProblem, Frame, open_capture
+from dcp_codec.framing import OtherTraffic, locate
+from dcp_stack.links.base import LinkCounters, LinkError, Reception
+
+log = logging.getLogger(__name__)
+
+#: Receptions handed out in one call at the most, so that a fast replay does not keep the node from its timers.
+PORTION = 512
+
+
+class ReplayLink:
+    """See :func:`open_replay`, which makes them. Has no descriptor; :meth:`poll_timeout` says when to look."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        framing: Framing,
+        *,
+        speed: float = 1.0,
+        source: bytes = b"",
+        original_times: bool = False,
+        max_packet_size: int = 1500,
+        clock: Callable[[], int] = time.monotonic_ns,
+        wall: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """See :func:`open_replay`; ``clock`` (monotonic) and ``wall`` (since 1970) are in ns."""
+        self.name = f"replay:{path}"
+        self.counters = LinkCounters()
+        self.max_packet_size = max_packet_size
+        self.source = source
+        if not speed > 0:
+            raise LinkError(f"{self.name}: speed {speed:g} is not greater than 0")
+        self._speed = speed
+        self._framing = framing
+        self._original_times = original_times
+        self._clock = clock
+        self._wall = wall
+        self._started: tuple[int, int] | None = None
+        self._first: int | None = None
+        self._next: tuple[int, Reception] | None = None
+        try:
+            self._capture = open_capture(path)
+        except CaptureError as error:
+            raise LinkError(f"{self.name}: {error}") from error
+        self._finished = self._closed = False
+        self._last_offset = 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether the recording has ended and all of it was handed out."""
+        return self._finished
+
+    @property
+    def problems(self) -> list[CaptureProblem]:
+        """What is wrong with the recording so far; complete when it is finished."""
+        return self._capture.problems
+
+    def fileno(self) -> int:
+        """There is none."""
+        return -1
+
+    def poll_timeout(self) -> int | None:
+        """When the next frame arrives, in ns of the clock; None at the end. The first call starts the replay."""
+        upcoming = self._upcoming()
+        return upcoming[0] if upcoming is not None else None
+
+    def receive(self) -> list[Reception]:
+        """What has arrived, at most ``PORTION`` of it. The first call starts the replay."""
+        receptions: list[Reception] = []
+        now = self._clock()
+        while len(receptions) < PORTION:
+            upcoming = self._upcoming()
+            if upcoming is None or upcoming[0] > now:
+                break
+            self._next = None
+            receptions.append(upcoming[1])
+        self.counters.received += len(receptions)
+        return receptions
+
+    def send(self, octets: bytes) -> bool:
+        """Nobody is there to hear it: counted. Who wants to keep it wraps the link in a recording."""
+        if self._closed or len(octets) > self.max_packet_size:
+            self.counters.send_errors += 1
+            return False
+        self.counters.sent += 1
+        return True
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._closed = True
+        self._end()
+
+    def _upcoming(self) -> tuple[int, Reception] | None:
+        if self._finished or self._next is not None:
+            return self._next
+        if self._started is None:
+            self._started = (self._clock(), self._wall())
+        for frame in self._capture:
+            octets, sender = self._payload(frame)
+            if octets is None:
+                self.counters.ignored += 1
+                continue
+            self._next = self._scheduled(frame.time_ns, octets, sender, *self._started)
+            return self._next
+        self._end()
+        return None
+
+    def _payload(self, frame: Frame) -> tuple[bytes | None, bytes]:
+        """The bearer payload and the sender, unless it is other traffic, cut short by the recorder, or our own."""
+        framing = locate(frame.data, self._framing)
+        if isinstance(framing, OtherTraffic) or frame.orig_len > len(frame.data):
+            return None, b""
+        sender = framing.src or b""
+        if self.source and sender == self.source:
+            return None, sender
+        return frame.data[framing.start : framing.end], sender
+
+    def _scheduled(self, time_ns: int, octets: bytes, sender: bytes, start: int, wall: int) -> tuple[int, Reception]:
+        if self._first is None:
+            self._first = time_ns
+        offset = time_ns - self._first
+        if self._speed != 1.0:
+            offset = 0 if math.isinf(self._speed) else int(offset / self._speed)
+        # Where times in the recording go back, order counts for more.
+        offset = self._last_offset = max(self._last_offset, offset)
+        return start + offset, Reception(octets, time_ns if self._original_times else wall + offset, sender)
+
+    def _end(self) -> None:
+        if self._finished:
+            return
+        self._finished, self._next = True, None
+        self._capture.close()
+        for problem in self.problems:
+            log.warning("%s: %s", self.name, problem.message)
+
+
+def open_replay(
+    path: str | Path,
+    framing: Framing,
+    *,
+    speed: float = 1.0,
+    source: bytes = b"",
+    original_times: bool = False,
+) -> ReplayLink:
+    """Open the recording ``path`` (pcap, pcapng, MCAP) as a link.
+
+    ``framing`` is where beacons are in its frames (``profile.link``). Frames keep their distances divided by
+    ``speed`` (``math.inf``: all at once). ``source`` is our own address: frames from it are left out. Receptions have
+    the time at which they arrive here, with ``original_times`` that in the recording.
+
+    Raises :class:`LinkError` if the file cannot be read. What is wrong with the rest of it is in
+    :attr:`ReplayLink.problems`.
+    """
+    return ReplayLink(path, framing, speed=speed, source=source, original_times=original_times)
