@@ -1,0 +1,242 @@
+"""The real-time database of VarDis and its six queues (dcp-vardis.md, "Real-Time Database" and "Queues").
+
+The two belong together: whether a variable stands in a queue follows from its entry, so both are changed by the same
+functions, and :meth:`Database.check_invariants` can compare them.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from dcp_codec.values import VarSpec
+
+
+class IdQueue:
+    """A FIFO queue of variable identifiers that holds each at most once.
+
+    Membership, appending, removing and rotating take constant time. That nothing is held twice is no restriction:
+    every step of the specification either looks before it appends or removes first.
+    """
+
+    def __init__(self) -> None:
+        self._ids: OrderedDict[int, None] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._ids)
+
+    def __contains__(self, var_id: object) -> bool:
+        return var_id in self._ids
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._ids)
+
+    def __repr__(self) -> str:
+        return f"IdQueue({list(self._ids)})"
+
+    def append(self, var_id: int) -> None:
+        """Put at the tail; an identifier that is in the queue stays where it is."""
+        ##= DATA-12
+        self._ids[var_id] = None
+
+    def remove(self, var_id: int) -> None:
+        """Take out, wherever it stands; nothing happens if it is not there."""
+        self._ids.pop(var_id, None)
+
+    def rotate(self, var_id: int) -> None:
+        """Move from where it stands to the tail."""
+        self._ids.move_to_end(var_id)
+
+    def clear(self) -> None:
+        """Take out all."""
+        self._ids.clear()
+
+
+class DBEntry(msgspec.Struct, gc=False):
+    """``DBEntry``: what a node knows about one variable.
+
+    ``t_stamp`` is the local wall time (ns since 1970) of the last accepted creation or update. ``refreshed`` is the
+    same moment on the monotonic clock, by which the age is measured: a step of the wall clock must not delete what is
+    fresh or keep what is stale.
+    """
+
+    ##= VD-DB-01
+    spec: VarSpec
+    value: bytes
+    seqno: int
+    t_stamp: int
+    refreshed: int
+    count_update: int = 0
+    count_create: int = 0
+    count_delete: int = 0
+    is_deleted: bool = False
+
+
+class Database:
+    """Entries by variable identifier, and the queues of what has to be said about them.
+
+    ``remove_deleted`` is the rule up to 1.3: an entry goes after its last VarDelete; since 2.0 it stays, marked.
+    """
+
+    def __init__(self, *, remove_deleted: bool) -> None:
+        self.remove_deleted = remove_deleted
+        self.entries: dict[int, DBEntry] = {}
+        ##= VD-Q-01
+        self.create_q = IdQueue()
+        self.delete_q = IdQueue()
+        self.update_q = IdQueue()
+        self.summary_q = IdQueue()
+        self.req_upd_q = IdQueue()
+        self.req_create_q = IdQueue()
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @property
+    def queues(self) -> dict[str, IdQueue]:
+        """The queues under the specification's names."""
+        return {
+            "createQ": self.create_q,
+            "deleteQ": self.delete_q,
+            "updateQ": self.update_q,
+            "summaryQ": self.summary_q,
+            "reqUpdQ": self.req_upd_q,
+            "reqCreateQ": self.req_create_q,
+        }
+
+    def lookup(self, var_id: int) -> DBEntry | None:
+        """``RTDB.lookup``: the entry, None if there is none."""
+        return self.entries.get(var_id)
+
+    def clear(self) -> None:
+        """Forget all variables and everything that was to be said."""
+        self.entries.clear()
+        for queue in self.queues.values():
+            queue.clear()
+
+    # -- what happens to a variable -----------------------------------------------------------------------------
+
+    def insert(self, spec: VarSpec, value: bytes, seqno: int, *, now: int, wall: int) -> DBEntry:
+        """A variable is created, or created anew: repeat its VarCreate, summarise it, and nothing else about it."""
+        var_id = spec.var_id
+        entry = DBEntry(spec=spec, value=value, seqno=seqno, t_stamp=wall, refreshed=now)
+        self._remove_from_queues(var_id)
+        self.entries[var_id] = entry
+        self.arm_create(entry)
+        self.summary_q.append(var_id)
+        return entry
+
+    def store(self, entry: DBEntry, value: bytes, seqno: int, *, now: int, wall: int) -> None:
+        """A newer value: repeat its VarUpdate."""
+        entry.value = value
+        entry.seqno = seqno
+        ##= VD-DB-03
+        entry.t_stamp = wall
+        entry.refreshed = now
+        self.arm_update(entry)
+
+    def mark_deleted(self, entry: DBEntry) -> None:
+        """A variable is deleted: repeat its VarDelete, and nothing else about it."""
+        var_id = entry.spec.var_id
+        self._remove_from_queues(var_id)
+        ##= VD-DB-02
+        entry.is_deleted = True
+        entry.count_create = 0
+        entry.count_update = 0
+        entry.count_delete = entry.spec.rep_cnt
+        if entry.count_delete:
+            self.delete_q.append(var_id)
+        else:
+            self.after_last_delete(var_id)
+
+    def after_last_delete(self, var_id: int) -> None:
+        """All repetitions of a VarDelete have been sent."""
+        ##= VD-DEL-06
+        if self.remove_deleted:
+            del self.entries[var_id]
+
+    def arm_create(self, entry: DBEntry) -> None:
+        """Have the VarCreate sent in as many payloads as the variable asks for, counted from now."""
+        # Up to 1.1 receivers take variables with a repetition count of 0: nothing is repeated then.
+        entry.count_create = entry.spec.rep_cnt
+        if entry.count_create:
+            self.create_q.append(entry.spec.var_id)
+
+    def arm_update(self, entry: DBEntry) -> None:
+        """Have the VarUpdate sent in as many payloads as the variable asks for, counted from now."""
+        entry.count_update = entry.spec.rep_cnt
+        if entry.count_update:
+            self.update_q.append(entry.spec.var_id)
+
+    def purge(self) -> None:
+        """Take identifiers of missing and deleted variables out of the queues that need them alive (up to 1.2)."""
+        for queue in (self.create_q, self.update_q, self.summary_q, self.req_upd_q):
+            for var_id in list(queue):
+                entry = self.entries.get(var_id)
+                if entry is None or entry.is_deleted:
+                    queue.remove(var_id)
+        for var_id in list(self.delete_q):
+            if var_id not in self.entries:
+                self.delete_q.remove(var_id)
+
+    def _remove_from_queues(self, var_id: int) -> None:
+        self.create_q.remove(var_id)
+        self.delete_q.remove(var_id)
+        self.update_q.remove(var_id)
+        self.summary_q.remove(var_id)
+        self.req_upd_q.remove(var_id)
+        self.req_create_q.remove(var_id)
+
+    # -- looking at it ------------------------------------------------------------------------------------------
+
+    def check_invariants(self) -> None:
+        """Raises AssertionError, naming the variable, if queues and entries contradict each other (C.5)."""
+        for var_id, entry in self.entries.items():
+            alive, rep_cnt = not entry.is_deleted, entry.spec.rep_cnt
+            claims = {
+                "is stored under its own identifier": entry.spec.var_id == var_id,
+                "is in createQ iff countCreate > 0": (var_id in self.create_q) == (entry.count_create > 0),
+                "is in updateQ iff countUpdate > 0": (var_id in self.update_q) == (entry.count_update > 0),
+                "is in deleteQ iff countDelete > 0": (var_id in self.delete_q) == (entry.count_delete > 0),
+                "is in summaryQ iff alive": (var_id in self.summary_q) == alive,
+                "is in reqUpdQ only if alive": alive or var_id not in self.req_upd_q,
+                "is not in reqCreateQ, being known": var_id not in self.req_create_q,
+                "repeats creations and updates only if alive": alive or not (entry.count_create or entry.count_update),
+                "repeats its deletion only if deleted": not alive or not entry.count_delete,
+                "leaves the database after its deletion": alive or not self.remove_deleted or entry.count_delete > 0,
+                "counts down from repCnt": 0 <= entry.count_create <= rep_cnt
+                and 0 <= entry.count_update <= rep_cnt
+                and 0 <= entry.count_delete <= rep_cnt,
+            }
+            for claim, holds in claims.items():
+                assert holds, f"variable {var_id} {claim}: {entry}, {self.queues}"
+        for name, queue in self.queues.items():
+            unknown = [var_id for var_id in queue if var_id not in self.entries]
+            assert name == "reqCreateQ" or not unknown, f"{name} holds unknown variables {unknown}"
+
+    def snapshot(self) -> dict[str, Any]:
+        """Entries and queues as plain data: octets in hexadecimal, descriptions as text."""
+        return {
+            "variables": {var_id: _plain(entry) for var_id, entry in self.entries.items()},
+            "queues": {name: list(queue) for name, queue in self.queues.items()},
+        }
+
+
+def _plain(entry: DBEntry) -> dict[str, Any]:
+    return {
+        "prodId": entry.spec.prod_id.hex(":"),
+        "repCnt": entry.spec.rep_cnt,
+        "creationTime": entry.spec.creation_time,
+        "timeout": entry.spec.timeout,
+        "descr": entry.spec.descr.decode("utf-8", "backslashreplace"),
+        "value": entry.value.hex(),
+        "seqno": entry.seqno,
+        "tStamp": entry.t_stamp,
+        "countUpdate": entry.count_update,
+        "countCreate": entry.count_create,
+        "countDelete": entry.count_delete,
+        "isDeleted": entry.is_deleted,
+    }

@@ -1,0 +1,262 @@
+"""The receive path of VarDis, second phase: instructions change the database (dcp-vardis.md, "Processing Step")."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate, VarDelete, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
+
+from .config import NodeConfig
+from .drops import DROPS
+from .effects import Dropped, Effect, VariableChanged
+from .vardis_db import Database, DBEntry
+from .vardis_parameters import VardisParameters
+from .vardis_table import Action, Cell, Event, State, Table
+from .vardis_wire import Extracted
+
+#: What an extraction error violates, by the reason of the codec; all others are records that end too late.
+_EXTRACTION = {"unknown-type": "VD-RX-05", "zero-count": "VD-RX-06"}
+
+
+class Sequence:
+    """Circular comparison of sequence numbers (C.1, reading X28)."""
+
+    def __init__(self, modulus: int, policy: str) -> None:
+        self._modulus = modulus
+        self._half = modulus >> 1
+        self._half_is_older = policy == "half-range-older"
+        self._half_is_answered = policy != "half-range-neither"
+
+    def received_is_older(self, received: int, own: int) -> bool:
+        """Whether a received number is strictly older than the stored one."""
+        behind = (own - received) % self._modulus
+        return 0 < behind < self._half or (behind == self._half and self._half_is_older)
+
+    def answers(self, requested: int, own: int) -> bool:
+        """Whether the stored number is strictly newer than that of a request."""
+        ahead = (own - requested) % self._modulus
+        return 0 < ahead < self._half or (ahead == self._half and self._half_is_answered)
+
+    def after(self, seqno: int) -> int:
+        """The next number."""
+        return (seqno + 1) % self._modulus
+
+
+class Receiver:
+    """Executes the instructions of a payload, in the order of the specification."""
+
+    def __init__(
+        self,
+        config: NodeConfig,
+        database: Database,
+        parameters: VardisParameters,
+        table: Table,
+        sequence: Sequence,
+        *,
+        max_variables: int,
+        emit: Callable[[Effect], None],
+    ) -> None:
+        self.own_id = config.node_id
+        self._database = database
+        self._parameters = parameters
+        self._table = table
+        self._sequence = sequence
+        self._max_variables = max_variables
+        self._emit = emit
+        features = config.features
+        self._creation_time = features.creation_time
+        self._check_too_long = features.receive_checks_too_long
+        self._check_empty_and_repcnt = features.receive_checks_empty_and_repcnt
+        self._drop_mismatch = config.reading("X14") == "drop-mismatch"
+
+    def state(self, entry: DBEntry | None) -> State:
+        """The column of the table for an entry."""
+        if entry is None:
+            return State.UNKNOWN
+        if entry.spec.prod_id == self.own_id:
+            return State.DELETED_PRODUCER if entry.is_deleted else State.ALIVE_PRODUCER
+        return State.DELETED_CONSUMER if entry.is_deleted else State.ALIVE_CONSUMER
+
+    def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
+        """Execute all records and report all problems. Never raises."""
+        for problem in extracted.problems:
+            requirement = _EXTRACTION.get(problem.reason, "VD-RX-07")
+            self._emit(Dropped("vardis", problem.reason, requirement, problem.offset))
+        records = extracted.records
+        ##= VD-RX-08
+        for offset, record in records[ICType.CREATE_VARIABLES]:
+            self._create(record, offset, now, wall)
+        for offset, record in records[ICType.DELETE_VARIABLES]:
+            self._delete(record, offset)
+        for offset, record in records[ICType.UPDATES]:
+            self._update(record, offset, now, wall)
+        for offset, record in records[ICType.SUMMARIES]:
+            self._summary(record, offset)
+        for offset, record in records[ICType.REQUEST_VARCREATES]:
+            self._request_create(record, offset)
+        for offset, record in records[ICType.REQUEST_VARUPDATES]:
+            self._request_update(record, offset)
+
+    # -- one record of each type --------------------------------------------------------------------------------
+
+    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
+        var_id = record.spec.var_id
+        entry = self._database.lookup(var_id)
+        cell = self._table[self._create_event(record, entry)][self.state(entry)]
+        if cell.action is not Action.ADOPT:
+            self._drop(cell, offset, var_id)
+            return
+        if entry is None and len(self._database) >= self._max_variables:
+            self._dropped("database-full", offset, var_id)
+            return
+        ##= VD-PC-07
+        ##= VD-PC-08
+        ##= VD-PC-09
+        stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
+        self._changed("created", stored)
+
+    def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
+        """How a VarCreate compares with what is known, in the order of the steps."""
+        spec, upd = record.spec, record.upd
+        if self._drop_mismatch and upd.var_id != spec.var_id:
+            return Event.RX_CREATE_MISMATCH
+        ##= VD-PC-01
+        if entry is not None and not self._is_later(record, entry):
+            return Event.RX_CREATE_NOT_LATER
+        ##= VD-PC-03
+        if spec.prod_id == self.own_id:
+            return Event.RX_CREATE_OWN
+        ##= VD-PC-04
+        if self._is_bad_value(upd.value):
+            return Event.RX_CREATE_BAD_VALUE
+        ##= VD-PC-05
+        if self._check_too_long and len(spec.descr) > self._parameters.longest_description:
+            return Event.RX_CREATE_BAD_DESCRIPTION
+        if self._check_empty_and_repcnt:
+            if not spec.descr:
+                return Event.RX_CREATE_BAD_DESCRIPTION
+            ##= VD-PC-06
+            if not 1 <= spec.rep_cnt <= self._parameters.max_repetitions:
+                return Event.RX_CREATE_BAD_REPCNT
+        return Event.RX_CREATE_LATER
+
+    def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
+        """Whether a VarCreate is of a later creation than the one known; nothing tells that before 2.0."""
+        received, stored = record.spec.creation_time, entry.spec.creation_time
+        return self._creation_time and received is not None and stored is not None and received > stored
+
+    def _is_bad_value(self, value: bytes) -> bool:
+        ##= VD-TYP-02
+        too_long = self._check_too_long and len(value) > self._parameters.max_value_length
+        return too_long or (self._check_empty_and_repcnt and not value)
+
+    def _delete(self, record: VarDelete, offset: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        cell = self._table[Event.RX_DELETE][self.state(entry)]
+        if cell.action is Action.DELETE and entry is not None:
+            ##= VD-PD-04
+            self._database.mark_deleted(entry)
+            self._changed("deleted", entry)
+        else:
+            self._drop(cell, offset, record.var_id)
+
+    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
+        var_id = record.var_id
+        entry = self._database.lookup(var_id)
+        cell = self._table[self._update_event(record, entry)][self.state(entry)]
+        if cell.action is Action.STORE and entry is not None:
+            ##= VD-PU-07
+            ##= VD-SCR-06
+            self._database.store(entry, record.value, record.seqno, now=now, wall=wall)
+            ##= VD-PU-08
+            self._database.req_upd_q.remove(var_id)
+            self._changed("updated", entry)
+            return
+        self._answer(cell, entry, var_id, offset)
+
+    def _update_event(self, record: VarUpdate, entry: DBEntry | None) -> Event:
+        ##= VD-PU-04
+        if self._is_bad_value(record.value):
+            return Event.RX_UPDATE_BAD_VALUE
+        if entry is None:
+            return Event.RX_UPDATE_NEWER
+        ##= VD-PU-05
+        if record.seqno == entry.seqno:
+            return Event.RX_UPDATE_EQUAL
+        if self._sequence.received_is_older(record.seqno, entry.seqno):
+            return Event.RX_UPDATE_OLDER
+        return Event.RX_UPDATE_NEWER
+
+    def _summary(self, record: VarSumm, offset: int) -> None:
+        ##= VD-SCP-01
+        entry = self._database.lookup(record.var_id)
+        if entry is not None and record.seqno == entry.seqno:
+            event = Event.RX_SUMMARY_EQUAL
+        elif entry is not None and self._sequence.received_is_older(record.seqno, entry.seqno):
+            event = Event.RX_SUMMARY_OLDER
+        else:
+            event = Event.RX_SUMMARY_NEWER
+        self._answer(self._table[event][self.state(entry)], entry, record.var_id, offset)
+
+    def _request_update(self, record: VarReqUpdate, offset: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        ##= VD-RU-03
+        behind = entry is not None and self._sequence.answers(record.seqno, entry.seqno)
+        event = Event.RX_REQUEST_UPDATE_BEHIND if behind else Event.RX_REQUEST_UPDATE_OTHER
+        self._answer(self._table[event][self.state(entry)], entry, record.var_id, offset)
+
+    def _request_create(self, record: VarReqCreate, offset: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        self._answer(self._table[Event.RX_REQUEST_CREATE][self.state(entry)], entry, record.var_id, offset)
+
+    # -- what cells ask for -------------------------------------------------------------------------------------
+
+    def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
+        """Schedule the instruction that a cell asks for, and report the record if it was ignored."""
+        database, action = self._database, cell.action
+        if action is Action.REQUEST_CREATE:
+            self._request(var_id, offset)
+        elif entry is not None:
+            if action is Action.TEACH:
+                ##= VD-PU-06
+                ##= VD-PS-03
+                if var_id not in database.update_q:
+                    database.arm_update(entry)
+            elif action is Action.SEND_UPDATE:
+                ##= VD-RU-04
+                database.arm_update(entry)
+            elif action is Action.SEND_CREATE:
+                ##= VD-RC-03
+                database.arm_create(entry)
+            elif action is Action.REQUEST_UPDATE:
+                ##= VD-PS-04
+                database.req_upd_q.append(var_id)
+        self._drop(cell, offset, var_id)
+
+    def _request(self, var_id: int, offset: int) -> None:
+        """Ask neighbours for a variable."""
+        queue = self._database.req_create_q
+        if var_id in queue:
+            return
+        # What would not be stored need not be asked for, and nothing received may use up memory.
+        if len(self._database) >= self._max_variables or len(queue) >= self._max_variables:
+            self._dropped("database-full", offset, var_id)
+            return
+        ##= VD-PU-01
+        ##= VD-PS-01
+        ##= VD-RU-01
+        ##= VD-RC-01
+        queue.append(var_id)
+
+    def _drop(self, cell: Cell, offset: int, var_id: int) -> None:
+        if cell.reason is not None:
+            self._dropped(cell.reason, offset, var_id)
+
+    def _dropped(self, reason: str, offset: int, var_id: int) -> None:
+        self._emit(Dropped("vardis", reason, DROPS[reason][0], offset, var_id))
+
+    def _changed(self, event: str, entry: DBEntry) -> None:
+        spec = entry.spec
+        self._emit(VariableChanged(event, spec.var_id, entry.seqno, entry.value, spec.prod_id))
