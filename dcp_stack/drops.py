@@ -33,5 +33,13 @@ DROPS: Final[dict[str, tuple[str, str]]] = {
     "update-bad-value": ("VD-PU-04", "the value is empty or longer than allowed"),
     "update-equal": ("VD-PU-05", "the update has the stored sequence number"),
     "update-older": ("VD-PU-06", "the update is older than what is stored"),
+    "summary-own": ("VD-PS-02", "the summarised variable is produced by this node"),
+    "summary-deleted": ("VD-PS-02", "the summarised variable is deleted"),
+    "summary-equal": ("VD-PS-02", "the summary has the stored sequence number"),
+    "update-request-unknown": ("VD-RU-01", "the requested variable is not known (1.0)"),
+    "update-request-deleted": ("VD-RU-02", "the requested variable is deleted"),
+    "update-request-not-behind": ("VD-RU-03", "the requester has what is stored, or something newer"),
+    "create-request-unknown": ("VD-RC-01", "the requested variable is not known (1.0)"),
+    "create-request-deleted": ("VD-RC-02", "the requested variable is deleted"),
     "database-full": ("VD-PC-07", "the database has no room for another variable"),
 }
