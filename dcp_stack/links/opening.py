@@ -28,6 +28,10 @@ def open_link(spec: str, config: NodeConfig) -> Link:
     """
     body, options = _split(spec)
     kind, _, rest = body.partition(":")
+    if kind == "replay":
+        # The name of a file may look like options, too.
+        body, options = _split(spec, _OPENERS[kind][0])
+        rest = body.partition(":")[2]
     opener = _OPENERS.get(kind)
     if opener is None:
         forms = "\n".join(f"  {form}  {about}" for form, about in FORMS.items())
@@ -42,11 +46,14 @@ def open_link(spec: str, config: NodeConfig) -> Link:
         raise LinkError(f"{spec}: {error}") from error
 
 
-def _split(spec: str) -> tuple[str, Options]:
-    """The text without its options, and the options: a file name may have commas, too."""
+def _split(spec: str, known: tuple[str, ...] = ()) -> tuple[str, Options]:
+    """The text without its options, and the options; if ``known`` are given, up to the first that is none of them."""
     options: Options = {}
     while found := re.fullmatch(r"(.*),([a-z]+)=([^,]*)", spec, re.DOTALL):
-        spec, name, value = found.groups()
+        rest, name, value = found.groups()
+        if known and name not in known:
+            break
+        spec = rest
         options.setdefault(name, value)
     return spec, options
 

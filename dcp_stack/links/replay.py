@@ -79,6 +79,8 @@ class ReplayLink:
     def receive(self) -> list[Reception]:
         """What has arrived, at most ``PORTION`` of it. The first call starts the replay."""
         receptions: list[Reception] = []
+        # Looked at first, for time to start before it is asked for.
+        self._upcoming()
         now = self._clock()
         while len(receptions) < PORTION:
             upcoming = self._upcoming()
