@@ -18,21 +18,18 @@ from dcp_codec.values import (
     VarUpdate,
 )
 
-from .config import NodeConfig
-from .vardis_db import Database, DBEntry, IdQueue
-from .vardis_parameters import VardisParameters
-from .vardis_wire import RecordSizes
+from .vardis_core import Core
+from .vardis_db import DBEntry, IdQueue
 
 
 class Composer:
     """Fills payloads from the queues of a database, and counts down what it has filled in."""
 
-    def __init__(
-        self, config: NodeConfig, database: Database, parameters: VardisParameters, sizes: RecordSizes
-    ) -> None:
-        self._database = database
-        self._parameters = parameters
-        self._sizes = sizes
+    def __init__(self, core: Core) -> None:
+        config = core.config
+        self._database = core.database
+        self._parameters = core.parameters
+        self._sizes = core.sizes
         ##= VD-PAY-01
         self._order = config.features.container_order
         ##= VD-IC-02

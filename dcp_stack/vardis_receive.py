@@ -2,82 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VarDelete, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 
-from .config import NodeConfig
 from .drops import DROPS
-from .effects import Dropped, Effect, VariableChanged
-from .vardis_db import Database, DBEntry
-from .vardis_parameters import VardisParameters
-from .vardis_table import Action, Cell, Event, State, Table
+from .effects import Dropped
+from .vardis_core import Core
+from .vardis_db import DBEntry
+from .vardis_table import Action, Cell, Event
 from .vardis_wire import Extracted
 
 #: What an extraction error violates, by the reason of the codec; all others are records that end too late.
 _EXTRACTION = {"unknown-type": "VD-RX-05", "zero-count": "VD-RX-06"}
 
 
-class Sequence:
-    """Circular comparison of sequence numbers (C.1, reading X28)."""
-
-    def __init__(self, modulus: int, policy: str) -> None:
-        self._modulus = modulus
-        self._half = modulus >> 1
-        self._half_is_older = policy == "half-range-older"
-        self._half_is_answered = policy != "half-range-neither"
-
-    def received_is_older(self, received: int, own: int) -> bool:
-        """Whether a received number is strictly older than the stored one."""
-        behind = (own - received) % self._modulus
-        return 0 < behind < self._half or (behind == self._half and self._half_is_older)
-
-    def answers(self, requested: int, own: int) -> bool:
-        """Whether the stored number is strictly newer than that of a request."""
-        ahead = (own - requested) % self._modulus
-        return 0 < ahead < self._half or (ahead == self._half and self._half_is_answered)
-
-    def after(self, seqno: int) -> int:
-        """The next number."""
-        return (seqno + 1) % self._modulus
-
-
 class Receiver:
     """Executes the instructions of a payload, in the order of the specification."""
 
-    def __init__(
-        self,
-        config: NodeConfig,
-        database: Database,
-        parameters: VardisParameters,
-        table: Table,
-        sequence: Sequence,
-        *,
-        max_variables: int,
-        emit: Callable[[Effect], None],
-    ) -> None:
-        self.own_id = config.node_id
-        self._database = database
-        self._parameters = parameters
-        self._table = table
-        self._sequence = sequence
-        self._max_variables = max_variables
-        self._emit = emit
-        features = config.features
-        self._creation_time = features.creation_time
-        self._check_too_long = features.receive_checks_too_long
-        self._check_empty_and_repcnt = features.receive_checks_empty_and_repcnt
-        self._drop_mismatch = config.reading("X14") == "drop-mismatch"
-
-    def state(self, entry: DBEntry | None) -> State:
-        """The column of the table for an entry."""
-        if entry is None:
-            return State.UNKNOWN
-        if entry.spec.prod_id == self.own_id:
-            return State.DELETED_PRODUCER if entry.is_deleted else State.ALIVE_PRODUCER
-        return State.DELETED_CONSUMER if entry.is_deleted else State.ALIVE_CONSUMER
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self._database = core.database
+        self._parameters = core.parameters
+        self._emit = core.emit
+        self._check_too_long = core.features.receive_checks_too_long
+        self._check_empty_and_repcnt = core.features.receive_checks_empty_and_repcnt
+        self._drop_mismatch = core.config.reading("X14") == "drop-mismatch"
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
         """Execute all records and report all problems. Never raises."""
@@ -104,18 +54,18 @@ class Receiver:
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         var_id = record.spec.var_id
         entry = self._database.lookup(var_id)
-        cell = self._table[self._create_event(record, entry)][self.state(entry)]
+        cell = self._core.cell(self._create_event(record, entry), entry)
         if cell.action is not Action.ADOPT:
             self._drop(cell, offset, var_id)
             return
-        if entry is None and len(self._database) >= self._max_variables:
+        if entry is None and len(self._database) >= self._core.max_variables:
             self._dropped("database-full", offset, var_id)
             return
         ##= VD-PC-07
         ##= VD-PC-08
         ##= VD-PC-09
         stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
-        self._changed("created", stored)
+        self._core.changed("created", stored)
 
     def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
         """How a VarCreate compares with what is known, in the order of the steps."""
@@ -126,7 +76,7 @@ class Receiver:
         if entry is not None and not self._is_later(record, entry):
             return Event.RX_CREATE_NOT_LATER
         ##= VD-PC-03
-        if spec.prod_id == self.own_id:
+        if spec.prod_id == self._core.own_id:
             return Event.RX_CREATE_OWN
         ##= VD-PC-04
         if self._is_bad_value(upd.value):
@@ -145,7 +95,7 @@ class Receiver:
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
         """Whether a VarCreate is of a later creation than the one known; nothing tells that before 2.0."""
         received, stored = record.spec.creation_time, entry.spec.creation_time
-        return self._creation_time and received is not None and stored is not None and received > stored
+        return self._core.features.creation_time and received is not None and stored is not None and received > stored
 
     def _is_bad_value(self, value: bytes) -> bool:
         ##= VD-TYP-02
@@ -154,25 +104,25 @@ class Receiver:
 
     def _delete(self, record: VarDelete, offset: int) -> None:
         entry = self._database.lookup(record.var_id)
-        cell = self._table[Event.RX_DELETE][self.state(entry)]
+        cell = self._core.cell(Event.RX_DELETE, entry)
         if cell.action is Action.DELETE and entry is not None:
             ##= VD-PD-04
             self._database.mark_deleted(entry)
-            self._changed("deleted", entry)
+            self._core.changed("deleted", entry)
         else:
             self._drop(cell, offset, record.var_id)
 
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         var_id = record.var_id
         entry = self._database.lookup(var_id)
-        cell = self._table[self._update_event(record, entry)][self.state(entry)]
+        cell = self._core.cell(self._update_event(record, entry), entry)
         if cell.action is Action.STORE and entry is not None:
             ##= VD-PU-07
             ##= VD-SCR-06
             self._database.store(entry, record.value, record.seqno, now=now, wall=wall)
             ##= VD-PU-08
             self._database.req_upd_q.remove(var_id)
-            self._changed("updated", entry)
+            self._core.changed("updated", entry)
             return
         self._answer(cell, entry, var_id, offset)
 
@@ -185,7 +135,7 @@ class Receiver:
         ##= VD-PU-05
         if record.seqno == entry.seqno:
             return Event.RX_UPDATE_EQUAL
-        if self._sequence.received_is_older(record.seqno, entry.seqno):
+        if self._core.sequence.received_is_older(record.seqno, entry.seqno):
             return Event.RX_UPDATE_OLDER
         return Event.RX_UPDATE_NEWER
 
@@ -194,22 +144,22 @@ class Receiver:
         entry = self._database.lookup(record.var_id)
         if entry is not None and record.seqno == entry.seqno:
             event = Event.RX_SUMMARY_EQUAL
-        elif entry is not None and self._sequence.received_is_older(record.seqno, entry.seqno):
+        elif entry is not None and self._core.sequence.received_is_older(record.seqno, entry.seqno):
             event = Event.RX_SUMMARY_OLDER
         else:
             event = Event.RX_SUMMARY_NEWER
-        self._answer(self._table[event][self.state(entry)], entry, record.var_id, offset)
+        self._answer(self._core.cell(event, entry), entry, record.var_id, offset)
 
     def _request_update(self, record: VarReqUpdate, offset: int) -> None:
         entry = self._database.lookup(record.var_id)
         ##= VD-RU-03
-        behind = entry is not None and self._sequence.answers(record.seqno, entry.seqno)
+        behind = entry is not None and self._core.sequence.answers(record.seqno, entry.seqno)
         event = Event.RX_REQUEST_UPDATE_BEHIND if behind else Event.RX_REQUEST_UPDATE_OTHER
-        self._answer(self._table[event][self.state(entry)], entry, record.var_id, offset)
+        self._answer(self._core.cell(event, entry), entry, record.var_id, offset)
 
     def _request_create(self, record: VarReqCreate, offset: int) -> None:
         entry = self._database.lookup(record.var_id)
-        self._answer(self._table[Event.RX_REQUEST_CREATE][self.state(entry)], entry, record.var_id, offset)
+        self._answer(self._core.cell(Event.RX_REQUEST_CREATE, entry), entry, record.var_id, offset)
 
     # -- what cells ask for -------------------------------------------------------------------------------------
 
@@ -241,7 +191,7 @@ class Receiver:
         if var_id in queue:
             return
         # What would not be stored need not be asked for, and nothing received may use up memory.
-        if len(self._database) >= self._max_variables or len(queue) >= self._max_variables:
+        if len(self._database) >= self._core.max_variables or len(queue) >= self._core.max_variables:
             self._dropped("database-full", offset, var_id)
             return
         ##= VD-PU-01
@@ -256,7 +206,3 @@ class Receiver:
 
     def _dropped(self, reason: str, offset: int, var_id: int) -> None:
         self._emit(Dropped("vardis", reason, DROPS[reason][0], offset, var_id))
-
-    def _changed(self, event: str, entry: DBEntry) -> None:
-        spec = entry.spec
-        self._emit(VariableChanged(event, spec.var_id, entry.seqno, entry.value, spec.prod_id))

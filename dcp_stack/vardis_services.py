@@ -1,111 +1,221 @@
-"""Confirms of the services of VarDis (dcp-vardis.md#vardis-application-service-interface), and its port to BP."""
+"""The services of VarDis for applications (dcp-vardis.md#vardis-application-service-interface)."""
 
 from __future__ import annotations
 
-from typing import Protocol
-
-import msgspec
-from dcp_spec.constants import QueueingMode
-from dcp_spec.status import BPStatus, VardisStatus
+from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarSpec
 
-
-class Confirm(msgspec.Struct, frozen=True):
-    """Of RTDB-Create, RTDB-Update, RTDB-Delete and the management services: a status and nothing else."""
-
-    status: VardisStatus
-
-
-class ReadConfirm(msgspec.Struct, frozen=True):
-    """Of RTDB-Read. ``t_stamp`` is the local wall time (ns since 1970) of the last creation or update.
-
-    Both are None unless the status is OK.
-    """
-
-    status: VardisStatus
-    value: bytes | None = None
-    t_stamp: int | None = None
+from .vardis_confirms import (
+    Confirm,
+    DescribeDatabaseConfirm,
+    DescribedVariable,
+    DescribeVariableConfirm,
+    ReadConfirm,
+    VariableEntry,
+)
+from .vardis_core import Core
+from .vardis_db import DBEntry
+from .vardis_table import Action, Event
 
 
-class DescribedVariable(msgspec.Struct, frozen=True):
-    """A variable in the answer of RTDB-DescribeDatabase; the specification asks for ``spec`` only (VD-DDB-03)."""
+class VariableServices:
+    """Create, update, delete, read and describe variables: one method for each request, which returns its confirm."""
 
-    spec: VarSpec
-    is_deleted: bool
-    t_stamp: int
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self._refuses_empty_description = core.config.reading("X21") == "refuse-locally"
 
+    ##= VD-SRV-01
+    ##= VD-SRV-02
+    ##= DATA-10
+    # A confirm is what the call returns, so it gets to the application that asked, whoever else does.
 
-class DescribeDatabaseConfirm(msgspec.Struct, frozen=True):
-    """Of RTDB-DescribeDatabase; no variables unless the status is OK."""
-
-    status: VardisStatus
-    variables: tuple[DescribedVariable, ...] = ()
-
-
-class VariableEntry(msgspec.Struct, frozen=True):
-    """``DBEntry`` as it was when it was asked for; ``t_stamp`` is wall time in ns since 1970."""
-
-    spec: VarSpec
-    value: bytes
-    seqno: int
-    t_stamp: int
-    count_update: int
-    count_create: int
-    count_delete: int
-    is_deleted: bool
-
-
-class DescribeVariableConfirm(msgspec.Struct, frozen=True):
-    """Of RTDB-DescribeVariable; ``entry`` is None unless the status is OK."""
-
-    status: VardisStatus
-    entry: VariableEntry | None = None
-
-
-class HasStatus(Protocol):
-    """A confirm of BP."""
-
-    @property
-    def status(self) -> BPStatus: ...
-
-
-class RegisterConfirm(HasStatus, Protocol):
-    """Of BP-RegisterProtocol; ``own_node_identifier`` is None where the version does not tell (1.0)."""
-
-    @property
-    def own_node_identifier(self) -> bytes | None: ...
-
-
-class NumberConfirm(HasStatus, Protocol):
-    """Of BP-QueryNumberBufferedPayloads; ``number`` is None if the status is not OK."""
-
-    @property
-    def number(self) -> int | None: ...
-
-
-class BPPort(Protocol):
-    """What VarDis needs of BP; ``BeaconingProtocol`` has it. Times are ns."""
-
-    def register(
+    def create(
         self,
-        prot_id: int,
-        name: str,
-        max_payload_size: int,
-        queueing_mode: QueueingMode,
-        max_entries: int,
-        allow_multiple_payloads: bool,
+        var_id: int,
+        prod_id: bytes | None,
+        rep_cnt: int,
+        descr: bytes,
+        value: bytes,
+        timeout_ms: int = 0,
         *,
         now: int,
         wall: int,
-    ) -> RegisterConfirm:
-        """``BP-RegisterProtocol``."""
+    ) -> Confirm:
+        """``RTDB-Create``. ``descr`` is UTF-8; ``timeout_ms`` 0 is never (always, before 2.0).
 
-    def deregister(self, prot_id: int) -> HasStatus:
-        """``BP-DeregisterProtocol``."""
+        Beyond the specification: VALUE-TOO-LONG (DESCRIPTION-TOO-LONG where no value helps) for a variable whose
+        VarCreate fits into no payload, and INACTIVE, the only status that says "not now", for one variable more than
+        the node keeps. Raises ValueError for what the fields of a VarSpec cannot express.
+        """
+        self._check_expressible(var_id, prod_id, descr, timeout_ms)
+        ##= VD-CRE-01
+        ##= VD-CRE-13
+        ##= VD-MGT-04
+        ##= DATA-11
+        if not self._core.active:
+            return self._confirm(VardisStatus.INACTIVE)
+        entry = self._core.database.lookup(var_id)
+        cell = self._core.cell(Event.APP_CREATE, entry)
+        if cell.status is not None:
+            return self._confirm(cell.status)
+        ##= VD-CRE-04
+        ##= DATA-08
+        if len(descr) > self._core.parameters.longest_description:
+            return self._confirm(VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG)
+        ##= VD-CRE-15
+        if not descr and self._refuses_empty_description:
+            return self._confirm(VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG)
+        if status := self._refused_value(value):
+            return self._confirm(status)
+        ##= VD-CRE-07
+        if not 1 <= rep_cnt <= min(self._core.parameters.max_repetitions, self._core.sizes.highest_rep_cnt):
+            return self._confirm(VardisStatus.ILLEGAL_REPCOUNT)
+        creation_time = self._creation_time(entry, wall)
+        ##= VD-TYP-04
+        ##= VD-TYP-05
+        spec = VarSpec(
+            var_id=var_id,
+            ##= VD-CRE-08
+            prod_id=self._producer(prod_id),
+            rep_cnt=rep_cnt,
+            descr=descr,
+            creation_time=creation_time,
+            timeout=timeout_ms if self._core.features.creation_time else None,
+        )
+        if status := self._refused_size(spec, value):
+            return self._confirm(status)
+        if entry is None and len(self._core.database) >= self._core.max_variables:
+            return self._confirm(VardisStatus.INACTIVE)
+        if creation_time is not None and creation_time > self._core.sizes.highest_stamp:
+            # The variable was created at the end of time; there is nothing later.
+            return self._confirm(VardisStatus.VARIABLE_EXISTS)
+        ##= VD-CRE-10
+        ##= VD-CRE-11
+        ##= VD-CRE-12
+        self._core.changed("created", self._core.database.insert(spec, value, 0, now=now, wall=wall))
+        ##= VD-CRE-14
+        return self._confirm(VardisStatus.OK)
 
-    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> HasStatus:
-        """``BP-TransmitPayload``."""
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        """``RTDB-Update``."""
+        ##= VD-UPD-01
+        if not self._core.active:
+            return self._confirm(VardisStatus.INACTIVE)
+        entry = self._core.database.lookup(var_id)
+        cell = self._core.cell(Event.APP_UPDATE, entry)
+        if cell.status is not None or entry is None:
+            return self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST)
+        status = self._refused_value(value) or self._refused_size(entry.spec, value)
+        if status is not None:
+            return self._confirm(status)
+        ##= VD-UPD-07
+        ##= VD-UPD-08
+        ##= VD-UPD-09
+        self._core.database.store(entry, value, self._core.sequence.after(entry.seqno), now=now, wall=wall)
+        self._core.changed("updated", entry)
+        return self._confirm(VardisStatus.OK)
 
-    def query_number_buffered(self, prot_id: int) -> NumberConfirm:
-        """``BP-QueryNumberBufferedPayloads``."""
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:  # noqa: ARG002 - every service takes the time
+        """``RTDB-Delete``."""
+        ##= VD-DEL-01
+        if not self._core.active:
+            return self._confirm(VardisStatus.INACTIVE)
+        entry = self._core.database.lookup(var_id)
+        cell = self._core.cell(Event.APP_DELETE, entry)
+        if cell.status is not None or entry is None:
+            return self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST)
+        ##= VD-DEL-05
+        self._core.database.mark_deleted(entry)
+        self._core.changed("deleted", entry)
+        return self._confirm(VardisStatus.OK)
+
+    def read(self, var_id: int) -> ReadConfirm:
+        """``RTDB-Read``."""
+        ##= VD-REA-01
+        if not self._core.active:
+            return ReadConfirm(VardisStatus.INACTIVE)
+        entry = self._core.database.lookup(var_id)
+        cell = self._core.cell(Event.APP_READ, entry)
+        if cell.action is not Action.READ or entry is None:
+            return ReadConfirm(self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST).status)
+        ##= VD-REA-04
+        return ReadConfirm(VardisStatus.OK, entry.value, entry.t_stamp)
+
+    def describe_database(self) -> DescribeDatabaseConfirm:
+        """``RTDB-DescribeDatabase``: all variables, deleted ones included."""
+        ##= VD-DDB-01
+        if not self._core.active:
+            return DescribeDatabaseConfirm(VardisStatus.INACTIVE)
+        ##= VD-DDB-02
+        ##= VD-DDB-03
+        entries = self._core.database.entries.values()
+        listed = tuple(DescribedVariable(entry.spec, entry.is_deleted, entry.t_stamp) for entry in entries)
+        return DescribeDatabaseConfirm(VardisStatus.OK, listed)
+
+    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
+        """``RTDB-DescribeVariable``: the whole entry, also of a deleted variable."""
+        ##= VD-DVA-01
+        if not self._core.active:
+            return DescribeVariableConfirm(VardisStatus.INACTIVE)
+        entry = self._core.database.lookup(var_id)
+        ##= VD-DVA-02
+        if entry is None:
+            return DescribeVariableConfirm(VardisStatus.VARIABLE_DOES_NOT_EXIST)
+        ##= VD-DVA-03
+        shown = {name: getattr(entry, name) for name in VariableEntry.__struct_fields__}
+        return DescribeVariableConfirm(VardisStatus.OK, VariableEntry(**shown))
+
+    def _confirm(self, status: VardisStatus) -> Confirm:
+        """With the code that the version has for it: two were renamed."""
+        return Confirm(status.in_version(self._core.config.profile.spec_version))
+
+    def _check_expressible(self, var_id: int, prod_id: bytes | None, descr: bytes, timeout_ms: int) -> None:
+        sizes = self._core.sizes
+        ##= VD-TYP-01
+        if not 0 <= var_id <= sizes.highest_var_id:
+            raise ValueError(f"a variable identifier is 0 to {sizes.highest_var_id}, not {var_id}")
+        if prod_id is not None and sizes.node_id_width not in (None, len(prod_id)):
+            raise ValueError(f"a node identifier has {sizes.node_id_width} octets, not {len(prod_id)}")
+        if sizes.nul_terminated and b"\0" in descr:
+            raise ValueError("a description of this profile ends with NUL and cannot contain it")
+        highest = sizes.highest_timeout if self._core.features.creation_time else 0
+        if not 0 <= timeout_ms <= highest:
+            raise ValueError(f"a timeout is 0 to {highest} ms, not {timeout_ms}")
+
+    def _refused_value(self, value: bytes) -> VardisStatus | None:
+        ##= VD-CRE-05
+        ##= VD-UPD-05
+        if len(value) > self._core.parameters.max_value_length:
+            return VardisStatus.VALUE_TOO_LONG
+        ##= VD-CRE-06
+        ##= VD-UPD-06
+        return None if value else VardisStatus.EMPTY_VALUE
+
+    def _refused_size(self, spec: VarSpec, value: bytes) -> VardisStatus | None:
+        """Why no payload can ever hold the variable: parameters can allow lengths that are too much together (X23)."""
+        longest = self._core.sizes.longest_description
+        room = self._core.parameters.max_payload_size - self._core.sizes.ic_header
+        if (longest is not None and len(spec.descr) > longest) or self._core.sizes.create(spec, b"\0") > room:
+            return VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG
+        return VardisStatus.VALUE_TOO_LONG if self._core.sizes.create(spec, value) > room else None
+
+    def _producer(self, given: bytes | None) -> bytes:
+        """Up to 1.1 the application is trusted to give its own node's identifier."""
+        if given is None or self._core.features.producer_set_by_vardis:
+            return self._core.own_id
+        return given
+
+    def _creation_time(self, entry: DBEntry | None, wall: int) -> int | None:
+        """The current time, but later than any creation of the variable that is known here.
+
+        Others ignore a creation that is not later, so a second one within a unit of the profile, or after the clock
+        was set back, takes the next stamp.
+        """
+        if not self._core.features.creation_time:
+            return None
+        ##= VD-CRE-09
+        stamp = self._core.clock.stamp(wall)
+        known = entry.spec.creation_time if entry is not None else None
+        return stamp if known is None else max(stamp, known + 1)

@@ -192,11 +192,3 @@ def _receive_error_policy(config: NodeConfig) -> str:
         return config.reading("X34")
     policy = config.profile.behaviour.vardis_receive_error
     return "skip-container" if policy == "skip-element" else policy
-
-
-def half_range(config: NodeConfig) -> str:
-    """Reading X28 if it was chosen, otherwise what the profile says of its implementation."""
-    if "X28" in config.readings:
-        return config.reading("X28")
-    names = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
-    return names[config.profile.behaviour.seqno_half_range]

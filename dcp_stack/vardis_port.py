@@ -1,0 +1,56 @@
+"""What VarDis needs of BP (dcp-vardis.md, "Initialization, Runtime and Shutdown")."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from dcp_spec.constants import QueueingMode
+from dcp_spec.status import BPStatus
+
+
+class HasStatus(Protocol):
+    """A confirm of BP."""
+
+    @property
+    def status(self) -> BPStatus: ...
+
+
+class RegisterConfirm(HasStatus, Protocol):
+    """Of BP-RegisterProtocol; ``own_node_identifier`` is None where the version does not tell (1.0)."""
+
+    @property
+    def own_node_identifier(self) -> bytes | None: ...
+
+
+class NumberConfirm(HasStatus, Protocol):
+    """Of BP-QueryNumberBufferedPayloads; ``number`` is None if the status is not OK."""
+
+    @property
+    def number(self) -> int | None: ...
+
+
+class BPPort(Protocol):
+    """What VarDis needs of BP; ``BeaconingProtocol`` has it. Times are ns."""
+
+    def register(
+        self,
+        prot_id: int,
+        name: str,
+        max_payload_size: int,
+        queueing_mode: QueueingMode,
+        max_entries: int,
+        allow_multiple_payloads: bool,
+        *,
+        now: int,
+        wall: int,
+    ) -> RegisterConfirm:
+        """``BP-RegisterProtocol``."""
+
+    def deregister(self, prot_id: int) -> HasStatus:
+        """``BP-DeregisterProtocol``."""
+
+    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> HasStatus:
+        """``BP-TransmitPayload``."""
+
+    def query_number_buffered(self, prot_id: int) -> NumberConfirm:
+        """``BP-QueryNumberBufferedPayloads``."""
