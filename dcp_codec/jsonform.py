@@ -1,13 +1,15 @@
 """Messages as JSON objects, under the specification's field names, and back.
 
-Octets are lower-case hex, node identifiers ``02:00:00:00:00:01`` (or hex, or text, as the profile represents them),
-time stamps integers in the unit of the profile. Descriptions are text; one that is not UTF-8 is given as hex under
-``descrHex``. Floats that JSON has no number for are the strings ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``.
+Octets are lower-case hex, node identifiers ``02:00:00:00:00:01`` (or hex, or text, as the profile represents them;
+octets of a text that are not UTF-8 are written ``\\xff``), time stamps integers in the unit of the profile.
+Descriptions are text; one that is not UTF-8 is given as hex under ``descrHex``. Floats that JSON has no number for are
+the strings ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 from .codec import Codec
@@ -60,18 +62,26 @@ def scalar_json(layout: Node, value: Any, representation: str) -> Any:
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     if not isinstance(value, bytes):
         return value
+    if isinstance(layout, Scalar | Text) and layout.role == "node-id":
+        return node_id_text(value, representation)
     if isinstance(layout, Text) and layout.human:
         return value.decode(errors="backslashreplace")
-    if isinstance(layout, Scalar) and layout.role == "node-id":
-        return node_id_text(value, representation)
     return value.hex()
 
 
 def node_id_text(node_id: bytes, representation: str) -> str:
-    """A node identifier as people write it."""
+    """A node identifier as people write it; :func:`node_id_octets` is the way back."""
     if representation == "text":
-        return node_id.decode(errors="backslashreplace")
+        # A backslash that would be read as the start of an escape is one itself.
+        return re.sub(rb"\\(?=x[0-9a-f]{2})", rb"\\x5c", node_id).decode(errors="backslashreplace")
     return node_id.hex(":") if representation == "mac" else node_id.hex()
+
+
+def node_id_octets(text: str, representation: str) -> bytes:
+    """The node identifier that people write so. Raises ValueError if it is not hex (unless it is to be text)."""
+    if representation == "text":
+        return re.sub(rb"\\x([0-9a-f]{2})", lambda found: bytes.fromhex(found[1].decode()), text.encode())
+    return bytes.fromhex(text.replace(":", ""))
 
 
 def problem_json(problem: Problem) -> dict[str, Any]:
@@ -152,12 +162,13 @@ class _Reader:
         return data
 
     def text(self, text: Text, data: Any, path: str) -> bytes:
-        if not text.human:
+        is_node_id = text.role == "node-id"
+        if not text.human or (is_node_id and self.representation != "text"):
             return self.octets(data, path)
         if not isinstance(data, str):
             raise EncodeError(path, f"needs a string, not {_kind(data)}")
         try:
-            return data.encode()
+            return node_id_octets(data, "text") if is_node_id else data.encode()
         except UnicodeEncodeError:
             raise EncodeError(path, "holds a character that UTF-8 has no octets for") from None
 
