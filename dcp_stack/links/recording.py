@@ -38,8 +38,9 @@ class Recorder:
         overwrite: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """``decoded``: beside the raw frames write what viewers show (0.2 ms a frame instead of 6 us). ``about`` becomes metadata.
+        """``decoded``: write what viewers show beside the raw frames, which takes 0.2 ms a frame instead of 6 us.
 
+        ``about`` becomes metadata.
         Raises :class:`LinkError` if the file cannot be created, or exists and is not to be overwritten.
         """
         self.path = Path(path)

@@ -1,0 +1,323 @@
+"""The Ethernet link on a virtual cable, in a network namespace of its own."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import selectors
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from dcp_stack.links.base import LinkError, Reception
+from dcp_stack.links.ethernet import EthernetLink, open_ethernet
+
+pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
+pytestmark = pytest.mark.tool("ip")
+
+ETHER_TYPE = 0x4953
+PATIENCE = 30.0
+_SOL_PACKET, _PACKET_STATISTICS = 263, 6
+
+
+class Ear:
+    """Waits on the descriptor of a link, which is registered once, as a node does."""
+
+    def __init__(self, link: EthernetLink) -> None:
+        self.link = link
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(link.fileno(), selectors.EVENT_READ)
+
+    def wait_until(self, done: Callable[[list[Reception]], bool], patience: float = PATIENCE) -> list[Reception]:
+        """What came until it was enough, or patience was over."""
+        heard: list[Reception] = []
+        deadline = time.monotonic() + patience
+        while not done(heard) and time.monotonic() < deadline:
+            if self._selector.select(0.05):
+                heard += self.link.receive()
+        return heard
+
+    def hear(self, count: int = 1) -> list[bytes]:
+        heard = self.wait_until(lambda heard: len(heard) >= count)
+        return [each.octets for each in heard]
+
+    def hears_nothing(self) -> bool:
+        return not self.wait_until(lambda heard: len(heard) > 0, 0.2)
+
+    def close(self) -> None:
+        self._selector.close()
+        self.link.close()
+
+
+@pytest.fixture
+def inside(namespace) -> Iterator:
+    """This thread is inside of the namespace."""
+    setns = ctypes.CDLL(None, use_errno=True).setns
+    with Path("/proc/thread-self/ns/net").open() as home, Path(f"/run/netns/{namespace.name}").open() as there:
+        assert setns(there.fileno(), 0) == 0, os.strerror(ctypes.get_errno())
+        try:
+            yield namespace
+        finally:
+            assert setns(home.fileno(), 0) == 0
+
+
+@pytest.fixture
+def ear(inside) -> Iterator[Callable[..., Ear]]:
+    """Opens links, and closes them afterwards."""
+    opened: list[Ear] = []
+
+    def open_one(interface: str, ether_type: int = ETHER_TYPE, **options) -> Ear:
+        opened.append(Ear(open_ethernet(interface, ether_type, **options)))
+        return opened[-1]
+
+    yield open_one
+    for each in opened:
+        each.close()
+
+
+@pytest.fixture
+def raw(inside) -> Iterator[Callable[[bytes], None]]:
+    """Sends any frame out of ``far``."""
+    with socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0) as out:
+        out.bind(("far", 0))
+        yield lambda frame: out.send(frame) and None
+
+
+def frame(octets: bytes, *, to: bytes = b"\xff" * 6, ether_type: int = ETHER_TYPE) -> bytes:
+    return to + b"\x02\0\0\0\0\x99" + ether_type.to_bytes(2, "big") + octets
+
+
+def test_both_hear_each_other_and_not_themselves(ear):
+    near, far = ear("near"), ear("far", source=b"\x02\0\0\0\0\x05")
+    before = time.time_ns()
+    assert near.link.send(b"from near")
+    (heard,) = far.wait_until(lambda heard: len(heard) > 0)
+    assert (heard.octets, heard.source) == (b"from near", near.link.source)
+    assert before - 1_000_000 <= heard.wall <= time.time_ns() + 1_000_000
+    # Stamps are of the kernel, in nanoseconds.
+    assert far.link.send(b"from far")
+    (heard,) = near.wait_until(lambda heard: len(heard) > 0)
+    assert (heard.octets, heard.source) == (b"from far", b"\x02\0\0\0\0\x05")
+    assert near.hears_nothing()
+    assert far.hears_nothing()
+    for each in (near, far):
+        counters = each.link.counters
+        assert (counters.sent, counters.received, counters.ignored, counters.outages) == (1, 1, 0, 0)
+
+
+def test_what_is_sent_is_a_broadcast_with_the_source_and_the_type(ear, inside):
+    near = ear("near", source=b"\x02\0\0\0\0\x07")
+    with socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(3)) as tap:
+        tap.bind(("far", 3))
+        tap.settimeout(PATIENCE)
+        near.link.send(b"octets")
+        assert tap.recv(100) == b"\xff" * 6 + b"\x02\0\0\0\0\x07" + b"\x49\x53" + b"octets"
+
+
+def test_padding_is_left_to_bp(ear, raw):
+    near = ear("near")
+    raw(frame(b"x".ljust(46, b"\0")))
+    raw(frame(b""))
+    raw(frame(b"y"))
+    assert near.hear(3) == [b"x".ljust(46, b"\0"), b"", b"y"]
+
+
+def test_other_ether_types_do_not_pass_the_kernel(ear, raw):
+    near = ear("near")
+    for _ in range(1000):
+        raw(frame(b"other", ether_type=0x88B5))
+    assert near.hears_nothing()
+    # Not even seen by the socket, let alone queued or ignored here.
+    seen = struct.unpack("II", near.link._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8))
+    assert (seen, near.link.counters.ignored) == ((0, 0), 0)
+    raw(frame(b"ours"))
+    assert near.hear() == [b"ours"]
+
+
+def test_frames_for_others_tagged_frames_and_reflections_are_ignored(ear, raw, inside):
+    near = ear("near", source=b"\x02\0\0\0\0\x01")
+    # So that the kernel shows frames for other stations at all.
+    inside.ip("link", "set", "near", "promisc", "on")
+    raw(frame(b"for another", to=b"\x02\0\0\0\0\x77"))
+    raw(frame(struct.pack(">HH", 5, ETHER_TYPE) + b"tagged", ether_type=0x8100))
+    raw(b"\xff" * 6 + near.link.source + b"\x49\x53" + b"reflected")
+    raw(frame(b"for us", to=near.link.source))
+    raw(frame(b"multicast", to=b"\x33\x33\0\0\0\x01"))
+    raw(frame(b"for all"))
+    assert near.hear(3) == [b"for us", b"multicast", b"for all"]
+    assert near.link.counters.ignored == 3
+
+
+def test_a_burst_is_received_or_counted_as_lost(ear):
+    near, far = ear("near"), ear("far")
+    for number in range(10_000):
+        assert near.link.send(number.to_bytes(4, "big") + bytes(300))
+    heard = far.hear(10_000 - far.link.counters.kernel_drops)
+    counters = far.link.counters
+    assert len(heard) == counters.received
+    assert counters.received + counters.kernel_drops == 10_000
+    assert [int.from_bytes(octets[:4], "big") for octets in heard] == sorted(
+        int.from_bytes(octets[:4], "big") for octets in heard
+    )
+
+
+def test_losses_in_the_kernel_are_counted(ear):
+    near, far = ear("near"), ear("far")
+    far.link._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 20_000)
+    for _ in range(1000):
+        near.link.send(bytes(300))
+    drops = far.link.counters.kernel_drops
+    assert 500 < drops < 1000
+    heard = far.wait_until(lambda heard: len(heard) >= 1000 - drops)
+    assert len(heard) + far.link.counters.kernel_drops == 1000
+    # Looking does not forget.
+    assert far.link.counters.kernel_drops == drops
+
+
+def test_what_does_not_fit_is_counted_and_not_sent(ear, inside):
+    near = ear("near")
+    assert near.link.max_packet_size == 1500
+    assert near.link.send(bytes(1500))
+    assert not near.link.send(bytes(1501))
+    # Here the system refuses.
+    large = ear("near", max_packet_size=4000)
+    assert not large.link.send(bytes(3000))
+    assert large.link.send(b"x")
+    assert (near.link.counters.send_errors, large.link.counters.send_errors) == (1, 1)
+    assert large.link.counters.outages == 0
+
+
+def settled(far: Ear, outages: int) -> bool:
+    """Whether the link is back; it is woken by its descriptor alone."""
+    far.wait_until(lambda _: far.link.counters.outages == outages and not far.link._down)
+    return not far.link._down
+
+
+def test_an_interface_that_goes_down_and_up_again_is_heard_again(ear, inside):
+    near, far = ear("near"), ear("far")
+    descriptor = far.link.fileno()
+    for times in (1, 2):
+        inside.ip("link", "set", "far", "down")
+        far.wait_until(lambda _, times=times: far.link.counters.outages == times)
+        assert not far.link.send(b"to nobody")
+        assert far.hears_nothing()
+        inside.ip("link", "set", "far", "up")
+        assert settled(far, times)
+        inside.wait_for_carrier()
+        assert near.link.send(b"again")
+        assert far.hear() == [b"again"]
+        assert far.link.send(b"back")
+        assert near.hear() == [b"back"]
+    counters = far.link.counters
+    assert (counters.outages, counters.send_errors, far.link.fileno()) == (2, 2, descriptor)
+
+
+def test_an_interface_that_is_removed_and_made_again_is_heard_again(ear, inside):
+    near, far = ear("near"), ear("far")
+    first_source, descriptor = far.link.source, far.link.fileno()
+    for times in (1, 2):
+        inside.ip("link", "delete", "far")
+        for each in (near, far):
+            each.wait_until(lambda _, each=each, times=times: each.link.counters.outages == times)
+            assert not each.link.send(b"to nobody")
+            assert each.hears_nothing()
+        inside.cable()
+        assert settled(near, times)
+        assert settled(far, times)
+        assert near.link.send(b"again")
+        assert far.hear() == [b"again"]
+        assert far.link.send(b"back")
+        assert [each.source for each in near.wait_until(lambda heard: len(heard) > 0)] == [far.link.source]
+    # The address is that of the new interface.
+    assert far.link.source != first_source
+    assert far.link.fileno() == descriptor
+
+
+def test_an_interface_may_be_replaced_while_nobody_looks(ear, inside):
+    near, far = ear("near"), ear("far")
+    inside.ip("link", "delete", "far")
+    inside.cable()
+    assert far.link.receive() == []
+    assert near.link.send(b"first try")
+    assert far.hear() == [b"first try"]
+    assert far.link.counters.outages == near.link.counters.outages == 1
+
+
+def test_without_a_watch_calls_find_the_interface_again(ear, inside):
+    near, far = ear("near"), ear("far")
+    for each in (near, far):
+        each.link._selector.unregister(each.link._watch)
+        each.link._watch.close()
+        each.link._watch = None
+    inside.ip("link", "delete", "far")
+    near.wait_until(lambda _: near.link.counters.outages == 1)
+    far.wait_until(lambda _: far.link.counters.outages == 1)
+    inside.cable()
+    deadline = time.monotonic() + PATIENCE
+    while not (near.link.send(b"beacon") and far.link.receive()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert near.link.send(b"found")
+    assert b"found" in far.hear()
+
+
+def test_the_loopback_interface_serves_nodes_on_one_host(ear, inside):
+    inside.ip("link", "set", "lo", "up")
+    one, two = ear("lo"), ear("lo")
+    assert one.link.source != two.link.source
+    assert one.link.source[0] == 2
+    assert one.link.send(b"to two")
+    assert two.hear() == [b"to two"]
+    assert one.hears_nothing()
+
+
+def test_after_close_nothing_happens(ear):
+    near = ear("near")
+    near.link.close()
+    near.link.close()
+    assert (near.link.receive(), near.link.send(b"x"), near.link.fileno()) == ([], False, -1)
+    assert near.link.counters.send_errors == 1
+
+
+def test_what_is_wrong_is_said(inside):
+    with pytest.raises(LinkError, match=r"eth:wlan7: there is no such interface; there are .*near"):
+        open_ethernet("wlan7", ETHER_TYPE)
+    inside.ip("link", "set", "near", "down")
+    with pytest.raises(LinkError, match="ip link set near up"):
+        open_ethernet("near", ETHER_TYPE)
+    with pytest.raises(ValueError, match="6"):
+        open_ethernet("far", ETHER_TYPE, source=b"short")
+    with pytest.raises(ValueError, match="0x0045"):
+        open_ethernet("far", 0x45)
+
+
+def test_other_kinds_of_interfaces_are_refused(inside):
+    made = subprocess.run(["ip", "tuntap", "add", "tube", "mode", "tun"], capture_output=True, text=True, check=False)
+    if made.returncode != 0:
+        pytest.skip(f"no tun interface can be made here: {made.stderr.strip()}")
+    inside.ip("link", "set", "tube", "up")
+    with pytest.raises(LinkError, match="not Ethernet"):
+        open_ethernet("tube", ETHER_TYPE)
+
+
+def test_without_the_privilege_it_says_how_to_get_it(inside):
+    code = """
+import os, sys
+import scapy.layers.l2, scapy.arch.linux
+from dcp_stack.links.base import LinkError
+from dcp_stack.links.ethernet import open_ethernet
+os.setresgid(65534, 65534, 65534)
+os.setresuid(65534, 65534, 65534)
+try:
+    open_ethernet("near", 0x4953)
+except LinkError as error:
+    print(error)
+"""
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    # Of this Python, with links resolved as far as that user may.
+    assert "sudo setcap cap_net_raw+ep /" in said
