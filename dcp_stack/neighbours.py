@@ -101,6 +101,7 @@ class NeighbourTable:
             raise ValueError(f"a neighbour table has room for one entry at least, not {capacity}")
         self.capacity = capacity
         self.fields = SafetyFields(profile)
+        self._modulus = seqno_modulus(profile)
         self.stamps = stamps or StampClock(profile.types.timestamp)
         self._entries: dict[bytes, NeighbourTableEntry] = {}
 
@@ -142,7 +143,7 @@ class NeighbourTable:
         self._entries[node_id] = (
             NeighbourTableEntry(node_id, report, wall, now, sender_id, wall, now)
             if old is None
-            else _succeed(old, report, sender_id, now, wall)
+            else _succeed(old, report, sender_id, now, wall, self._modulus)
         )
         return "new" if old is None else "replaced"
 
@@ -262,21 +263,26 @@ class NeighbourTable:
             "delay": self.delay(entry),
             "position": motion.position if motion is not None else None,
             "velocity": motion.velocity if motion is not None else None,
-            "velocity_estimated": motion.estimated if motion is not None else False,
+            "velocity_estimated": motion is not None and motion.velocity is not None and motion.estimated,
         }
+
+
+def seqno_modulus(profile: Profile) -> int:
+    """What sequence numbers count modulo: 2^32, or less where a profile has fewer octets for them."""
+    return min(SRP_SEQNO_MODULUS, 1 << (8 * profile.types.srp_seqno.width))
 
 
 ##= SRP-NT-04
 def _succeed(
-    old: NeighbourTableEntry, report: ExtendedSafetyData, sender_id: bytes, now: int, wall: int
+    old: NeighbourTableEntry, report: ExtendedSafetyData, sender_id: bytes, now: int, wall: int, modulus: int
 ) -> NeighbourTableEntry:
     """The entry that takes the place of ``old``, with its statistics carried on."""
-    gap = (report.seqno - old.ext_sd.seqno) % SRP_SEQNO_MODULUS
+    gap = (report.seqno - old.ext_sd.seqno) % modulus
     if gap == 0:
         return msgspec.structs.replace(
             old, ext_sd=report, reception_time=wall, received_at=now, sender_id=sender_id, repeated=old.repeated + 1
         )
-    restarted = gap >= RESTART_GAP
+    restarted = gap >= min(RESTART_GAP, modulus // 2)
     interval = float(now - old.fresh_at)
     if old.mean_interval is not None:
         interval = EWMA_ALPHA * old.mean_interval + (1 - EWMA_ALPHA) * interval

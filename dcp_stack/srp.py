@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_SRP, SRP_SEQNO_MODULUS, QueueingMode, SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
 from dcp_spec.parameters import UnknownParameterError, Violation, validate
 from dcp_spec.profile import Profile
 from dcp_spec.status import BPStatus, SRPStatus
@@ -22,7 +22,7 @@ from dcp_codec.values import ExtendedSafetyData, SafetyData
 from .config import MS, NodeConfig, SRPConfig, sizes
 from .drops import DROPS
 from .effects import Dropped, Effect, NeighbourExpired, NeighbourSeen
-from .neighbours import NeighbourTable
+from .neighbours import NeighbourTable, seqno_modulus
 from .positions.fields import SafetyFields
 from .positions.geometry import Motion, velocity_between
 from .timestamps import StampClock
@@ -206,7 +206,7 @@ class StateReporting:
         payload = self._config.codec.encode_report(report)
         ##= SRP-SEQ-01
         ##= SRP-TYP-01
-        self._seqno = (self._seqno + 1) % SRP_SEQNO_MODULUS
+        self._seqno = (self._seqno + 1) % seqno_modulus(self._config.profile)
         self._own_before, self._own = self._own, (report.s_data, now)
         ##= SRP-SRV-03
         ##= SRP-SRV-04

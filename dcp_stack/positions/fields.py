@@ -106,6 +106,16 @@ class SafetyFields:
         hint = f"; did you mean {near[0]!r}?" if near else f"; it has {', '.join(known) or 'none'}"
         raise FieldError(f"profile {self.profile.name} has no safety data field {key!r}{hint}")
 
+    def column(self, key: str) -> str:
+        """The field that ``key`` of a sample fills, or the role where the profile has no field for it.
+
+        Raises :class:`FieldError` for what :meth:`from_sample` would refuse.
+        """
+        role = ALIASES.get(key, key)
+        if key not in self._fields and role in ROLES and role not in self._by_role:
+            return role
+        return self.name_of(key)
+
     def factor(self, name: str) -> float:
         """What a value of the field ``name`` is multiplied with to be in m or m/s; 1 for fields without a role."""
         field = self._fields[name]
