@@ -52,7 +52,7 @@ def locate(frame: bytes, link: Link) -> Framing | OtherTraffic:
 
 
 def _udp_payload(frame: bytes, start: int, ether_type: int, port: int | None) -> tuple[int, int] | None:
-    if ether_type == _IPV4 and len(frame) >= start + 20 and frame[start] >> 4 == 4:
+    if ether_type == _IPV4 and len(frame) >= start + 20 and 0x45 <= frame[start] <= 0x4F:
         fragment = (frame[start + 6] << 8 | frame[start + 7]) & 0x3FFF
         protocol, udp = frame[start + 9], start + 4 * (frame[start] & 0x0F)
         if fragment:
