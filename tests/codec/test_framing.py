@@ -252,7 +252,7 @@ def test_a_frame_as_json() -> None:
 
 def test_offsets_count_from_the_start_of_the_frame() -> None:
     found = dissected(ethernet(BEACON[:-1], 0x4953, "81000001"))
-    (error,) = found.as_json()["errors"]
+    error = found.as_json()["errors"][0]
     assert (error["path"], error["offset"], error["reason"]) == ("bp.length", 18 + 11, "beacon-overrun")
     assert found.dissection.root.offset == 18
 
