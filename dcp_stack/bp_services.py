@@ -1,0 +1,58 @@
+"""Confirms of the services of BP (dcp-bp.md, "Service Interface")."""
+
+from __future__ import annotations
+
+import msgspec
+from dcp_spec.constants import QueueingMode, SpecVersion
+from dcp_spec.status import BPStatus
+
+
+class UnknownServiceError(ValueError):
+    """The version of the specification that the profile follows has no such service."""
+
+    def __init__(self, service: str, since: SpecVersion, version: SpecVersion) -> None:
+        super().__init__(f"{service} exists since {since} of the specification; the profile follows {version}")
+
+
+class StatusConfirm(msgspec.Struct, frozen=True, gc=False):
+    """A confirm that carries nothing but its status."""
+
+    status: BPStatus
+
+
+class RegisterConfirm(msgspec.Struct, frozen=True, gc=False):
+    """``BP-RegisterProtocol.confirm``; ``own_node_identifier`` is None in 1.0, which does not tell (BP-REG-07)."""
+
+    status: BPStatus
+    own_node_identifier: bytes | None
+
+
+class Registration(msgspec.Struct, frozen=True, rename="camel"):
+    """One entry of ``BP-ListRegisteredProtocols.confirm`` (BP-LST-01).
+
+    ``msgspec.to_builtins`` gives it under the specification's field names. Sizes in octets,
+    ``time_stamp_registration`` in ns since 1970. ``queue_mode`` is a ``QueueingMode``, unless the reading X06
+    ``refuse-at-clear`` let something else be registered.
+    """
+
+    protocol_id: int
+    protocol_name: str
+    max_payload_size: int
+    queue_mode: QueueingMode | str | int
+    time_stamp_registration: int
+    max_entries: int
+    allow_multiple_payloads: bool
+
+
+class ListConfirm(msgspec.Struct, frozen=True):
+    """``BP-ListRegisteredProtocols.confirm``, in the order of registration; always OK (X08)."""
+
+    status: BPStatus
+    protocols: tuple[Registration, ...]
+
+
+class NumberConfirm(msgspec.Struct, frozen=True, gc=False):
+    """``BP-QueryNumberBufferedPayloads.confirm``; ``number`` is None unless the status is OK."""
+
+    status: BPStatus
+    number: int | None

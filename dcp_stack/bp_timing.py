@@ -1,0 +1,89 @@
+"""When beacons are prepared (dcp-bp.md#bp-transmit-path).
+
+The specification only asks that the number of beacons in a long time T tends to T / BPPAR_BEACON_PERIOD. Here the
+intervals between the *slots* of a schedule are independent, each the period times a uniform factor in
+1 - jitter .. 1 + jitter, and a slot is planned from the slot before it, not from the moment at which somebody got
+round to it:
+
+* Independent intervals rather than jitter around a fixed grid: the phases of two nodes drift apart like random walks,
+  while on equal grids two nodes that collide once collide for ever with the same probability.
+* A late call delays one beacon and none after it, so the mean stays the period. Slots that have passed altogether are
+  left out instead of being made up for, and two beacons are never closer than a quarter of an interval: no bursts.
+* A triggered beacon is the next slot's, brought forward, at most to the slot before: triggers move beacons and do not
+  add any, so that a client that answers each transmission with a new payload does not send without end.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import Final
+
+SPACING: Final = 4
+"""Beacons are at least 1/4 of an interval apart, late calls and triggers included."""
+
+
+class BeaconSchedule:
+    """The slots of one node, in monotonic ns."""
+
+    def __init__(self, *, rng: random.Random, period: int, jitter: float, now: int) -> None:
+        """``period`` in ns, at least 1; ``jitter`` 0 (strict) .. below 1, else ValueError."""
+        if not 0 <= jitter < 1:
+            raise ValueError(f"jitter must be in 0..1 without 1, not {jitter!r}")
+        self._rng = rng
+        self._jitter = jitter
+        self._period = period
+        self._sent_at: int | None = None
+        self.restart(now)
+
+    @property
+    def due(self) -> int:
+        """When the next beacon is to be prepared."""
+        return self._due
+
+    def restart(self, now: int) -> None:
+        """Begin anew: the first slot is one interval from ``now``."""
+        self._anchor = now
+        self._plan()
+
+    def set_period(self, period: int) -> None:
+        """Change the period; the slot that comes next is moved as if the period had always been this."""
+        ##= BP-PAR-02
+        self._period = period
+        self._slot = self._anchor + self._interval
+        self._due = self._slot
+
+    @property
+    def _interval(self) -> int:
+        return max(round(self._period * self._factor), 1)
+
+    @property
+    def _gap(self) -> int:
+        return max(self._interval // SPACING, 1)
+
+    def _plan(self) -> None:
+        ##= BP-TX-02
+        self._factor = self._rng.uniform(1 - self._jitter, 1 + self._jitter)
+        self._slot = self._anchor + self._interval
+        self._due = self._slot
+
+    def passed(self, now: int, *, sent: bool) -> None:
+        """The beacon that was due has been prepared at ``now``, or there was nothing to send; plan the next."""
+        ##= BP-TX-01
+        self._anchor = self._slot
+        self._plan()
+        if self._slot <= now:
+            # In one step: a machine that slept for a month must not loop through the slots of a month.
+            self._anchor += ((now - self._slot) // self._period + 1) * self._period
+            self._slot = self._anchor + self._interval
+            self._due = self._slot
+        if sent:
+            self._sent_at = now
+            self._due = max(self._slot, now + self._gap)
+
+    def trigger(self, now: int) -> None:
+        """Bring the next beacon forward to ``now``, or as near to it as the rules above allow."""
+        ##= BP-TXP-07
+        earliest = max(now, self._anchor)
+        if self._sent_at is not None:
+            earliest = max(earliest, self._sent_at + self._gap)
+        self._due = min(self._due, earliest)

@@ -1,0 +1,187 @@
+"""Bearer payloads of a profile as BP sees them: header, blocks, and what is wrong with them (dcp-bp.md, "Packet
+Format" and "Receive Path"). Client payloads stay octets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import msgspec
+
+from dcp_codec.errors import DecodeError, Problem
+from dcp_codec.values import Beacon, BPHeader, Payload
+
+from .config import NodeConfig
+
+
+class Block(msgspec.Struct, frozen=True, gc=False):
+    """A payload block; ``offset`` is where its header starts in the bearer payload."""
+
+    protocol_id: int
+    payload: bytes
+    offset: int
+
+
+class Fault(msgspec.Struct, frozen=True, gc=False):
+    """Why octets were not understood: reason of ``dcp_spec.reasons``, requirement that asks to ignore them, octet."""
+
+    reason: str
+    requirement: str
+    offset: int
+
+
+class Reception(msgspec.Struct, frozen=True, gc=False):
+    """What was understood of a bearer payload.
+
+    ``header`` is None where the profile sends none, and where it was refused: then there is only a ``fault``.
+    ``blocks`` are those in front of the fault. ``count_agrees`` is False if numPayloads is not the number of blocks.
+    """
+
+    header: BPHeader | None
+    blocks: tuple[Block, ...] = ()
+    fault: Fault | None = None
+    refused: bool = False
+    count_agrees: bool = True
+
+
+#: Reasons of the codec whose problem names a field where the rule to ignore the octets stands elsewhere.
+_RULES: Final = {"truncated": ("BP-RX-16", "BP-RX-09")}
+
+
+class BPWire:
+    """Sizes and places of the profile, and octets to values and back."""
+
+    def __init__(self, config: NodeConfig) -> None:
+        profile = config.profile
+        types, layout = profile.types, profile.bp
+        self._codec = config.codec
+        self._node_id = config.node_id
+        widths = {
+            "version": 1,
+            "magicNo": types.magic_no.width,
+            "senderId": types.node_id.width,
+            "networkId": types.network_id.width,
+            "length": types.bp_length.width,
+            "numPayloads": 1,
+            "seqno": types.bp_seqno.width,
+        }
+        self._places: dict[str, slice] = {}
+        end = 0
+        for name in layout.header:
+            self._places[name] = slice(end, end + widths[name])
+            end += widths[name]
+        self.header_size = end
+        """Octets of BPHeaderT, 0 where the profile sends none."""
+        own = {"protocolId": types.protocol_id.width, "length": types.bp_length.width}
+        self.block_header_size = sum(
+            own[member] if isinstance(member, str) else member.opaque for member in layout.payload_header
+        )
+        """Octets of BPPayloadHeaderT."""
+        self._area = layout.payload_area
+        largest = (1 << (8 * types.bp_length.width)) - 1
+        self.max_payload = min(largest, self._area or largest)
+        """Octets of the longest client payload that a block can hold."""
+        self.max_blocks: int | None = None
+        """Octets of all blocks that the header can announce, None without such a field."""
+        self._length_order = types.bp_length.byte_order
+        self._network_order = types.network_id.byte_order
+        announced = "length" in layout.header and layout.length_means == "blocks"
+        if announced:
+            self.max_blocks = largest
+        self._frame_is_end = announced and config.reading("X02") == "frame-size"
+
+    def offset(self, field: str) -> int:
+        """The octet of the bearer payload where a header field starts, -1 if there is no such field."""
+        place = self._places.get(field)
+        return -1 if place is None else place.start
+
+    def block_size(self, payload: bytes) -> int:
+        """Octets of the block that carries ``payload``."""
+        return self.block_header_size + (self._area or len(payload))
+
+    def build(self, seqno: int, network_id: int | None, blocks: list[tuple[int, bytes]]) -> bytes:
+        """The bearer payload with these blocks (protocol id, client payload), 1 to 255 of them."""
+        ##= BP-HDR-03
+        ##= BP-HDR-04
+        ##= DATA-04
+        header = BPHeader(self._node_id, seqno, network_id) if self._places else None
+        ##= BP-HDR-01
+        ##= BP-HDR-02
+        ##= BP-HDR-05
+        ##= BP-HDR-06
+        ##= BP-HDR-07
+        ##= BP-HDR-10
+        ##= BP-HDR-11
+        ##= BP-FMT-01
+        ##= DATA-01
+        ##= DATA-02
+        ##= DATA-03
+        ##= UWB-04
+        # Everything else in a header follows from what is in the beacon; the schema of the profile has it.
+        payloads = tuple(Payload(protocol_id, payload) for protocol_id, payload in blocks)
+        return self._codec.encode_envelope(Beacon(header, payloads))
+
+    def parse(self, octets: bytes) -> Reception:
+        """Take a bearer payload apart. Never raises, whatever the octets are.
+
+        The checks of the header come in the order of the text. A length that reaches beyond the frame is the last
+        of them (C.6), so the header is there with the fault.
+        """
+        ##= BP-RX-01
+        ##= BP-RX-02
+        ##= BP-RX-03
+        ##= BP-RX-04
+        ##= BP-RX-14
+        ##= BP-RX-16
+        try:
+            beacon, _ = self._codec.decode_envelope(self._announcing_frame(octets) if self._frame_is_end else octets)
+        except DecodeError as error:
+            return self._faulty(octets, error)
+        return Reception(beacon.bp, tuple(self._blocks(beacon)))
+
+    def _faulty(self, octets: bytes, error: DecodeError) -> Reception:
+        problem, beacon = error.problem, error.partial
+        if not isinstance(beacon, Beacon):
+            fault = _fault(problem, in_header=True)
+            ##= BP-RX-15
+            if problem.reason == "beacon-overrun":
+                return Reception(self._header(octets), fault=fault)
+            return Reception(None, fault=fault, refused=True)
+        blocks = tuple(self._blocks(beacon))
+        end = blocks[-1].offset + self.block_size(blocks[-1].payload) if blocks else self.header_size
+        ##= BP-RX-12
+        # The blocks are there or they are not; what the header says of their number is only counted.
+        if problem.reason == "count-mismatch" or end == len(octets):
+            return Reception(beacon.bp, blocks, count_agrees=False)
+        ##= BP-RX-09
+        return Reception(beacon.bp, blocks, fault=_fault(problem, in_header=False))
+
+    def _blocks(self, beacon: Beacon) -> Iterator[Block]:
+        offset = self.header_size
+        for block in beacon.payloads:
+            payload = block.data
+            # An envelope leaves every client payload as octets.
+            assert payload is not None
+            yield Block(block.protocol_id, payload, offset)
+            offset += self.block_size(payload)
+
+    def _header(self, octets: bytes) -> BPHeader:
+        """Sender and network of a header that is there as a whole."""
+        network = self._places.get("networkId")
+        network_id = None if network is None else int.from_bytes(octets[network], self._network_order)
+        return BPHeader(octets[self._places["senderId"]], 0, network_id)
+
+    def _announcing_frame(self, octets: bytes) -> bytes:
+        """The octets as if the header announced all that the frame holds (reading X02 ``frame-size``)."""
+        place, body = self._places["length"], len(octets) - self.header_size
+        # A length of zero is still a reason to discard the beacon (BP-RX-03).
+        if body <= 0 or body > (self.max_blocks or 0) or not any(octets[place]):
+            return octets
+        return (
+            octets[: place.start] + body.to_bytes(place.stop - place.start, self._length_order) + octets[place.stop :]
+        )
+
+
+def _fault(problem: Problem, *, in_header: bool) -> Fault:
+    header_rule, block_rule = _RULES.get(problem.reason, (problem.requirement, problem.requirement))
+    return Fault(problem.reason, (header_rule if in_header else block_rule) or "BP-RX-16", problem.offset)
