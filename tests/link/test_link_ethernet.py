@@ -276,6 +276,33 @@ def test_the_loopback_interface_serves_nodes_on_one_host(ear, inside):
     assert one.hears_nothing()
 
 
+def test_all_on_a_bridge_hear_each_other(ear, inside):
+    inside.ip("link", "add", "hub", "type", "bridge")
+    inside.ip("link", "set", "hub", "up")
+    names = ("one", "two", "three")
+    for name in names:
+        inside.ip("link", "add", name, "type", "veth", "peer", "name", f"{name}-port")
+        inside.ip("link", "set", f"{name}-port", "master", "hub")
+        for end in (name, f"{name}-port"):
+            inside.ip("link", "set", end, "up")
+    ears = [ear(name) for name in names]
+
+    def all_beacon(heard: list[Reception]) -> bool:
+        # A bridge forwards from when its ports are ready, so each goes on until all are heard.
+        for name, each in zip(names, ears, strict=True):
+            each.link.send(name.encode())
+        return len({each.octets for each in heard}) == 2
+
+    for name, each in zip(names, ears, strict=True):
+        assert {found.octets.decode() for found in each.wait_until(all_beacon)} == set(names) - {name}
+
+
+def test_without_scapy_it_says_what_to_install(inside, monkeypatch):
+    monkeypatch.setitem(sys.modules, "scapy.layers.l2", None)
+    with pytest.raises(LinkError, match=r"pip install 'dcp-conformance-kit\[scapy\]'"):
+        open_ethernet("near", ETHER_TYPE)
+
+
 def test_after_close_nothing_happens(ear):
     near = ear("near")
     near.link.close()
