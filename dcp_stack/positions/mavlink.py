@@ -10,6 +10,7 @@ the local position, whose origin is each vehicle's own.
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib
 import math
 import os
@@ -57,7 +58,7 @@ class _SocketPort:
             self._socket.setblocking(False)
             if not self._stream:
                 self._socket.bind(address)
-            elif (code := self._socket.connect_ex(address)) not in (0, 115):  # EINPROGRESS
+            elif (code := self._socket.connect_ex(address)) not in (0, errno.EINPROGRESS):
                 raise OSError(code, os.strerror(code))
         except OSError:
             self._socket.close()

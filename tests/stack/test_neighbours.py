@@ -1,0 +1,311 @@
+"""The neighbour table: statistics, queries, geometry and stamps."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from dcp_spec.profile import TimestampType
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from dcp_codec.codec import get_codec
+from dcp_codec.values import ExtendedSafetyData
+from dcp_stack.neighbours import RESTART_GAP, NeighbourTable
+from dcp_stack.positions import Motion, closest_approach
+from dcp_stack.positions.geometry import distance, velocity_between
+from dcp_stack.timestamps import StampClock
+
+S = 10**9
+NODE = b"\2\0\0\0\0\1"
+
+
+class Table(NeighbourTable):
+    """A table that makes reports from numbers."""
+
+    def __init__(self, profile="dcp-2.0", capacity=16):
+        self.codec = get_codec(profile)
+        super().__init__(self.codec.profile, capacity=capacity)
+
+    def add(self, values, node=NODE, *, seqno=0, stamp=0, now=0, wall=0):
+        data = self.codec.safety_data_type(*values)
+        return self.record(ExtendedSafetyData(data, node, stamp, seqno), b"", now=now, wall=wall)
+
+
+def node(number):
+    return bytes([2, 0, 0, 0, 1, number])
+
+
+@pytest.mark.req("SRP-NT-01")
+@pytest.mark.req("SRP-NT-02")
+def test_the_operations_of_the_specification():
+    table = Table()
+    assert table.lookup(NODE) is None
+    for number in range(3):
+        assert table.add((number, 0, 0), node(number)) == "new"
+    assert table.add((7, 0, 0), node(1), seqno=1) == "replaced"
+    assert sorted(table.list_all_node_ids()) == [node(0), node(1), node(2)]
+    assert table.lookup(node(1)).ext_sd.s_data.x == 7
+    assert len(table) == 3
+    assert node(2) in table
+    assert {entry.node_id for entry in table} == {node(0), node(1), node(2)}
+
+
+@pytest.mark.req("SRP-NT-04")
+def test_losses_are_counted_by_sequence_numbers():
+    table = Table()
+    for now, seqno in enumerate([2**32 - 2, 2**32 - 1, 2, 2, 5]):
+        table.add((0, 0, 0), seqno=seqno, now=now * S)
+    entry = table.lookup(NODE)
+    assert (entry.received, entry.repeated, entry.lost, entry.restarts) == (4, 1, 4, 0)
+    assert entry.loss_rate == 0.5
+    assert entry.mean_gap == pytest.approx(0.95 * (0.95 * 1 + 0.05 * 3) + 0.05 * 3)
+    # The repetition is no new report: the last interval runs from its first reception.
+    assert entry.mean_interval == pytest.approx((0.95 * 1 + 0.05 * 1) * 0.95 * S + 0.05 * 2 * S)
+
+
+@pytest.mark.req("SRP-NT-04")
+@pytest.mark.parametrize(
+    ("before", "after", "restart"),
+    [(5, 4, True), (100, 0, True), (0, RESTART_GAP, True), (0, RESTART_GAP - 1, False), (2**32 - 1, 0, False)],
+)
+def test_restarts_are_no_losses(before, after, restart):
+    table = Table()
+    table.add((0, 0, 0), seqno=before)
+    table.add((1, 0, 0), seqno=after, now=S)
+    entry = table.lookup(NODE)
+    assert entry.restarts == restart
+    assert entry.lost == (0 if restart else (after - before) % 2**32 - 1)
+    # Nor is there a velocity between where a node was before and after it was started anew.
+    assert (table.motion(entry).velocity is None) == restart
+
+
+def test_the_capacity_holds():
+    table = Table(capacity=1)
+    assert table.add((0, 0, 0), node(1)) == "new"
+    assert table.add((0, 0, 0), node(2)) == "full"
+    assert table.add((0, 0, 0), node(1), seqno=1) == "replaced"
+    with pytest.raises(ValueError, match="one entry"):
+        Table(capacity=0)
+
+
+def test_expiry_is_strict():
+    table = Table()
+    table.add((0, 0, 0), now=5)
+    assert table.expire(15, 10) == []
+    assert table.expire(16, 10) == [NODE]
+    assert len(table) == 0
+
+
+def test_velocity_comes_from_the_stamps_of_the_sender():
+    table = Table("cpp-2.0")
+    table.add((0, 0, 0), stamp=100 * S, now=0)
+    # Received after three seconds, but made two seconds after the first.
+    table.add((10, -4, 0), stamp=102 * S, seqno=1, now=3 * S)
+    motion = table.motion(table.lookup(NODE))
+    assert (motion.velocity, motion.at, motion.estimated) == ((5, -2, 0), 3 * S, True)
+
+
+def test_without_usable_stamps_velocity_comes_from_receptions():
+    table = Table("cpp-2.0")
+    table.add((0, 0, 0), stamp=7, now=0)
+    table.add((10, 0, 0), stamp=7, seqno=1, now=2 * S)
+    assert table.motion(table.lookup(NODE)).velocity == (5, 0, 0)
+    table.add((20, 0, 0), stamp=3, seqno=2, now=2 * S)
+    assert table.motion(table.lookup(NODE)).velocity is None
+
+
+def test_repetitions_change_neither_velocity_nor_its_time():
+    table = Table("dcp-1.2")
+    table.add((0, 0, 0), stamp=0, now=0)
+    table.add((10, 0, 0), stamp=S, seqno=1, now=S)
+    before = table.motion(table.lookup(NODE))
+    table.add((10, 0, 0), stamp=S, seqno=1, now=5 * S)
+    assert table.motion(table.lookup(NODE)) == before
+    assert table.lookup(NODE).age(6 * S) == S
+
+
+def test_reported_velocities_are_taken():
+    table = Table("sim-2.0")
+    table.add((1, 2, 3, 4, 5, 6), now=9)
+    assert table.motion(table.lookup(NODE)) == Motion((1, 2, 3), (4, 5, 6), 9)
+
+
+def test_integers_are_positions_too():
+    table = Table("student-2024")
+    table.add(range(10), b"x")
+    assert table.position(table.lookup(b"x")) == (0.0, 1.0, 2.0)
+
+
+def test_queries():
+    table = Table()
+    for number, x in enumerate([30, 10, 20]):
+        table.add((x, 0, 0), node(number), now=number * S)
+    table.add((math.nan, 0, 0), node(9), now=9 * S)
+    assert [near.distance for near in table.nearest((0, 0, 0))] == [10, 20, 30]
+    assert [near.node_id for near in table.nearest((31, 0, 0), limit=1)] == [node(0)]
+    assert [near.distance for near in table.within((0, 0, 0), 20)] == [10, 20]
+    assert [entry.node_id for entry in table.older_than(7 * S, now=9 * S)] == [node(0), node(1)]
+
+
+def test_closest_approaches_are_ordered_and_say_what_they_know():
+    table = Table("sim-2.0")
+    table.add((100, 0, 0, -10, 0, 0), node(1))
+    table.add((0, 50, 0, 0, 0, 0), node(2))
+    own = Motion((0, 0, 0), (0, 0, 0), 0)
+    first, second = table.closest_approaches(own, now=0, horizon=60 * S)
+    assert (first.node_id, first.approach.time, first.approach.distance) == (node(1), 10 * S, 0)
+    assert (second.node_id, second.approach.time, second.approach.distance) == (node(2), 0, 50)
+    assert first.velocity == "reported"
+    assert [each.node_id for each in table.closest_approaches(own, now=0, horizon=0, limit=1)] == [node(2)]
+    unknown = Table()
+    unknown.add((1, 1, 1))
+    assert unknown.closest_approaches(own, now=0, horizon=S)[0].velocity == "unknown"
+
+
+def test_everybody_is_brought_to_now():
+    table = Table("sim-2.0")
+    table.add((100, 0, 0, -10, 0, 0), now=0)
+    own = Motion((0, 20, 0), (0, -10, 0), 3 * S)
+    (found,) = table.closest_approaches(own, now=5 * S, horizon=0)
+    assert found.approach.own_position == (0, 0, 0)
+    assert found.approach.other_position == (50, 0, 0)
+
+
+def test_snapshot_is_plain():
+    table = Table("cpp-2.0")
+    table.add((1, 2, 3), stamp=4 * S, wall=5 * S)
+    (plain,) = table.snapshot()
+    assert plain["node_id"] == "02:00:00:00:00:01"
+    assert plain["safety_data"] == {"x": 1, "y": 2, "z": 3}
+    assert plain["delay"] == S
+    assert plain["velocity_estimated"] is False
+
+
+# -- geometry ------------------------------------------------------------------------------------------------------
+
+coordinates = st.floats(-1e4, 1e4, allow_subnormal=False)
+speeds = st.one_of(st.just(0.0), st.floats(-200, 200, allow_subnormal=False))
+vectors = st.tuples(coordinates, coordinates, coordinates)
+velocities = st.tuples(speeds, speeds, speeds)
+motions = st.builds(Motion, vectors, st.one_of(st.none(), velocities), st.integers(-10 * S, 10 * S))
+
+
+@given(motions, motions, st.integers(0, 10 * S), st.integers(0, 300 * S))
+def test_no_moment_is_closer_than_the_closest_approach(own, other, now, horizon):
+    found = closest_approach(own, other, now=now, horizon=horizon)
+    assert 0 <= found.time <= horizon
+    assert found.distance == distance(found.own_position, found.other_position)
+    assert found.own_position == own.position_at(now + found.time)
+    assert found.other_position == other.position_at(now + found.time)
+    for step in range(201):
+        time = now + horizon * step // 200
+        tried = distance(own.position_at(time), other.position_at(time))
+        assert tried >= found.distance - 1e-5
+
+
+@given(motions, motions, st.integers(0, 300 * S))
+def test_both_see_the_same_approach(own, other, horizon):
+    there = closest_approach(own, other, now=0, horizon=horizon)
+    back = closest_approach(other, own, now=0, horizon=horizon)
+    assert there.distance == pytest.approx(back.distance, abs=1e-6)
+
+
+@given(vectors, velocities, st.integers(0, 300 * S))
+def test_without_relative_motion_it_is_now(position, velocity, horizon):
+    own, other = Motion((0, 0, 0), velocity, 0), Motion(position, velocity, 0)
+    assert closest_approach(own, other, now=0, horizon=horizon).time == 0
+
+
+@given(vectors, velocities, st.floats(0.1, 100))
+def test_a_meeting_is_found(place, velocity, seconds):
+    assume(math.hypot(*velocity) > 0.01)
+    start = tuple(p - v * seconds for p, v in zip(place, velocity, strict=True))
+    found = closest_approach(Motion(place, None, 0), Motion(start, velocity, 0), now=0, horizon=200 * S)
+    assert found.distance < 1e-5
+    assert found.time / S == pytest.approx(seconds, abs=1e-3)
+
+
+anything = st.floats(allow_nan=False)
+
+
+@given(
+    st.tuples(anything, anything, anything),
+    st.tuples(anything, anything, anything),
+    st.tuples(anything, anything, anything),
+    st.integers(0, 2**63 - 1),
+)
+def test_no_numbers_raise(place, velocity, other, horizon):
+    own = Motion((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0)
+    found = closest_approach(own, Motion(place, velocity, 0), now=S, horizon=horizon)
+    assert 0 <= found.time <= horizon
+    closest_approach(own, Motion(place, other, 0), now=S, horizon=horizon)
+    velocity_between(place, other, 1)
+
+
+def test_a_horizon_lies_ahead():
+    still = Motion((0, 0, 0), None, 0)
+    with pytest.raises(ValueError, match="horizon"):
+        closest_approach(still, still, now=0, horizon=-1)
+
+
+# -- stamps --------------------------------------------------------------------------------------------------------
+
+layouts = st.builds(
+    TimestampType,
+    width=st.integers(1, 8),
+    signed=st.booleans(),
+    unit=st.sampled_from(["s", "ms", "us", "ns", "ps"]),
+    epoch=st.sampled_from(["unix", "gps", "simulation", "boot"]),
+)
+walls = st.integers(0, 2**63 - 1)
+
+
+@pytest.mark.req("DATA-05")
+@given(layouts, walls, walls)
+def test_a_stamp_comes_back_within_its_unit(layout, wall, origin):
+    clock = StampClock(layout, origin=origin)
+    stamp = clock.stamp(wall)
+    low = -(1 << (8 * layout.width - 1)) if layout.signed else 0
+    assert low <= stamp < low + (1 << 8 * layout.width)
+    unit = {"s": S, "ms": 10**6, "us": 10**3, "ns": 1, "ps": 1}[layout.unit]
+    assert 0 <= wall - clock.wall(stamp, near=wall) < unit + (layout.unit == "ps")
+
+
+@given(layouts, walls, st.floats(-0.45, 0.45))
+def test_the_nearest_time_of_a_wrapped_stamp_is_found(layout, wall, part):
+    clock = StampClock(layout)
+    away = int(clock.period_ns * part)
+    unit = {"s": S, "ms": 10**6, "us": 10**3, "ns": 1, "ps": 1}[layout.unit]
+    assume(clock.period_ns > 100 * unit)
+    found = clock.wall(clock.stamp(wall), near=wall + away)
+    assert abs(wall - found) <= unit
+
+
+@given(layouts, walls, st.floats(0, 0.45))
+def test_the_time_between_stamps_survives_a_wrap(layout, wall, part):
+    clock = StampClock(layout)
+    later = wall + int(clock.period_ns * part)
+    unit = {"s": S, "ms": 10**6, "us": 10**3, "ns": 1, "ps": 1}[layout.unit]
+    assume(clock.period_ns > 100 * unit)
+    found = clock.between(clock.stamp(wall), clock.stamp(later))
+    assert abs(found - (later - wall)) <= unit
+
+
+@pytest.mark.parametrize(
+    ("layout", "wall", "stamp"),
+    [
+        (TimestampType(), 1_700_000_000 * S + 5, 1_700_000_000 * S + 5),
+        (TimestampType(unit="ms", width=4), 1_700_000_000 * S, 1_700_000_000_000 % 2**32),
+        (TimestampType(epoch="gps", unit="s"), 315_964_801 * S, 1),
+        (TimestampType(epoch="boot", unit="ps", signed=True), 7 + 100, 7_000),
+        (TimestampType(width=1, unit="s", signed=True), 255 * S, -1),
+    ],
+)
+def test_known_stamps(layout, wall, stamp):
+    assert StampClock(layout, origin=100).stamp(wall) == stamp
+
+
+def test_which_stamps_can_be_compared():
+    assert StampClock(TimestampType(epoch="gps")).comparable
+    assert not StampClock(TimestampType(epoch="boot")).comparable
