@@ -196,7 +196,7 @@ def lower(subcon: Any, name: str = "") -> Node:
         case dc.Sized():
             return Region(name, subcon.size, lower(subcon.subcon, name), subcon.reason, subcon.requirement)
         case dc.Choice():
-            cases = {key: lower(layout, label) for key, (label, layout) in subcon.cases.items()}
+            cases = {int(key): lower(layout, label) for key, (label, layout) in subcon.cases.items()}
             default = lower(subcon.default[1], subcon.default[0]) if subcon.default else None
             return Select(name, subcon.key, cases, default, subcon.reason, subcon.requirement)
         case dc.VarBytes():
