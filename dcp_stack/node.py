@@ -101,7 +101,9 @@ class Node:
                     self.srp.handle_payload(effect.payload, effect.sender_id, now=now, wall=wall)
                 case PayloadReceived(protocol_id=protocol) if protocol == BP_PROTID_VARDIS and self.vardis is not None:
                     self.vardis.handle_payload(effect.payload, now=now, wall=wall)
-                case PayloadTransmitted(protocol_id=protocol) if protocol == BP_PROTID_VARDIS and self.vardis is not None:
+                case PayloadTransmitted(protocol_id=protocol) if (
+                    protocol == BP_PROTID_VARDIS and self.vardis is not None
+                ):
                     self.vardis.payload_transmitted(now, wall)
                 case PayloadTransmitted(protocol_id=protocol) if protocol == BP_PROTID_SRP and self.srp is not None:
                     pass
