@@ -346,7 +346,7 @@ class NeighbourFileReader:
             layout.slot_size,
             SLOT_HEADER_SIZE,
             layout.entry_size,
-        ) or len(mapped) < layout.file_size:
+        ) or len(mapped) != layout.file_size:
             mapped.close()
             raise NeighbourFileError(f"{self.path}: the sizes in its header contradict each other")
         self._identity = (status.st_dev, status.st_ino)

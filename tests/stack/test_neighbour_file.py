@@ -248,9 +248,10 @@ def test_sizes_that_contradict_are_refused(path, tmp_path):
         bad.write_bytes(changed)
         with pytest.raises(NeighbourFileError, match="contradict"):
             NeighbourFileReader(bad)
-    bad.write_bytes(octets[:-1])
-    with pytest.raises(NeighbourFileError, match="contradict"):
-        NeighbourFileReader(bad)
+    for other in (octets[:-1], octets + b"\0"):
+        bad.write_bytes(other)
+        with pytest.raises(NeighbourFileError, match="contradict"):
+            NeighbourFileReader(bad)
 
 
 # -- C ------------------------------------------------------------------------------------------------------------
