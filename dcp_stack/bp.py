@@ -375,7 +375,7 @@ class BeaconingProtocol:
         if not self._active:
             self._receiver.drop("inactive")
             return
-        self._receiver.receive(octets, now)
+        self._receiver.receive(bytes(octets), now)
 
     # -- misuse -----------------------------------------------------------------------------------------------
 

@@ -49,7 +49,7 @@ class ClientList:
         ##= BP-TX-03
         chosen: Chosen = []
         turn = self._order
-        served: list[Client] = []
+        served: dict[int, Client] = {}
         while turn:
             again: list[Client] = []
             for client in turn:
@@ -68,13 +68,11 @@ class ClientList:
                 room -= size(payload)
                 chosen.append((client.protocol_id, payload))
                 client.queue.sent()
-                if client not in served:
-                    served.append(client)
+                served.setdefault(client.protocol_id, client)
                 ##= BP-QM-08
                 if client.several:
                     again.append(client)
             turn = again if len(chosen) < most else []
-        for client in served:
-            self._order.remove(client)
-        self._order.extend(served)
+        self._order = [client for client in self._order if client.protocol_id not in served]
+        self._order.extend(served.values())
         return chosen

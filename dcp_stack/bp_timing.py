@@ -49,8 +49,7 @@ class BeaconSchedule:
         """Change the period; the slot that comes next is moved as if the period had always been this."""
         ##= BP-PAR-02
         self._period = period
-        self._slot = self._anchor + self._interval
-        self._due = self._slot
+        self._place()
 
     @property
     def _interval(self) -> int:
@@ -63,22 +62,23 @@ class BeaconSchedule:
     def _plan(self) -> None:
         ##= BP-TX-02
         self._factor = self._rng.uniform(1 - self._jitter, 1 + self._jitter)
+        self._place()
+
+    def _place(self) -> None:
         self._slot = self._anchor + self._interval
-        self._due = self._slot
+        self._due = self._slot if self._sent_at is None else max(self._slot, self._sent_at + self._gap)
 
     def passed(self, now: int, *, sent: bool) -> None:
         """The beacon that was due has been prepared at ``now``, or there was nothing to send; plan the next."""
         ##= BP-TX-01
+        if sent:
+            self._sent_at = now
         self._anchor = self._slot
         self._plan()
         if self._slot <= now:
             # In one step: a machine that slept for a month must not loop through the slots of a month.
             self._anchor += ((now - self._slot) // self._period + 1) * self._period
-            self._slot = self._anchor + self._interval
-            self._due = self._slot
-        if sent:
-            self._sent_at = now
-            self._due = max(self._slot, now + self._gap)
+            self._place()
 
     def trigger(self, now: int) -> None:
         """Bring the next beacon forward to ``now``, or as near to it as the rules above allow."""

@@ -4,7 +4,6 @@ Format" and "Receive Path"). Client payloads stay octets."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
 
 import msgspec
 
@@ -42,10 +41,6 @@ class Reception(msgspec.Struct, frozen=True, gc=False):
     fault: Fault | None = None
     refused: bool = False
     count_agrees: bool = True
-
-
-#: Reasons of the codec whose problem names a field where the rule to ignore the octets stands elsewhere.
-_RULES: Final = {"truncated": ("BP-RX-16", "BP-RX-09")}
 
 
 class BPWire:
@@ -183,5 +178,8 @@ class BPWire:
 
 
 def _fault(problem: Problem, *, in_header: bool) -> Fault:
-    header_rule, block_rule = _RULES.get(problem.reason, (problem.requirement, problem.requirement))
-    return Fault(problem.reason, (header_rule if in_header else block_rule) or "BP-RX-16", problem.offset)
+    requirement = problem.requirement
+    if problem.reason == "truncated":
+        # The codec names the field that is cut off; what to do about it is said elsewhere.
+        requirement = "BP-RX-16" if in_header else "BP-RX-09"
+    return Fault(problem.reason, requirement or "BP-RX-16", problem.offset)
