@@ -85,7 +85,7 @@ class Node:
         self._settle(now, wall)
 
     def reset(self, now: int, wall: int) -> None:
-        """Back to the state after :meth:`start`: nothing registered, known or counted, sequence numbers from the start."""
+        """Back to the state after :meth:`start`: nothing known or counted, sequence numbers from the start."""
         self._pending.clear()
         self._effects.clear()
         self._build(now, wall)
