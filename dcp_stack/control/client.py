@@ -1,0 +1,156 @@
+"""A client of the control interface over a Unix socket, for commands and test programs: one request at a time."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import msgspec
+
+from .jsonrpc import request_message
+
+PATIENCE = 10.0
+"""Seconds that a node may take to answer."""
+
+
+class ControlError(Exception):
+    """The node cannot be reached, or it stopped answering; the message says where and what to look at."""
+
+
+class ServiceError(Exception):
+    """The node answered with a JSON-RPC error: ``code``, ``message`` and ``data`` are its members."""
+
+    def __init__(self, code: int, message: str, data: Any = None) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+        self.data = data
+
+
+class Notification(NamedTuple):
+    """Something the node told without being asked."""
+
+    method: str
+    params: dict[str, Any]
+
+
+class ControlClient:
+    """A connection to a node. Not for several threads at once."""
+
+    def __init__(self, path: str | Path, *, patience: float = PATIENCE) -> None:
+        """Raises ControlError if nobody listens at ``path``; ``patience`` is in s, for each answer."""
+        self.path = Path(path)
+        self._patience = patience
+        self._buffer = bytearray()
+        self._searched = 0
+        self._notifications: deque[Notification] = deque()
+        self._last_id = 0
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.settimeout(patience)
+            self._socket.connect(os.fspath(self.path))
+        except OSError as error:
+            self._socket.close()
+            raise ControlError(f"{path}: {_why_not(error)}") from None
+
+    def fileno(self) -> int:
+        """The descriptor of the socket."""
+        return self._socket.fileno()
+
+    def call(self, method: str, /, **params: Any) -> dict[str, Any]:
+        """The result of a method; parameters under the specification's names.
+
+        Raises ServiceError for an error of the node, ControlError if there is no answer.
+        """
+        self._last_id += 1
+        try:
+            self._socket.settimeout(self._patience)
+            self._socket.sendall(request_message(self._last_id, method, params) + b"\n")
+        except OSError as error:
+            raise ControlError(f"{self.path}: {_why_not(error)}") from None
+        deadline = time.monotonic() + self._patience
+        while True:
+            message = self._message(deadline)
+            if message is None:
+                raise ControlError(f"{self.path}: the node did not answer {method} within {self._patience:g} s")
+            if message.get("id") != self._last_id:
+                # An answer to what an earlier call gave up waiting for.
+                continue
+            if "error" in message:
+                answer = message["error"]
+                raise ServiceError(answer["code"], answer["message"], answer.get("data"))
+            result: dict[str, Any] = message["result"]
+            return result
+
+    def wait(self, timeout: float | None = None) -> Notification | None:
+        """The next notification; None if there is none within ``timeout`` s (None: wait for ever)."""
+        if self._notifications:
+            return self._notifications.popleft()
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not self._notifications:
+            if self._message(deadline, once=True) is None and not self._notifications:
+                return None
+        return self._notifications.popleft()
+
+    def _message(self, deadline: float | None, *, once: bool = False) -> dict[str, Any] | None:
+        """The next response; None at the deadline. Notifications are put aside, ``once``: any message will do."""
+        while True:
+            end = self._buffer.find(b"\n", self._searched)
+            if end < 0:
+                self._searched = len(self._buffer)
+                if not self._fill(deadline):
+                    return None
+                continue
+            line = bytes(self._buffer[:end])
+            del self._buffer[: end + 1]
+            self._searched = 0
+            message: dict[str, Any] = msgspec.json.decode(line)
+            if "method" in message:
+                self._notifications.append(Notification(message["method"], message["params"]))
+                if not once:
+                    continue
+            return message
+
+    def _fill(self, deadline: float | None) -> bool:
+        """Read more; False at the deadline. Raises ControlError at the end of the connection."""
+        left = None if deadline is None else deadline - time.monotonic()
+        if left is not None and left <= 0:
+            return False
+        try:
+            self._socket.settimeout(left)
+            data = self._socket.recv(1 << 16)
+        except TimeoutError:
+            return False
+        except OSError as error:
+            raise ControlError(f"{self.path}: {_why_not(error)}") from None
+        if not data:
+            raise ControlError(f"{self.path}: the node has closed the connection")
+        self._buffer += data
+        return True
+
+    def close(self) -> None:
+        """End the connection; may be called twice."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _why_not(error: OSError) -> str:
+    if isinstance(error, FileNotFoundError):
+        return "there is no such socket; is a node running with --control on this path?"
+    if isinstance(error, ConnectionRefusedError):
+        return "nobody listens there; the node that made this socket has ended"
+    if isinstance(error, PermissionError):
+        return "permission denied; the socket is for the user that runs the node"
+    return error.strerror or str(error)

@@ -1,0 +1,168 @@
+"""JSON-RPC 2.0, one message per line: lines out of octets, requests out of lines, and the messages back.
+
+No library fits: those that speak over streams (pygls, python-lsp-jsonrpc) frame by Content-Length and bring threads or
+asyncio along; jsonrpcserver answers single strings but knows no notifications to clients, checks every message with
+jsonschema, and that costs more memory than the whole node. What is left of JSON-RPC without those is this file; types
+are checked by msgspec.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+PARSE_ERROR: Final = -32700
+INVALID_REQUEST: Final = -32600
+METHOD_NOT_FOUND: Final = -32601
+INVALID_PARAMS: Final = -32602
+INTERNAL_ERROR: Final = -32603
+TOO_MUCH: Final = -32000
+"""The answers of one batch are longer than they may be; the rest of it was not carried out."""
+REFUSED: Final = -32001
+"""A parameter cannot have the value; ``data`` says which bound it violates."""
+NO_ANSWER: Final = -32002
+"""The service does not answer in this state (reading X10 ``no-response``)."""
+
+MAX_LINE: Final = 1 << 20
+"""Octets of a line, without its end."""
+
+RequestId = int | float | str | None
+_ENCODER: Final = msgspec.json.Encoder()
+
+
+class RpcError(Exception):
+    """A request that gets an error instead of a result."""
+
+    def __init__(self, code: int, message: str, data: Any = UNSET) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+        self.data = data
+
+
+class Call(msgspec.Struct, frozen=True):
+    """A valid request. Without ``id`` (UNSET) it wants no answer."""
+
+    method: str
+    params: Any
+    id: RequestId | UnsetType
+
+
+class LineBuffer:
+    """Lines out of octets as they come; of a line that is too long nothing is kept."""
+
+    def __init__(self, limit: int = MAX_LINE) -> None:
+        self._limit = limit
+        self._octets = bytearray()
+        self._searched = 0
+        self._discarding = False
+
+    def __len__(self) -> int:
+        return len(self._octets)
+
+    def add(self, data: bytes) -> None:
+        """Take octets."""
+        self._octets += data
+
+    def next(self) -> bytes | None:
+        """The next line without its end; None if there is no whole one. Raises RpcError once for one too long."""
+        end = self._octets.find(b"\n", self._searched)
+        if end < 0:
+            if self._discarding or len(self._octets) > self._limit:
+                self._octets.clear()
+                self._searched = 0
+                if not self._discarding:
+                    self._discarding = True
+                    raise _too_long(self._limit)
+            self._searched = len(self._octets)
+            return None
+        line = bytes(self._octets[:end])
+        del self._octets[: end + 1]
+        self._searched = 0
+        if self._discarding:
+            self._discarding = False
+            return self.next()
+        if len(line) > self._limit:
+            raise _too_long(self._limit)
+        return line
+
+    def end(self) -> None:
+        """Nothing more will come: what is there is a line, also without its end."""
+        if self._octets and not self._octets.endswith(b"\n"):
+            self._octets += b"\n"
+
+
+def _too_long(limit: int) -> RpcError:
+    return RpcError(INVALID_REQUEST, f"the line is longer than {limit} octets; it was skipped")
+
+
+def parse(line: bytes) -> Any:
+    """The JSON value of a line. Raises RpcError."""
+    try:
+        return msgspec.json.decode(line)
+    except RecursionError:
+        raise RpcError(PARSE_ERROR, "the message is nested too deeply") from None
+    except (msgspec.MsgspecError, ValueError) as error:
+        # ValueError: octets that are no UTF-8, and integers of thousands of digits.
+        raise RpcError(PARSE_ERROR, f"not JSON: {error}") from None
+
+
+def read_call(message: Any) -> Call:
+    """The request in a JSON value. Raises RpcError."""
+    if not isinstance(message, dict):
+        raise RpcError(INVALID_REQUEST, f"a request is an object, not {_kind(message)}")
+    if message.get("jsonrpc") != "2.0":
+        raise RpcError(INVALID_REQUEST, 'the request has no "jsonrpc": "2.0"')
+    identifier = message.get("id", UNSET)
+    if identifier is not UNSET and not _is_id(identifier):
+        raise RpcError(INVALID_REQUEST, '"id" is a string, a number of at most 64 bits, or null')
+    method = message.get("method")
+    if not isinstance(method, str):
+        raise RpcError(INVALID_REQUEST, '"method" is the name of a method, a string')
+    unknown = message.keys() - {"jsonrpc", "id", "method", "params"}
+    if unknown:
+        raise RpcError(INVALID_REQUEST, f"a request has no member {min(unknown)[:80]!r}")
+    return Call(method, message.get("params", {}), identifier)
+
+
+def id_of(message: Any) -> RequestId:
+    """The id to answer an invalid request with, None if it has none to go by."""
+    identifier = message.get("id") if isinstance(message, dict) else None
+    return identifier if _is_id(identifier) else None
+
+
+def _is_id(value: Any) -> bool:
+    if isinstance(value, bool):
+        return False
+    # Larger integers cannot be written back as they were.
+    return value is None or isinstance(value, str | float) or (isinstance(value, int) and abs(value) < 1 << 63)
+
+
+def _kind(value: Any) -> str:
+    names = {list: "an array", str: "a string", bool: "a boolean", int: "a number", float: "a number"}
+    return names.get(type(value), "null")
+
+
+def result_message(identifier: RequestId, result: Any) -> bytes:
+    """A response with a result, without the end of the line."""
+    return _ENCODER.encode({"jsonrpc": "2.0", "id": identifier, "result": result})
+
+
+def error_message(identifier: RequestId, error: RpcError) -> bytes:
+    """A response with an error, without the end of the line."""
+    shown: dict[str, Any] = {"code": error.code, "message": error.message}
+    if error.data is not UNSET:
+        shown["data"] = error.data
+    return _ENCODER.encode({"jsonrpc": "2.0", "id": identifier, "error": shown})
+
+
+def notification_message(method: str, params: Any) -> bytes:
+    """A notification, without the end of the line."""
+    return _ENCODER.encode({"jsonrpc": "2.0", "method": method, "params": params})
+
+
+def request_message(identifier: RequestId, method: str, params: Any) -> bytes:
+    """A request, without the end of the line."""
+    return _ENCODER.encode({"jsonrpc": "2.0", "id": identifier, "method": method, "params": params})

@@ -1,0 +1,123 @@
+"""The control interface as JSON Schema (draft 2020-12), made of the structs that check its messages.
+
+``python -m dcp_stack.control.schema > conformance/dcp_conformance/data/upper-tester.schema.json``
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import msgspec
+
+from .jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR, REFUSED
+from .methods import METHODS, NOTIFICATIONS
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def upper_tester_schema() -> dict[str, Any]:
+    """A schema for any line: a request, a response, a notification or a batch of them.
+
+    ``$defs`` has, for method M, ``M.request`` (the whole message) and ``M.result`` (the member ``result``), and for
+    notification N the definition N.
+    """
+    types = [each for method in METHODS.values() for each in (method.params, method.result)]
+    _, definitions = msgspec.json.schema_components([*types, *NOTIFICATIONS.values()], ref_template="#/$defs/{name}")
+    identifier = {"type": ["string", "number", "null"]}
+    defs: dict[str, Any] = {"id": identifier, "error": _error(), **definitions}
+    for name, method in METHODS.items():
+        defs[f"{name}.request"] = {
+            "description": method.about,
+            "type": "object",
+            "properties": {
+                "jsonrpc": {"const": "2.0"},
+                "id": {"$ref": "#/$defs/id"},
+                "method": {"const": name},
+                "params": {"$ref": f"#/$defs/{method.params.__name__}"},
+            },
+            "required": ["jsonrpc", "method", *(["params"] if _required(method.params) else [])],
+            "additionalProperties": False,
+        }
+        defs[f"{name}.result"] = {"$ref": f"#/$defs/{method.result.__name__}"}
+    for name, params in NOTIFICATIONS.items():
+        defs[name] = {
+            "type": "object",
+            "properties": {
+                "jsonrpc": {"const": "2.0"},
+                "method": {"const": name},
+                "params": {"$ref": f"#/$defs/{params.__name__}"},
+            },
+            "required": ["jsonrpc", "method", "params"],
+            "additionalProperties": False,
+        }
+    defs["response"] = _response()
+    defs["message"] = {
+        "anyOf": [{"$ref": f"#/$defs/{name}.request"} for name in METHODS]
+        + [{"$ref": f"#/$defs/{name}"} for name in ("response", *NOTIFICATIONS)]
+    }
+    return {
+        "$schema": DIALECT,
+        "title": "DCP upper tester interface",
+        "description": "One line of the interface in UPPER-TESTER.md: JSON-RPC 2.0, one message or batch per line.",
+        "anyOf": [
+            {"$ref": "#/$defs/message"},
+            {"type": "array", "items": {"$ref": "#/$defs/message"}, "minItems": 1},
+        ],
+        "$defs": defs,
+    }
+
+
+def _required(params: type[msgspec.Struct]) -> bool:
+    return any(field.required for field in msgspec.structs.fields(params))
+
+
+def _response() -> dict[str, Any]:
+    results = sorted({method.result.__name__ for method in METHODS.values()})
+    both = {"jsonrpc": {"const": "2.0"}, "id": {"$ref": "#/$defs/id"}}
+    return {
+        "oneOf": [
+            {
+                "type": "object",
+                "properties": {**both, "result": {"anyOf": [{"$ref": f"#/$defs/{name}"} for name in results]}},
+                "required": ["jsonrpc", "id", "result"],
+                "additionalProperties": False,
+            },
+            {
+                "type": "object",
+                "properties": {**both, "error": {"$ref": "#/$defs/error"}},
+                "required": ["jsonrpc", "id", "error"],
+                "additionalProperties": False,
+            },
+        ]
+    }
+
+
+def _error() -> dict[str, Any]:
+    codes = {
+        PARSE_ERROR: "not JSON",
+        INVALID_REQUEST: "no valid request",
+        METHOD_NOT_FOUND: "no such method here",
+        INVALID_PARAMS: "wrong parameters",
+        INTERNAL_ERROR: "a mistake of the implementation",
+        REFUSED: "a parameter cannot have the value",
+    }
+    return {
+        "type": "object",
+        "properties": {
+            "code": {"type": "integer", "description": "; ".join(f"{code} {what}" for code, what in codes.items())},
+            "message": {"type": "string"},
+            "data": {},
+        },
+        "required": ["code", "message"],
+        "additionalProperties": False,
+    }
+
+
+def schema_text() -> str:
+    """The schema as it is committed."""
+    return msgspec.json.format(msgspec.json.encode(upper_tester_schema(), order="sorted"), indent=2).decode() + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(schema_text())

@@ -1,0 +1,391 @@
+"""The methods of the control interface, carried out on a node."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+from dcp_spec.parameters import UnknownParameterError, Violation
+from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
+from dcp_spec.version import __version__
+from msgspec import UNSET
+
+from dcp_codec.values import VarSpec
+from dcp_stack.bp_services import UnknownServiceError
+from dcp_stack.config import MS
+from dcp_stack.neighbours import NeighbourTable, NeighbourTableEntry
+from dcp_stack.node import Node
+from dcp_stack.positions.geometry import Motion, distance
+from dcp_stack.srp import NotInitializedError, StateReporting
+from dcp_stack.vardis import Vardis
+
+from . import messages as m
+from .jsonrpc import INVALID_PARAMS, METHOD_NOT_FOUND, NO_ANSWER, REFUSED, RpcError
+from .methods import METHODS
+
+
+class Times(NamedTuple):
+    """The moment of a request in ns: ``now`` monotonic, ``wall`` since 1970."""
+
+    now: int
+    wall: int
+
+
+def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
+    """Carry out ``method`` with ``params``, which are of its type. Raises RpcError, and nothing else for bad values."""
+    try:
+        return _HANDLERS[method](node, params, times)
+    except UnknownServiceError as error:
+        raise RpcError(METHOD_NOT_FOUND, str(error)) from None
+    except UnknownParameterError as error:
+        raise RpcError(INVALID_PARAMS, str(error)) from None
+    except (ValueError, TypeError) as error:
+        # What the fields of a message cannot express: the cores raise before they change anything.
+        raise RpcError(INVALID_PARAMS, str(error)) from None
+
+
+def supported(node: Node) -> tuple[str, ...]:
+    """The methods that make sense for the node: its version has the service, and it runs the protocol."""
+    features = node.config.features
+    missing: set[str] = set()
+    if not features.clear_buffer:
+        missing.add("BP-ClearBuffer")
+    if not features.bp_activation:
+        missing |= {"BP-MGMT-Activate", "BP-MGMT-Deactivate"}
+    # The flag of 1.1 is internal to VarDis, 1.0 has none.
+    if features.vardis_activation != "service":
+        missing |= {"VD-MGMT-Activate", "VD-MGMT-Deactivate"}
+    absent = [
+        prefix for prefix, there in (("SRP-", node.srp), ("RTDB-", node.vardis), ("VD-", node.vardis)) if not there
+    ]
+    return tuple(name for name in METHODS if name not in missing and not name.startswith(tuple(absent)))
+
+
+def octets_of(text: str) -> bytes:
+    """Octets from hex, with or without colons."""
+    return bytes.fromhex(text.replace(":", ""))
+
+
+def plain_number(value: Any) -> Any:
+    """A number as JSON can have it, octets as hex."""
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return value
+
+
+# -- BP ---------------------------------------------------------------------------------------------------------------
+
+
+def _register(node: Node, params: m.RegisterProtocol, times: Times) -> m.Result:
+    confirm = node.bp.register(
+        params.prot_id,
+        params.name,
+        params.max_payload_size,
+        params.queueing_mode,
+        params.max_entries,
+        params.allow_multiple_payloads,
+        now=times.now,
+        wall=times.wall,
+    )
+    own = confirm.own_node_identifier
+    return m.RegisterProtocolConfirm(status=confirm.status, own_node_identifier=UNSET if own is None else own.hex(":"))
+
+
+def _list_registered(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    confirm = node.bp.list_registered()
+    protocols = tuple(
+        m.RegisteredProtocol(
+            protocol_id=each.protocol_id,
+            protocol_name=each.protocol_name,
+            max_payload_size=each.max_payload_size,
+            queue_mode=str(each.queue_mode),
+            time_stamp_registration=each.time_stamp_registration,
+            max_entries=each.max_entries,
+            allow_multiple_payloads=each.allow_multiple_payloads,
+            buffered=node.bp.query_number_buffered(each.protocol_id).number or 0,
+        )
+        for each in confirm.protocols
+    )
+    return m.ListRegisteredProtocolsConfirm(status=confirm.status, protocols=protocols)
+
+
+def _query(node: Node, params: m.ForProtocol, _times: Times) -> m.Result:
+    confirm = node.bp.query_number_buffered(params.prot_id)
+    return m.QueryNumberBufferedPayloadsConfirm(
+        status=confirm.status, number=UNSET if confirm.number is None else confirm.number
+    )
+
+
+def _transmit(node: Node, params: m.TransmitPayload, times: Times) -> m.Result:
+    confirm = node.bp.transmit_payload(params.prot_id, octets_of(params.payload), now=times.now)
+    return m.BPConfirm(status=confirm.status)
+
+
+def _bp_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    shown = {name: v.hex(":") if isinstance(v, bytes) else v for name, v in node.bp.parameters().items()}
+    return m.BPParametersConfirm(status=BPStatus.OK, parameters=shown)
+
+
+def _set_bp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.Result:
+    _refuse(node.bp.set_parameter(params.name, params.value))
+    return m.BPConfirm(status=BPStatus.OK)
+
+
+def _refuse(violation: Violation | None) -> None:
+    """Tell of a value that was not taken: the specification has no status for it (BP-PAR-07)."""
+    if violation is not None:
+        data = {
+            "parameter": violation.parameter,
+            "value": violation.value,
+            "bound": violation.bound,
+            "requirement": violation.requirement,
+        }
+        raise RpcError(REFUSED, str(violation), data)
+
+
+# -- SRP --------------------------------------------------------------------------------------------------------------
+
+
+def _srp(node: Node) -> StateReporting:
+    if node.srp is None:
+        raise RpcError(METHOD_NOT_FOUND, "this node runs without SRP")
+    return node.srp
+
+
+def _update_safety_data(node: Node, params: m.UpdateSafetyData, times: Times) -> m.Result:
+    srp = _srp(node)
+    values = {name: _field_value(node, name, value) for name, value in params.s_data.items()}
+    confirm = srp.update_safety_data(values, now=times.now, wall=times.wall)
+    if confirm is None:
+        raise RpcError(NO_ANSWER, "SRP does not answer before it is initialized (reading X10)")
+    return m.SRPConfirm(status=confirm.status)
+
+
+def _field_value(node: Node, name: str, value: m.Number) -> Any:
+    """A value as SRP takes it: texts are floats without a number, or octets of opaque fields."""
+    if not isinstance(value, str):
+        return value
+    kinds = {field.name: field.type for field in node.config.profile.srp.safety_data}
+    if kinds.get(name) == "opaque":
+        return bytes.fromhex(value)
+    if value in ("NaN", "Infinity", "-Infinity"):
+        return float(value)
+    raise RpcError(INVALID_PARAMS, f"{name} takes a number, not {value[:40]!r}")
+
+
+def _neighbour_table(node: Node, params: m.NeighbourTableRequest, times: Times) -> m.Result:
+    try:
+        table = _srp(node).neighbours
+    except NotInitializedError:
+        return m.NeighbourTableConfirm(status=SRPStatus.INACTIVE)
+    if params.node_id is not UNSET:
+        entry = table.lookup(octets_of(params.node_id))
+        entries = [] if entry is None else [entry]
+    else:
+        entries = sorted(table, key=lambda each: each.node_id)
+    loss = {each.node_id: each.loss for each in node.bp.losses()}
+    own = _srp(node).own_motion()
+    shown = tuple(_neighbour(table, entry, own, loss.get(entry.node_id), times) for entry in entries)
+    return m.NeighbourTableConfirm(status=SRPStatus.OK, neighbours=shown)
+
+
+def _neighbour(
+    table: NeighbourTable, entry: NeighbourTableEntry, own: Motion | None, loss: float | None, times: Times
+) -> m.Neighbour:
+    motion = table.motion(entry)
+    place = UNSET if motion is None else motion.position
+    return m.Neighbour(
+        node_id=entry.node_id.hex(":"),
+        s_data={name: plain_number(value) for name, value in entry.ext_sd.s_data.as_dict().items()},
+        t_stamp=entry.ext_sd.t_stamp,
+        seqno=entry.ext_sd.seqno,
+        reception_time=entry.reception_time,
+        age=entry.age(times.now) / MS,
+        sender_id=entry.sender_id.hex(":"),
+        received=entry.received,
+        repeated=entry.repeated,
+        lost=entry.lost,
+        restarts=entry.restarts,
+        mean_interval=UNSET if entry.mean_interval is None else entry.mean_interval / MS,
+        beacon_loss=UNSET if loss is None else loss,
+        position=place,
+        velocity=UNSET if motion is None or motion.velocity is None else motion.velocity,
+        distance=UNSET if own is None or place is UNSET else _finite(distance(own.position, place)),
+    )
+
+
+def _finite(value: float) -> Any:
+    # Places at the two ends of what a float can hold are further apart than it can hold.
+    return value if math.isfinite(value) else UNSET
+
+
+def _srp_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    return m.SRPParametersConfirm(status=SRPStatus.OK, parameters=dict(_srp(node).parameters()))
+
+
+def _set_srp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.Result:
+    _refuse(_srp(node).set_parameter(params.name, params.value))
+    return m.SRPConfirm(status=SRPStatus.OK)
+
+
+# -- VarDis -----------------------------------------------------------------------------------------------------------
+
+
+def _vardis(node: Node) -> Vardis:
+    if node.vardis is None:
+        raise RpcError(METHOD_NOT_FOUND, "this node runs without VarDis")
+    return node.vardis
+
+
+def _create(node: Node, params: m.Create, times: Times) -> m.Result:
+    producer = None if params.prod_id is UNSET else octets_of(params.prod_id)
+    confirm = _vardis(node).create(
+        params.var_id,
+        producer,
+        params.rep_cnt,
+        params.descr.encode(),
+        octets_of(params.value),
+        params.timeout,
+        now=times.now,
+        wall=times.wall,
+    )
+    return m.VardisConfirm(status=confirm.status)
+
+
+def _update(node: Node, params: m.Update, times: Times) -> m.Result:
+    confirm = _vardis(node).update(params.var_id, octets_of(params.value), now=times.now, wall=times.wall)
+    return m.VardisConfirm(status=confirm.status)
+
+
+def _delete(node: Node, params: m.ForVariable, times: Times) -> m.Result:
+    return m.VardisConfirm(status=_vardis(node).delete(params.var_id, now=times.now, wall=times.wall).status)
+
+
+def _read(node: Node, params: m.ForVariable, _times: Times) -> m.Result:
+    confirm = _vardis(node).read(params.var_id)
+    return m.ReadConfirm(
+        status=confirm.status,
+        value=UNSET if confirm.value is None else confirm.value.hex(),
+        t_stamp=UNSET if confirm.t_stamp is None else confirm.t_stamp,
+    )
+
+
+def _describe_database(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    confirm = _vardis(node).describe_database()
+    listed = tuple(
+        m.Variable(**_spec(each.spec), is_deleted=each.is_deleted, t_stamp=each.t_stamp) for each in confirm.variables
+    )
+    return m.DescribeDatabaseConfirm(status=confirm.status, variables=listed)
+
+
+def _describe_variable(node: Node, params: m.ForVariable, _times: Times) -> m.Result:
+    confirm = _vardis(node).describe_variable(params.var_id)
+    entry = confirm.entry
+    if entry is None:
+        return m.DescribeVariableConfirm(status=confirm.status)
+    variable = m.Variable(
+        **_spec(entry.spec),
+        is_deleted=entry.is_deleted,
+        t_stamp=entry.t_stamp,
+        value=entry.value.hex(),
+        seqno=entry.seqno,
+        count_update=entry.count_update,
+        count_create=entry.count_create,
+        count_delete=entry.count_delete,
+    )
+    return m.DescribeVariableConfirm(status=confirm.status, variable=variable)
+
+
+def _spec(spec: VarSpec) -> dict[str, Any]:
+    """The members of a Variable that come from its VarSpec."""
+    shown: dict[str, Any] = {"var_id": spec.var_id, "prod_id": spec.prod_id.hex(":"), "rep_cnt": spec.rep_cnt}
+    try:
+        shown["descr"] = spec.descr.decode()
+    except UnicodeDecodeError:
+        shown["descr_hex"] = spec.descr.hex()
+    if spec.creation_time is not None:
+        shown["creation_time"] = spec.creation_time
+    if spec.timeout is not None:
+        shown["timeout"] = spec.timeout
+    return shown
+
+
+def _activate_vardis(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    return m.VardisConfirm(status=_management(node).activate().status)
+
+
+def _deactivate_vardis(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    return m.VardisConfirm(status=_management(node).deactivate().status)
+
+
+def _management(node: Node) -> Vardis:
+    vardis = _vardis(node)
+    if node.config.features.vardis_activation != "service":
+        version = node.config.profile.spec_version
+        raise RpcError(
+            METHOD_NOT_FOUND, f"VD-MGMT-Activate and -Deactivate exist since 1.2; the profile follows {version}"
+        )
+    return vardis
+
+
+def _vardis_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    return m.VardisParametersConfirm(status=VardisStatus.OK, parameters=_vardis(node).parameters())
+
+
+def _set_vardis_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.Result:
+    _refuse(_vardis(node).set_parameter(params.name, params.value))
+    return m.VardisConfirm(status=VardisStatus.OK)
+
+
+# -- the upper tester -------------------------------------------------------------------------------------------------
+
+
+def _hello(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
+    profile = node.config.profile
+    return m.HelloConfirm(
+        status=m.UT_OK,
+        name="dcp-node",
+        version=__version__,
+        spec_version=str(profile.spec_version),
+        methods=supported(node),
+        node_id=node.config.node_id.hex(":"),
+        profile=profile.name,
+    )
+
+
+def _reset(node: Node, _params: m.Nothing, times: Times) -> m.Result:
+    node.reset(times.now, times.wall)
+    return m.UTConfirm(status=m.UT_OK)
+
+
+_HANDLERS: Final[dict[str, Callable[[Node, Any, Times], m.Result]]] = {
+    "UT-Hello": _hello,
+    "UT-Reset": _reset,
+    "BP-RegisterProtocol": _register,
+    "BP-DeregisterProtocol": lambda node, params, _: m.BPConfirm(status=node.bp.deregister(params.prot_id).status),
+    "BP-ListRegisteredProtocols": _list_registered,
+    "BP-TransmitPayload": _transmit,
+    "BP-ClearBuffer": lambda node, params, _: m.BPConfirm(status=node.bp.clear_buffer(params.prot_id).status),
+    "BP-QueryNumberBufferedPayloads": _query,
+    "BP-MGMT-Activate": lambda node, _, times: m.BPConfirm(status=node.bp.activate(times.now).status),
+    "BP-MGMT-Deactivate": lambda node, _, __: m.BPConfirm(status=node.bp.deactivate().status),
+    "BP-GetParameters": _bp_parameters,
+    "BP-SetParameter": _set_bp_parameter,
+    "SRP-UpdateSafetyData": _update_safety_data,
+    "SRP-NeighbourTable": _neighbour_table,
+    "SRP-GetParameters": _srp_parameters,
+    "SRP-SetParameter": _set_srp_parameter,
+    "RTDB-DescribeDatabase": _describe_database,
+    "RTDB-DescribeVariable": _describe_variable,
+    "RTDB-Create": _create,
+    "RTDB-Update": _update,
+    "RTDB-Delete": _delete,
+    "RTDB-Read": _read,
+    "VD-MGMT-Activate": _activate_vardis,
+    "VD-MGMT-Deactivate": _deactivate_vardis,
+    "VD-GetParameters": _vardis_parameters,
+    "VD-SetParameter": _set_vardis_parameter,
+}
