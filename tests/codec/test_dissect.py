@@ -218,6 +218,8 @@ def test_an_area_that_is_too_small_ends_the_walk() -> None:
     found = of(octets, "student-2024")
     assert reasons(found)[0] == ("area-overrun", "payloads[0].length")
     assert field(found, "payloads[0].data").length == 1001
+    # What lies behind is not known to be padding.
+    assert (found.end, found.padding) == (len(octets), b"")
 
 
 def test_nothing_at_all() -> None:

@@ -471,6 +471,10 @@ UNENCODABLE = {
     "a number too small": (updates(VarUpdate(7, -1, b"A")), "payloads[0].vardis[0].records[0].seqno"),
     "no number": (updates(VarUpdate(7, None, b"A")), "payloads[0].vardis[0].records[0].seqno"),  # type: ignore[arg-type]
     "a record of another type": (updates(VarUpdate(1, 1, b"A"), VarSumm(7, 3)), "payloads[0].vardis[0].records[1]"),
+    "a record that has all fields of the type": (
+        beacon(Payload(2, (Container(1, (VarSumm(7, 3), VarUpdate(7, 3, b"A"))),))),
+        "payloads[0].vardis[0].records[1]",
+    ),
     "no records": (updates(), "payloads[0].vardis[0].records"),
     "too many records": (
         beacon(Payload(2, (Container(1, (VarSumm(7, 3),) * 256),))),
