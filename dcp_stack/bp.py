@@ -127,7 +127,7 @@ class BeaconingProtocol:
             self._clients.insert(Client(registration, rule, several=several))
         ##= BP-REG-07
         ##= BP-REG-08
-        ##= BP-GEN-01
+        ##= DATA-10
         own = self._config.node_id if self._features.own_id_in_register_confirm else None
         return RegisterConfirm(status, own)
 
@@ -177,6 +177,7 @@ class BeaconingProtocol:
         """``BP-ListRegisteredProtocols.request``: what was registered, not what is buffered."""
         ##= BP-LST-01
         ##= BP-LST-02
+        ##= BP-GEN-01
         return ListConfirm(BPStatus.OK, tuple(client.registration for client in self._clients))
 
     # -- payloads ---------------------------------------------------------------------------------------------

@@ -73,6 +73,12 @@ def test_a_caller_that_is_late_at_random_neither_shifts_the_mean_nor_causes_burs
     assert min(found) >= PERIOD * 0.9 / 4
 
 
+def test_beacons_are_spaced_however_late_the_caller_is():
+    rig, lateness = repeating(), random.Random(6)
+    moments = times(rig, 5000, lambda: lateness.randrange(99 * MS))
+    assert min(intervals(moments)) >= PERIOD * 0.9 / 4
+
+
 @pytest.mark.parametrize("sleep", [101 * MS, 150 * MS, 1000 * MS, 3600 * 1000 * MS, 10**9 * 1000 * MS])
 def test_missed_beacons_are_not_made_up_for(sleep):
     rig = repeating()
@@ -168,14 +174,15 @@ def test_what_is_not_kept_triggers_nothing(setting):
 
 
 @pytest.mark.req("BP-TX-01")
-def test_a_client_that_answers_every_transmission_does_not_send_without_end():
+@pytest.mark.parametrize("late", [0, 10, 40])
+def test_a_client_that_answers_every_transmission_does_not_send_without_end(late):
     rig = Rig(triggered=True)
     rig.register(7, DROPHEAD)
     start = rig.now
     rig.submit(b"0")
     moments = []
     for index in range(2000):
-        assert rig.tick() is not None
+        assert rig.tick(late * MS) is not None
         moments.append(rig.now)
         rig.submit(b"%d" % index)
     assert (moments[-1] - start) / len(moments) == pytest.approx(PERIOD, rel=0.01)
