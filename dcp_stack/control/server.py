@@ -55,7 +55,7 @@ MAX_BATCH_ANSWER: Final = 16 << 20
 """Octets of the answer to one batch, beyond which the rest is not carried out."""
 HIGH_WATER: Final = 256 << 10
 """Octets that wait for a client, beyond which its requests are not looked at."""
-MAX_BACKLOG: Final = 1 << 20
+MAX_BACKLOG: Final = 4 << 20
 """Octets that wait for a client, beyond which a notification is one too many and the client is given up."""
 
 
@@ -133,6 +133,8 @@ class ControlSession:
             self.overrun = True
             return
         self._write(message)
+        if len(self.output) > HIGH_WATER:
+            self._server.pressing = True
 
     def close(self) -> None:
         """The client is gone; its registrations stay."""
@@ -191,6 +193,8 @@ class ControlServer:
         """``runtime`` tells UT-Status about what is around the node."""
         self.node = node
         self.drops: Counter[str] = Counter()
+        self.pressing = False
+        """Much waits for a client. The transport should send before it lets more happen, and set this back."""
         self._runtime = runtime
         self._sessions: dict[ControlSession, None] = {}
         self._owners: dict[int, ControlSession] = {}

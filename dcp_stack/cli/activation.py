@@ -1,0 +1,30 @@
+"""What ``dcp-node activate`` and ``deactivate`` share."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from .common import EXIT_STATUS, NOT_OK, connect, finish, is_ok, node_options
+
+
+def activation(verb: str, about: str) -> click.Command:
+    """The command for BP-MGMT- and VD-MGMT-Activate, or those that deactivate."""
+
+    @click.command(verb.lower(), epilog=EXIT_STATUS, help=about)
+    @click.argument("which", required=False, type=click.Choice(["bp", "vardis"]))
+    @node_options
+    def command(which: str | None, control: str, as_json: bool) -> int:
+        prefixes = {"bp": ["BP"], "vardis": ["VD"], None: ["BP", "VD"]}[which]
+        results = {}
+        with connect(control) as client:
+            for prefix in prefixes:
+                method = f"{prefix}-MGMT-{verb}"
+                results[method] = client.call(method)
+        if as_json and which is None:
+            click.echo(json.dumps(results))
+            return 0 if all(map(is_ok, results.values())) else NOT_OK
+        return max(finish(method, result, as_json) for method, result in results.items())
+
+    return command

@@ -1,0 +1,167 @@
+"""``dcp-node bp``: client protocols of the Beaconing Protocol and their payloads."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import click
+
+from .common import (
+    EXIT_STATUS,
+    ExpectedError,
+    columns,
+    connect,
+    finish,
+    node_options,
+    printable,
+    say,
+    shown_value,
+    simple,
+)
+
+MODES = {
+    "once": "BP_QMODE_ONCE",
+    "repeat": "BP_QMODE_REPEAT",
+    "droptail": "BP_QMODE_QUEUE_DROPTAIL",
+    "drophead": "BP_QMODE_QUEUE_DROPHEAD",
+    "queue": "BP_QMODE_QUEUE",
+}
+
+
+@click.group("bp", epilog=EXIT_STATUS)
+def command() -> None:
+    """Register client protocols, send and watch their payloads (services of BP)."""
+
+
+@command.command("list", epilog=EXIT_STATUS)
+@node_options
+def list_(control: str, as_json: bool) -> int:
+    """List the registered protocols."""
+    with connect(control) as client:
+        result = client.call("BP-ListRegisteredProtocols")
+    rows = [
+        [
+            str(each["protocolId"]),
+            str(each["maxPayloadSize"]),
+            each["queueMode"].removeprefix("BP_QMODE_"),
+            str(each["maxEntries"]),
+            "yes" if each["allowMultiplePayloads"] else "no",
+            str(each.get("buffered", "")),
+            printable(each["protocolName"]),
+        ]
+        for each in result.get("protocols", ())
+    ]
+    header = ("protId", "max size", "mode", "entries", "multiple", "buffered", "name")
+    table = columns(header, rows, right=(0, 1, 3, 5)) if rows else "no protocols"
+    return finish("BP-ListRegisteredProtocols", result, as_json, table)
+
+
+@command.command("register", epilog=EXIT_STATUS)
+@click.argument("prot_id", type=int, metavar="PROTID")
+@click.option("--name", default="", help="Name of the protocol.")
+@click.option("--max-size", type=int, default=100, show_default=True, help="Longest payload in octets.")
+@click.option("--mode", type=click.Choice([*MODES]), default="once", show_default=True, help="Queueing mode.")
+@click.option("--entries", type=int, default=8, show_default=True, help="Length of the queue, for the queueing modes.")
+@click.option("--multiple", is_flag=True, help="Several payloads may share a beacon.")
+@node_options
+def register(
+    prot_id: int, name: str, max_size: int, mode: str, entries: int, multiple: bool, control: str, as_json: bool
+) -> int:
+    """Register PROTID. It stays until it is deregistered; 'bp watch' shows what arrives for it."""
+    return simple(
+        control,
+        as_json,
+        "BP-RegisterProtocol",
+        protId=prot_id,
+        name=name or f"protocol {prot_id}",
+        maxPayloadSize=max_size,
+        queueingMode=MODES[mode],
+        maxEntries=entries,
+        allowMultiplePayloads=multiple,
+    )
+
+
+@command.command("deregister", epilog=EXIT_STATUS)
+@click.argument("prot_id", type=int, metavar="PROTID")
+@node_options
+def deregister(prot_id: int, control: str, as_json: bool) -> int:
+    """Deregister PROTID; payloads that wait are forgotten."""
+    return simple(control, as_json, "BP-DeregisterProtocol", protId=prot_id)
+
+
+@command.command("send", epilog=EXIT_STATUS)
+@click.argument("prot_id", type=int, metavar="PROTID")
+@click.option("--payload", metavar="HEX", help="The payload in hex.")
+@click.option("--text", metavar="TEXT", help="The payload as text (UTF-8).")
+@node_options
+def send(prot_id: int, payload: str | None, text: str | None, control: str, as_json: bool) -> int:
+    """Hand down a payload for the next beacons."""
+    if (payload is None) == (text is None):
+        raise click.UsageError("give the payload with --payload HEX or --text TEXT")
+    try:
+        octets = bytes.fromhex((payload or "").replace(":", "")) if text is None else text.encode()
+    except ValueError:
+        raise click.BadParameter(f"{payload!r} is not hex", param_hint="--payload") from None
+    return simple(control, as_json, "BP-TransmitPayload", protId=prot_id, payload=octets.hex())
+
+
+@command.command("clear", epilog=EXIT_STATUS)
+@click.argument("prot_id", type=int, metavar="PROTID")
+@node_options
+def clear(prot_id: int, control: str, as_json: bool) -> int:
+    """Forget the payloads that wait."""
+    return simple(control, as_json, "BP-ClearBuffer", protId=prot_id)
+
+
+@command.command("query", epilog=EXIT_STATUS)
+@click.argument("prot_id", type=int, metavar="PROTID")
+@node_options
+def query(prot_id: int, control: str, as_json: bool) -> int:
+    """Show how many payloads wait."""
+    with connect(control) as client:
+        result = client.call("BP-QueryNumberBufferedPayloads", protId=prot_id)
+    return finish("BP-QueryNumberBufferedPayloads", result, as_json, str(result.get("number", "")))
+
+
+@command.command("watch", epilog=EXIT_STATUS)
+@click.argument("prot_ids", type=int, nargs=-1, required=True, metavar="PROTID...")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N payloads.")
+@click.option("--for", "seconds", type=click.FloatRange(min=0), metavar="S", help="End after S seconds.")
+@click.option("--sent", is_flag=True, help="Show own transmissions, too.")
+@node_options
+def watch(
+    prot_ids: tuple[int, ...], count: int | None, seconds: float | None, sent: bool, control: str, as_json: bool
+) -> int:
+    """Show the payloads that arrive for registered protocols (not SRP and VarDis, which keep theirs).
+
+    With --json, one object per line.
+    """
+    deadline = None if seconds is None else time.monotonic() + seconds
+    wanted = {"BP-ReceivePayload.indication"} | ({"BP-PayloadTransmitted.indication"} if sent else set())
+    shown = 0
+    with connect(control) as client:
+        client.call("UT-Subscribe", protIds=[*prot_ids])
+        while count is None or shown < count:
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                break
+            told = client.wait(left)
+            if told is None:
+                break
+            if told.method not in wanted:
+                continue
+            shown += 1
+            say(json.dumps({"indication": told.method, **told.params}) if as_json else _line(told.params))
+    if count is not None and shown < count:
+        raise ExpectedError(f"{shown} of {count} payloads in {seconds:g} s", 1)
+    return 0
+
+
+def _line(indication: dict[str, Any]) -> str:
+    start = f"{time.strftime('%H:%M:%S')}  {indication['protId']:>5}"
+    if "payload" not in indication:
+        return f"{start}  transmitted"
+    sender = indication.get("senderId", "?")
+    return f"{start}  {indication['length']:>5} from {sender}  {shown_value(indication['payload'])}"

@@ -1,0 +1,220 @@
+"""``dcp-node monitor``: a node on the terminal, as it goes on."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dcp_stack.control.client import ControlClient
+
+from .common import EXIT_STATUS, connect, node_options, printable, say, shown_value, span
+from .neighbours import percent, place
+from .status import as_line
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table
+
+
+@click.command("monitor", epilog=EXIT_STATUS)
+@click.option("--interval", type=click.FloatRange(min=0.1), default=1.0, show_default=True, metavar="S")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N looks.")
+@node_options
+def command(interval: float, count: int | None, control: str, as_json: bool) -> int:
+    """Watch neighbours with age and loss, variables, beacon rates and what is ignored; Ctrl-C ends it.
+
+    On a terminal the view is renewed in place. Into a pipe goes one line per look, or with --json one object.
+    """
+    with connect(control) as client:
+        rates = Rates()
+        if as_json or not sys.stdout.isatty():
+            return _lines(client, rates, interval, count, as_json)
+        from rich.console import Console
+        from rich.live import Live
+
+        looks = 0
+        with Live(console=Console(highlight=False, emoji=False, markup=False), screen=count is None) as live:
+            while True:
+                live.update(view(client.call("UT-Status"), rates), refresh=True)
+                looks += 1
+                if looks == count:
+                    return 0
+                time.sleep(interval)
+
+
+class Rates:
+    """Rates per second, from what counters were at the look before."""
+
+    def __init__(self) -> None:
+        self._before: dict[str, tuple[int, int]] = {}
+
+    def of(self, name: str, value: int, now: int) -> float | None:
+        """The rate of a counter at the monotonic time ``now`` (ns); None at the first look."""
+        before, self._before[name] = self._before.get(name), (value, now)
+        if before is None or now <= before[1]:
+            return None
+        # A counter that went back was reset.
+        return max(value - before[0], 0) * 1e9 / (now - before[1])
+
+
+def _lines(client: ControlClient, rates: Rates, interval: float, count: int | None, as_json: bool) -> int:
+    looks = 0
+    while True:
+        status = client.call("UT-Status")
+        say(as_line(status) if as_json else _line(status, rates))
+        looks += 1
+        if looks == count:
+            return 0
+        time.sleep(interval)
+
+
+def _line(status: dict[str, Any], rates: Rates) -> str:
+    counters, now = status["node"]["bp"]["counters"], status["now"]
+    parts = [time.strftime("%H:%M:%S", time.localtime(status["wall"] / 1e9)), status["nodeId"]]
+    for name, shown in (("beacons-sent", "sent"), ("beacons-received", "received")):
+        number = counters.get(name, 0)
+        parts.append(f"{shown}={number}")
+        rate = rates.of(name, number, now)
+        if rate is not None:
+            parts.append(f"{shown}/s={rate:.1f}")
+    parts.append(f"neighbours={len(status['node'].get('srp', {}).get('neighbours', ()))}")
+    variables = status["node"].get("vardis", {}).get("variables", {})
+    parts.append(f"variables={sum(not each['isDeleted'] for each in variables.values())}")
+    parts.append(f"ignored={sum(status['drops'].values())}")
+    link = status["runtime"].get("link", {})
+    parts += [f"{name}={link[name]}" for name in ("send_errors", "kernel_drops", "outages") if link.get(name)]
+    return " ".join(parts)
+
+
+def view(status: dict[str, Any], rates: Rates) -> RenderableType:
+    """The whole view, for 80 columns and more."""
+    from rich.console import Group
+
+    node = status["node"]
+    parts: list[RenderableType] = [_head(status, rates)]
+    parts.append(_neighbours(status, rates))
+    if "vardis" in node:
+        parts.append(_variables(status))
+    parts.append(_ignored(status, rates))
+    return Group(*parts)
+
+
+def _table(title: str, *headers: str, right: tuple[int, ...] = ()) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, expand=True, pad_edge=False
+    )
+    for number, header in enumerate(headers):
+        table.add_column(header, justify="right" if number in right else "left", no_wrap=True, overflow="ellipsis")
+    return table
+
+
+def _head(status: dict[str, Any], rates: Rates) -> RenderableType:
+    from rich.text import Text
+
+    bp, runtime, now = status["node"]["bp"], status["runtime"], status["now"]
+    link = runtime.get("link", {})
+    counters = bp["counters"]
+    sent, received = counters.get("beacons-sent", 0), counters.get("beacons-received", 0)
+    text = Text(no_wrap=True, overflow="ellipsis")
+    text.append(status["nodeId"], style="bold")
+    text.append(f"  {status['profile']}  {link.get('name', '')}  up {span(runtime.get('uptime_ms', 0))}\n")
+    text.append(f"beacons  sent {sent}{_per_second(rates.of('sent', sent, now))}")
+    text.append(f"  received {received}{_per_second(rates.of('received', received, now))}")
+    if not bp["active"]:
+        text.append("  BP not active", style="bold red")
+    if not status["node"].get("vardis", {"active": True})["active"]:
+        text.append("  VarDis not active", style="bold red")
+    text.append("\n")
+    troubles = [
+        f"{name.replace('_', ' ')} {link[name]}"
+        for name in ("send_errors", "kernel_drops", "outages")
+        if link.get(name)
+    ]
+    recording = runtime.get("recording")
+    if recording:
+        troubles.append(f"recording {recording['frames']} frames {recording['problem']}".strip())
+    text.append("  ".join(troubles) + "\n" if troubles else "")
+    return text
+
+
+def _per_second(rate: float | None) -> str:
+    return "" if rate is None else f" ({rate:.1f}/s)"
+
+
+def _neighbours(status: dict[str, Any], rates: Rates) -> RenderableType:
+    """Senders of beacons and of state reports in one table: a neighbour may be only one of them."""
+    now = status["now"]
+    reports = {each["node_id"]: each for each in status["node"].get("srp", {}).get("neighbours", ())}
+    losses = {each["node_id"]: each for each in status["node"]["bp"]["losses"]}
+    heard = sorted(losses, key=lambda node: -losses[node]["heard"])
+    order = [*reports, *(node for node in heard if node not in reports)]
+    table = _table(
+        f"{len(order)} neighbours",
+        "node",
+        "age",
+        "beacons/s",
+        "loss",
+        "lost",
+        "reports",
+        "position",
+        right=(1, 2, 3, 4, 5),
+    )
+    for node in order[:64]:
+        report, loss = reports.get(node), losses.get(node)
+        last = max(each for each in (report and report["received_at"], loss and loss["heard"]) if each is not None)
+        rate = None if loss is None else rates.of(f"from {node}", loss["received"], now)
+        table.add_row(
+            node,
+            span((now - last) / 1e6),
+            "" if rate is None else f"{rate:.1f}",
+            percent(None if loss is None else loss["loss"]),
+            "" if loss is None else str(loss["lost"]),
+            "" if report is None else str(report["received"]),
+            "" if report is None else _place(report),
+            style="dim" if now - last > 2_000_000_000 else "",
+        )
+    return table
+
+
+def _place(report: dict[str, Any]) -> str:
+    shown = {"sData": report["safety_data"]}
+    if report["position"] is not None:
+        shown["position"] = report["position"]
+    return place(shown)
+
+
+def _variables(status: dict[str, Any]) -> RenderableType:
+    variables = status["node"]["vardis"]["variables"]
+    table = _table(
+        f"{len(variables)} variables", "id", "producer", "seqno", "age", "value", "description", right=(0, 2, 3)
+    )
+    own = status["nodeId"]
+    for number, each in list(variables.items())[:64]:
+        table.add_row(
+            str(number),
+            "this node" if each["prodId"] == own else each["prodId"],
+            str(each["seqno"]),
+            span(max(status["wall"] - each["tStamp"], 0) / 1e6),
+            "deleted" if each["isDeleted"] else shown_value(each["value"], 24),
+            printable(each["descr"], 32),
+            style="dim" if each["isDeleted"] else "",
+        )
+    return table
+
+
+def _ignored(status: dict[str, Any], rates: Rates) -> RenderableType:
+    from rich.text import Text
+
+    text = Text("ignored  ", style="bold")
+    parts = [
+        f"{name} {count}{_per_second(rates.of(f'drop {name}', count, status['now']))}"
+        for name, count in status["drops"].items()
+    ]
+    text.append(", ".join(parts) or "nothing", style="not bold")
+    return text

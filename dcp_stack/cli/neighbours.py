@@ -1,0 +1,68 @@
+"""``dcp-node neighbours``: the neighbour table."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import click
+
+from .common import EXIT_STATUS, columns, connect, finish, node_options, say, span
+
+
+@click.command("neighbours", epilog=EXIT_STATUS)
+@click.option("--watch", is_flag=True, help="Show it again and again.")
+@click.option("--interval", type=click.FloatRange(min=0.05), default=1.0, show_default=True, metavar="S")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="With --watch: end after N tables.")
+@node_options
+def command(watch: bool, interval: float, count: int | None, control: str, as_json: bool) -> int:
+    """Show the neighbours from whom state reports came lately.
+
+    lost are reports missing by their sequence numbers, loss is the share of beacons lost lately. With --watch and
+    --json, one object per line.
+    """
+    with connect(control) as client:
+        shown = 0
+        while True:
+            result = client.call("SRP-NeighbourTable")
+            if not watch:
+                return finish("SRP-NeighbourTable", result, as_json, _table(result))
+            if as_json:
+                say(json.dumps(result))
+            else:
+                say(f"{time.strftime('%H:%M:%S')}  {len(result['neighbours'])} neighbours\n{_table(result)}\n")
+            shown += 1
+            if shown == count:
+                return 0
+            time.sleep(interval)
+
+
+def _table(result: dict[str, Any]) -> str:
+    rows = [
+        [
+            each["nodeId"],
+            span(each.get("age", 0)),
+            str(each["seqno"]),
+            str(each.get("received", "")),
+            str(each.get("lost", "")),
+            percent(each.get("beaconLoss")),
+            place(each),
+            f"{each['distance']:.1f} m" if "distance" in each else "",
+        ]
+        for each in result.get("neighbours", ())
+    ]
+    header = ("node", "age", "seqno", "reports", "lost", "loss", "position or data", "distance")
+    return columns(header, rows, right=(1, 2, 3, 4, 5, 7)) if rows else "no neighbours"
+
+
+def percent(share: float | None) -> str:
+    """A share as percentage, nothing for none."""
+    return "" if share is None else f"{100 * share:.0f} %"
+
+
+def place(neighbour: dict[str, Any]) -> str:
+    """Where a neighbour is, or what it reports instead."""
+    if "position" in neighbour:
+        return " ".join(f"{coordinate:.1f}" for coordinate in neighbour["position"])
+    return " ".join(f"{name}={value}" for name, value in neighbour["sData"].items())[:40]

@@ -1,0 +1,82 @@
+"""``dcp-node run``: a node on an interface or over UDP, until it is told to end."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import click
+
+from .common import ExpectedError
+
+log = logging.getLogger("dcp_stack.node")
+
+
+@click.command(
+    "run",
+    epilog="Exit status: 0 ended in an orderly way (SIGTERM, SIGINT, SIGHUP, or the end of input with --control "
+    "stdio); 2 the node could not be started. Flags go before the file. See docs/dcp-node.md.",
+)
+@click.option("-c", "--config", metavar="FILE", help="Settings as TOML; unknown keys are refused.")
+@click.option("-i", "--interface", metavar="IF", help="Ethernet frames on this interface.")
+@click.option("--link", metavar="LINK", help="Another link: udp[:GROUP[:PORT]], replay:FILE, or eth:IF with options.")
+@click.option("--node-id", metavar="ID", help="Own identifier.  [default: address of IF, or a random one]")
+@click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
+@click.option("--control", metavar="PATH|stdio", help="Control socket, or standard input and output.")
+@click.option("--beacon-period", type=float, metavar="MS", help="BPPAR_BEACON_PERIOD.  [default: 100]")
+@click.option("--network-id", metavar="N", help="BPPAR_NETWORK_ID, decimal or 0x hex.")
+@click.option(
+    "--position", metavar="SOURCE", help="Own position: track:..., csv:FILE, capture:FILE, stdin, mavlink:..."
+)
+@click.option("--neighbour-file", metavar="PATH", help="Publish the neighbour table as a memory-mapped file.")
+@click.option("--record", metavar="FILE.mcap", help="Record what is sent and received.")
+@click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="OpenMetrics at 127.0.0.1:PORT.")
+@click.option("--user", metavar="NAME", help="Go on as this user once everything is open (started as root).")
+@click.option("--seed", type=int, metavar="N", help="Seed of the jitter, to repeat a run.")
+@click.option("--log-level", type=click.Choice(["debug", "info", "warning", "error"]), help="[default: info]")
+@click.option("--log-format", type=click.Choice(["text", "json"]), help="[default: text, as key=value]")
+@click.option("--print-config", is_flag=True, help="Show the settings as TOML and end.")
+def command(config: str | None, network_id: str | None, print_config: bool, **flags: Any) -> int:
+    """Run a node until SIGTERM or SIGINT; then it deregisters its protocols and closes the recording.
+
+    \b
+      dcp-node run --link udp --node-id 02:00:00:00:00:01 --control /tmp/node1.sock
+      dcp-node run --interface wlan0 --profile cpp-2.0 --record flight.mcap
+    """
+    from dcp_stack.runtime.settings import SettingsError, load_settings, settings_text
+
+    flags["bp.beacon_period_ms"] = _whole(flags.pop("beacon_period"))
+    flags["bp.network_id"] = _number(network_id)
+    try:
+        settings = load_settings(config, flags)
+        if print_config:
+            click.echo(settings_text(settings), nl=False)
+            return 0
+    except SettingsError as error:
+        raise ExpectedError(str(error)) from None
+    from dcp_stack.runtime import logs
+    from dcp_stack.runtime.opening import NodeError, open_node
+
+    logs.set_up(settings.log_level, settings.log_format)
+    try:
+        with open_node(settings) as driver:
+            driver.run(lambda: log.info("running"))
+    except NodeError as error:
+        raise ExpectedError(str(error)) from None
+    log.info("ended")
+    return 0
+
+
+def _whole(value: float | None) -> float | int | None:
+    return int(value) if value is not None and value.is_integer() else value
+
+
+def _number(text: str | None) -> int | None:
+    if text is None:
+        return None
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise click.BadParameter(
+            f"{text!r} is no number (for example 0x1111 or 4369)", param_hint="--network-id"
+        ) from None

@@ -1,0 +1,65 @@
+"""``dcp-node status``: the state of a node on one page."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from .common import EXIT_STATUS, connect, finish, node_options, span
+
+
+@click.command("status", epilog=EXIT_STATUS)
+@node_options
+def command(control: str, as_json: bool) -> int:
+    """Show who the node is, what it sent, received and ignored, and who is around."""
+    with connect(control) as client:
+        result = client.call("UT-Status")
+    return finish("UT-Status", result, as_json, None if as_json else "\n".join(_lines(result)))
+
+
+def _lines(status: dict[str, Any]) -> list[str]:
+    node, runtime = status["node"], status["runtime"]
+    bp, link = node["bp"], runtime.get("link", {})
+    counters = bp["counters"]
+    rows = [
+        ("node", status["nodeId"]),
+        ("profile", f"{status['profile']} (specification {status['specVersion']})"),
+        ("up for", span(runtime.get("uptime_ms", 0))),
+        ("link", _link(link)),
+        ("BP", f"{_active(bp)}, next beacon number {bp['next_seqno']}, {len(bp['clients'])} protocols"),
+        ("beacons", f"{counters.get('beacons-sent', 0)} sent, {counters.get('beacons-received', 0)} received"),
+    ]
+    if "srp" in node:
+        srp = node["srp"]
+        state = "registered" if srp["registered"] else "not registered"
+        rows.append(("SRP", f"{state}, {len(srp['neighbours'])} neighbours"))
+    if "vardis" in node:
+        variables = node["vardis"]["variables"].values()
+        deleted = sum(each["isDeleted"] for each in variables)
+        rows.append(("VarDis", f"{_active(node['vardis'])}, {len(variables) - deleted} variables, {deleted} deleted"))
+    if "recording" in runtime:
+        recording = runtime["recording"]
+        problem = f"; ended: {recording['problem']}" if recording["problem"] else ""
+        rows.append(("recording", f"{recording['path']}, {recording['frames']} frames{problem}"))
+    if "positions" in runtime:
+        rows.append(("position", runtime["positions"]["source"]))
+    drops = ", ".join(f"{name} {count}" for name, count in status["drops"].items())
+    rows.append(("ignored", drops or "nothing"))
+    return [f"{name:<10} {text}" for name, text in rows]
+
+
+def _active(entity: dict[str, Any]) -> str:
+    return "active" if entity["active"] else "not active"
+
+
+def _link(link: dict[str, Any]) -> str:
+    troubles = ("send_errors", "kernel_drops", "outages")
+    shown = [f"{link[name]} {name.replace('_', ' ')}" for name in troubles if link.get(name)]
+    return ", ".join([str(link.get("name", "?")), *shown])
+
+
+def as_line(status: dict[str, Any]) -> str:
+    """A status as one JSON line."""
+    return json.dumps(status, ensure_ascii=False)

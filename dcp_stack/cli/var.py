@@ -1,0 +1,201 @@
+"""``dcp-node var``: the variables of a node."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import click
+
+from dcp_stack.control.client import ControlClient
+
+from .common import (
+    EXIT_STATUS,
+    ExpectedError,
+    columns,
+    connect,
+    finish,
+    is_ok,
+    node_options,
+    note,
+    printable,
+    say,
+    shown_value,
+    simple,
+    span,
+)
+
+
+@click.group("var", epilog=EXIT_STATUS)
+def command() -> None:
+    """Create, update, read, delete, list and watch variables (RTDB services of VarDis)."""
+
+
+def _value_options(function: Any) -> Any:
+    function = click.option("--text", metavar="TEXT", help="The value as text (UTF-8).")(function)
+    return click.option("--value", metavar="HEX", help="The value in hex.")(function)
+
+
+def _value(value: str | None, text: str | None) -> str:
+    if (value is None) == (text is None):
+        raise click.UsageError("give the value with --value HEX or --text TEXT")
+    if text is not None:
+        return text.encode("utf-8", "surrogateescape").hex()
+    assert value is not None
+    try:
+        return bytes.fromhex(value.replace(":", "")).hex()
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not hex", param_hint="--value") from None
+
+
+@command.command("create", epilog=EXIT_STATUS)
+@click.argument("var_id", type=int, metavar="ID")
+@_value_options
+@click.option("--descr", default="", metavar="TEXT", help="Description.")
+@click.option("--repcnt", type=int, default=3, show_default=True, help="In how many beacons each change is sent.")
+@click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
+@node_options
+def create(
+    var_id: int,
+    value: str | None,
+    text: str | None,
+    descr: str,
+    repcnt: int,
+    timeout: int,
+    control: str,
+    as_json: bool,
+) -> int:
+    """Create variable ID, with this node as its producer."""
+    params: dict[str, Any] = {"varId": var_id, "repCnt": repcnt, "descr": descr, "value": _value(value, text)}
+    if timeout:
+        params["timeout"] = timeout
+    return simple(control, as_json, "RTDB-Create", **params)
+
+
+@command.command("update", epilog=EXIT_STATUS)
+@click.argument("var_id", type=int, metavar="ID")
+@_value_options
+@node_options
+def update(var_id: int, value: str | None, text: str | None, control: str, as_json: bool) -> int:
+    """Give variable ID, which this node produces, a new value."""
+    return simple(control, as_json, "RTDB-Update", varId=var_id, value=_value(value, text))
+
+
+@command.command("get", epilog=EXIT_STATUS)
+@click.argument("var_id", type=int, metavar="ID")
+@click.option("--text", "as_text", is_flag=True, help="The value as text (UTF-8) instead of hex.")
+@node_options
+def get(var_id: int, as_text: bool, control: str, as_json: bool) -> int:
+    """Show the value of variable ID."""
+    with connect(control) as client:
+        result = client.call("RTDB-Read", varId=var_id)
+    value = result.get("value", "")
+    if as_text:
+        value = printable(bytes.fromhex(value).decode("utf-8", "backslashreplace"), limit=1 << 16)
+    return finish("RTDB-Read", result, as_json, value)
+
+
+@command.command("delete", epilog=EXIT_STATUS)
+@click.argument("var_id", type=int, metavar="ID")
+@node_options
+def delete(var_id: int, control: str, as_json: bool) -> int:
+    """Delete variable ID, which this node produces."""
+    return simple(control, as_json, "RTDB-Delete", varId=var_id)
+
+
+@command.command("describe", epilog=EXIT_STATUS)
+@click.argument("var_id", type=int, metavar="ID")
+@node_options
+def describe(var_id: int, control: str, as_json: bool) -> int:
+    """Show everything about variable ID, also after it was deleted."""
+    with connect(control) as client:
+        result = client.call("RTDB-DescribeVariable", varId=var_id)
+    lines = [f"{name:<12}  {_member(name, value)}" for name, value in result.get("variable", {}).items()]
+    return finish("RTDB-DescribeVariable", result, as_json, "\n".join(lines))
+
+
+def _member(name: str, value: Any) -> str:
+    if name == "value":
+        return shown_value(value)
+    if name == "tStamp":
+        return f"{value} ({span(max(time.time_ns() - value, 0) / 1e6)} ago)"
+    return printable(str(value)) if isinstance(value, str) else json.dumps(value)
+
+
+@command.command("list", epilog=EXIT_STATUS)
+@node_options
+def list_(control: str, as_json: bool) -> int:
+    """List all variables with their values, deleted ones included."""
+    with connect(control) as client:
+        result = client.call("RTDB-DescribeDatabase")
+        listed = [_described(client, each) for each in result.get("variables", ())]
+    result["variables"] = listed
+    wall = time.time_ns()
+    rows = [
+        [
+            str(each["varId"]),
+            each["prodId"],
+            str(each.get("seqno", "")),
+            span(max(wall - each.get("tStamp", wall), 0) / 1e6),
+            "deleted" if each.get("isDeleted") else shown_value(each.get("value", "")),
+            printable(each.get("descr", each.get("descrHex", ""))),
+        ]
+        for each in listed
+    ]
+    table = columns(("id", "producer", "seqno", "age", "value", "description"), rows, right=(0, 2, 3))
+    return finish("RTDB-DescribeDatabase", result, as_json, table if rows else "no variables")
+
+
+def _described(client: ControlClient, variable: dict[str, Any]) -> dict[str, Any]:
+    """With value and counters; a variable may have gone meanwhile (up to 1.3)."""
+    answer = client.call("RTDB-DescribeVariable", varId=variable["varId"])
+    found: dict[str, Any] = answer.get("variable", variable)
+    return found
+
+
+@command.command("watch", epilog=EXIT_STATUS)
+@click.argument("var_ids", type=int, nargs=-1, metavar="[ID...]")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N changes.")
+@click.option("--for", "seconds", type=click.FloatRange(min=0), metavar="S", help="End after S seconds.")
+@node_options
+def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, control: str, as_json: bool) -> int:
+    """Show what variables (all, or those with these IDs) are, and then every change.
+
+    With --json, one object per line.
+    """
+    deadline = None if seconds is None else time.monotonic() + seconds
+    with connect(control) as client:
+        # First the wish, then the state: a change in between is told twice rather than never.
+        client.call("UT-Subscribe", variables=True)
+        listed = client.call("RTDB-DescribeDatabase")
+        if not is_ok(listed):
+            note(f"RTDB-DescribeDatabase: {listed['status']}; showing changes only")
+        for each in listed.get("variables", ()):
+            if not var_ids or each["varId"] in var_ids:
+                _show_change({"event": "is", **_described(client, each)}, as_json)
+        shown = 0
+        while count is None or shown < count:
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                break
+            told = client.wait(left)
+            if told is None:
+                break
+            if told.method == "UT-VariableChanged" and (not var_ids or told.params["varId"] in var_ids):
+                _show_change(told.params, as_json)
+                shown += 1
+    if count is not None and shown < count:
+        raise ExpectedError(f"{shown} of {count} changes in {seconds:g} s", 1)
+    return 0
+
+
+def _show_change(change: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        names = ("event", "varId", "prodId", "seqno", "value")
+        say(json.dumps({name: change[name] for name in names if name in change}))
+        return
+    clock = time.strftime("%H:%M:%S")
+    event = "deleted" if change.get("isDeleted") else change["event"]
+    value = "" if event == "deleted" else "  " + shown_value(change.get("value", ""))
+    say(f"{clock}  {change['varId']:>5}  {event:<8} {change.get('seqno', ''):>4}  by {change['prodId']}{value}")

@@ -1,0 +1,1 @@
+"""A node at work: sockets, clocks, files and signals around the cores."""

@@ -1,0 +1,331 @@
+"""Drives a node: waits for link, clients, positions and time, and does what the node says.
+
+One thread. However much arrives, the timers of the node come first: they are looked at between any two frames, and
+of clients some requests are answered in each turn.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Final, Protocol
+
+from dcp_stack.config import MS
+from dcp_stack.control.server import ControlServer
+from dcp_stack.effects import Effect, NeighbourExpired, NeighbourSeen, SendBeacon
+from dcp_stack.links.base import Link, TimedLink
+from dcp_stack.links.recording import Recorder
+from dcp_stack.neighbour_file import NeighbourFileWriter
+from dcp_stack.node import Node
+from dcp_stack.positions import PositionSource
+
+from .channels import ControlSocket, StandardStreams
+from .reactor import READ, Reactor
+
+log = logging.getLogger(__name__)
+
+PUBLISH_INTERVAL: Final = 20 * MS
+"""Least time between two versions of the neighbour file, which costs microseconds for each neighbour."""
+HEARTBEAT_INTERVAL: Final = 100 * MS
+HOUSEKEEPING_INTERVAL: Final = 1000 * MS
+#: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
+SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+class Attachment(Protocol):
+    """Something else that wants to be called back, such as the metrics server."""
+
+    def attach(self, reactor: Reactor) -> None:
+        """Begin."""
+        ...
+
+    def tick(self, now: int) -> None:
+        """About a second has passed."""
+        ...
+
+    def close(self) -> None:
+        """End."""
+        ...
+
+
+class Driver:
+    """A node at work. It closes what it was given."""
+
+    def __init__(
+        self,
+        node: Node,
+        link: Link,
+        *,
+        recorder: Recorder | None = None,
+        positions: PositionSource | None = None,
+        neighbour_file: NeighbourFileWriter | None = None,
+        attachments: tuple[Attachment, ...] = (),
+    ) -> None:
+        self.node = node
+        self.link = link
+        self.server = ControlServer(node, runtime=self.describe)
+        self.started = time.monotonic_ns()
+        self.late_ns = 0
+        """The latest that a timer was looked at, since the start."""
+        self.reactor = Reactor()
+        self._recorder = recorder
+        self._positions = positions
+        self._neighbour_file = neighbour_file
+        self._attachments = attachments
+        self._controls: list[ControlSocket | StandardStreams] = []
+        self._stopping = False
+        self._due: int | None = None
+        # Only links without a descriptor have to be asked; whether this is one is too slow to find out each time.
+        self._timed = link if link.fileno() < 0 and isinstance(link, TimedLink) else None
+        self._housekeeping = self.started + HOUSEKEEPING_INTERVAL
+        self._dirty = True
+        self._published = self._heartbeat = 0
+        self._bad_samples = 0
+
+    def add_control(self, control: ControlSocket | StandardStreams) -> None:
+        """Let clients in by this."""
+        self._controls.append(control)
+        control.attach(self.server, self.reactor)
+
+    def stop(self) -> None:
+        """Let :meth:`run` return soon; from a callback or a signal handler."""
+        self._stopping = True
+
+    def run(self, on_ready: Callable[[], None] = lambda: None) -> None:
+        """Start the node and drive it until :meth:`stop` or a signal; then let it deregister and close everything."""
+        with contextlib.ExitStack() as cleanup:
+            cleanup.callback(self._close)
+            cleanup.enter_context(_signals(self.stop, self.reactor))
+            self.node.start(*_times())
+            if self.link.fileno() >= 0:
+                self.reactor.watch(self.link.fileno(), READ, self._on_link)
+            if self._positions is not None:
+                self._poll_positions()
+            for attachment in self._attachments:
+                attachment.attach(self.reactor)
+            self._after_turn(*_times())
+            on_ready()
+            while not self._stopping:
+                self._turn()
+            now, wall = _times()
+            self.node.shutdown(now, wall)
+            self._after_turn(now, wall)
+
+    # -- one turn -------------------------------------------------------------------------------------------------
+
+    def _turn(self) -> None:
+        self.reactor.wait(self._patience())
+        now, wall = _times()
+        if self._timed is not None and (due := self._timed.poll_timeout()) is not None and now >= due:
+            self._on_link(READ)
+        if self._due is not None and now >= self._due:
+            self._timeout(now, wall)
+        if self._positions is not None and (due := self._positions.poll_timeout()) is not None and now >= due:
+            self._poll_positions()
+        if now >= self._housekeeping:
+            self._housekeep(now)
+        self._after_turn(now, wall)
+
+    def _patience(self) -> float | None:
+        """How long to wait in s."""
+        if any(channel.busy for control in self._controls for channel in control.channels):
+            return 0
+        due = [self._housekeeping]
+        if self._due is not None:
+            due.append(self._due)
+        if self._timed is not None and (when := self._timed.poll_timeout()) is not None:
+            due.append(when)
+        if self._positions is not None and (when := self._positions.poll_timeout()) is not None:
+            due.append(when)
+        if self._neighbour_file is not None:
+            due.append(self._published + PUBLISH_INTERVAL if self._dirty else self._heartbeat + HEARTBEAT_INTERVAL)
+        return max(min(due) - time.monotonic_ns(), 0) / 1e9
+
+    def _after_turn(self, now: int, wall: int) -> None:
+        """What any input may have set off."""
+        self._serve(now, wall)
+        effects = self.node.take_effects()
+        if effects:
+            self._carry_out(effects, now, wall)
+            self._serve(now, wall)
+        self._due = self.node.poll_timeout()
+        if self._neighbour_file is not None:
+            self._write_neighbours(self._neighbour_file, now, wall)
+
+    def _serve(self, now: int, wall: int) -> None:
+        """Answer clients and send them what there is."""
+        self.server.pressing = False
+        for control in self._controls:
+            for channel in control.channels:
+                if channel.busy or channel.session.output:
+                    channel.advance(now, wall)
+
+    def _on_link(self, _events: int) -> None:
+        """Take what has arrived, and keep the node's time while doing so."""
+        node = self.node
+        for reception in self.link.receive():
+            now = time.monotonic_ns()
+            if self._due is not None and now >= self._due:
+                self._timeout(now, time.time_ns())
+            node.handle_frame(reception.octets, now=now, wall=reception.wall)
+            effects = node.take_effects()
+            if effects:
+                self._carry_out(effects, now, reception.wall)
+                if self.server.pressing:
+                    self._serve(now, time.time_ns())
+
+    def _timeout(self, now: int, wall: int) -> None:
+        if self._due is not None:
+            self.late_ns = max(self.late_ns, now - self._due)
+        self.node.handle_timeout(now, wall)
+        self._carry_out(self.node.take_effects(), now, wall)
+        self._due = self.node.poll_timeout()
+
+    def _carry_out(self, effects: list[Effect], now: int, wall: int) -> None:
+        for effect in effects:
+            if isinstance(effect, SendBeacon):
+                self.link.send(effect.octets)
+            elif isinstance(effect, NeighbourSeen | NeighbourExpired):
+                self._dirty = True
+        self.server.indicate(effects, now=now, wall=wall)
+
+    # -- beside the protocol --------------------------------------------------------------------------------------
+
+    def _poll_positions(self, _events: int = 0) -> None:
+        """Hand down what the position source has, the newest only: SRP sends no other."""
+        source, srp = self._positions, self.node.srp
+        if source is None or srp is None:
+            return
+        fd = source.fileno()
+        now, wall = _times()
+        samples = source.poll(now, wall)
+        for complaint in source.take_complaints():
+            log.warning("%s", complaint)
+        if samples:
+            try:
+                srp.update_safety_data(samples[-1], now=now, wall=wall)
+            except ValueError as error:
+                self._bad_samples += 1
+                if self._bad_samples == 1:
+                    log.warning("position source %s: %s", source.name, error)
+            self.node.settle(now, wall)
+        if fd >= 0 and fd != source.fileno():
+            self.reactor.forget(fd)
+        if source.fileno() >= 0:
+            self.reactor.watch(source.fileno(), READ, self._poll_positions)
+
+    def _write_neighbours(self, file: NeighbourFileWriter, now: int, wall: int) -> None:
+        srp = self.node.srp
+        if srp is None or not srp.registered:
+            self._dirty = False
+        if self._dirty and srp is not None and now - self._published >= PUBLISH_INTERVAL:
+            file.publish(srp.neighbours, now=now, wall=wall)
+            self._dirty = False
+            self._published = self._heartbeat = now
+        elif now - self._heartbeat >= HEARTBEAT_INTERVAL:
+            file.heartbeat(now=now, wall=wall)
+            self._heartbeat = now
+            # An entry may also have gone with a reset, which has no effect to tell of.
+            self._dirty = True
+
+    def _housekeep(self, now: int) -> None:
+        self._housekeeping = now + HOUSEKEEPING_INTERVAL
+        if self._recorder is not None:
+            self._recorder.tick()
+        for attachment in self._attachments:
+            attachment.tick(now)
+        for control in self._controls:
+            for channel in control.channels:
+                if channel.stalled_since is not None:
+                    channel.busy = True
+
+    def describe(self) -> dict[str, Any]:
+        """What is around the node, as plain data."""
+        counters = self.link.counters
+        shown: dict[str, Any] = {
+            "uptime_ms": (time.monotonic_ns() - self.started) // MS,
+            "pid": os.getpid(),
+            "link": {
+                "name": self.link.name,
+                "max_packet_size": self.link.max_packet_size,
+                **{name: getattr(counters, name) for name in counters.__struct_fields__},
+            },
+            "timer_late_ms": self.late_ns / MS,
+        }
+        if self._recorder is not None:
+            recorder = self._recorder
+            shown["recording"] = {
+                "path": str(recorder.path),
+                "frames": recorder.frames,
+                "recording": recorder.recording,
+                "problem": recorder.problem,
+            }
+        if self._positions is not None:
+            source = self._positions
+            shown["positions"] = {
+                "source": source.name,
+                "finished": source.finished,
+                "complaints": {**source.counts, "refused": self._bad_samples},
+            }
+        return shown
+
+    def _close(self) -> None:
+        """Close everything, whatever fails of it."""
+        with contextlib.ExitStack() as closing:
+            closing.callback(self.reactor.close)
+            closing.callback(self.link.close)
+            if self._recorder is not None:
+                closing.callback(self._recorder.close)
+            for each in (self._positions, self._neighbour_file, *self._attachments, *self._controls):
+                if each is not None:
+                    closing.callback(each.close)
+
+
+@contextlib.contextmanager
+def _signals(stop: Callable[[], None], reactor: Reactor) -> Iterator[None]:
+    """End on a signal. A descriptor wakes the reactor, since Python goes on waiting after a handler has run."""
+    reader, writer = os.pipe()
+    for fd in (reader, writer):
+        os.set_blocking(fd, False)
+    try:
+        woken_before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    except ValueError:
+        # Not the main thread (a test): signals are somebody else's.
+        os.close(reader)
+        os.close(writer)
+        yield
+        return
+
+    def on_signal(number: int, _frame: object) -> None:
+        log.info("%s: shutting down", signal.Signals(number).name)
+        stop()
+        # Whoever is impatient may interrupt the shutdown.
+        signal.signal(number, signal.SIG_DFL)
+
+    # What was set to be ignored stays ignored: nohup does so with SIGHUP.
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number, handler in before.items():
+        if handler != signal.SIG_IGN:
+            signal.signal(number, on_signal)
+
+    def on_wakeup(_events: int) -> None:
+        os.read(reader, 64)
+
+    reactor.watch(reader, READ, on_wakeup)
+    try:
+        yield
+    finally:
+        reactor.forget(reader)
+        signal.set_wakeup_fd(woken_before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        os.close(reader)
+        os.close(writer)
+
+
+def _times() -> tuple[int, int]:
+    return time.monotonic_ns(), time.time_ns()

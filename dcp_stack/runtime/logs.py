@@ -1,0 +1,55 @@
+"""Logs to standard error, one event per line: ``key=value`` for people and grep, or JSON for collectors."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import sys
+import time
+from typing import Any, Final, Literal, TextIO
+
+LogFormat = Literal["text", "json"]
+LEVELS: Final = ("debug", "info", "warning", "error")
+
+_BARE: Final = re.compile(r"[\w./:@%+-]+")
+
+
+class _Formatter(logging.Formatter):
+    """``time level logger event`` and what the call gave as ``extra={"fields": {...}}``."""
+
+    def __init__(self, form: LogFormat) -> None:
+        super().__init__()
+        self._json = form == "json"
+
+    def format(self, record: logging.LogRecord) -> str:
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created)) + f".{int(record.msecs):03d}Z"
+        shown: dict[str, Any] = {
+            "time": stamp,
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "event": record.getMessage(),
+            **getattr(record, "fields", {}),
+        }
+        if record.exc_info:
+            shown["trace"] = self.formatException(record.exc_info)
+        if self._json:
+            return json.dumps(shown, default=str)
+        return " ".join(f"{name}={_quoted(value)}" for name, value in shown.items())
+
+
+def _quoted(value: Any) -> str:
+    text = str(value)
+    # Whatever is in it, it stays one line.
+    return text if _BARE.fullmatch(text) else json.dumps(text, ensure_ascii=False)
+
+
+def set_up(level: str, form: LogFormat, stream: TextIO | None = None) -> None:
+    """Send the log of this process to ``stream``, standard error by default."""
+    handler = logging.StreamHandler(stream or sys.stderr)
+    handler.setFormatter(_Formatter(form))
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(level.upper())
+    # A reader of the log that went away is no reason to write about it.
+    logging.raiseExceptions = False

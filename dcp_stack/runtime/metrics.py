@@ -1,0 +1,222 @@
+"""The numbers of a node for Prometheus and its like: OpenMetrics over HTTP on the loopback interface.
+
+The format is prometheus_client's, the parsing of requests the standard library's; both are imported when metrics are
+asked for (10 MB). There is no thread: a scrape is answered between two turns of the node.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import logging
+import socket
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Final
+
+from dcp_stack.control.server import ControlServer
+from dcp_stack.links.base import Link
+
+from .reactor import READ, WRITE, Reactor
+
+if TYPE_CHECKING:
+    from prometheus_client.core import Metric
+
+log = logging.getLogger(__name__)
+
+MAX_REQUEST: Final = 8192
+MAX_SCRAPERS: Final = 8
+PATIENCE: Final = 5_000_000_000
+"""ns that a scraper may take for its request and for taking the answer."""
+
+
+class MetricsError(Exception):
+    """The endpoint cannot be opened; the message says why and what to do."""
+
+
+class NodeCollector:
+    """What is measured; ``collect`` is what prometheus_client asks for."""
+
+    def __init__(self, server: ControlServer, link: Link) -> None:
+        self._server = server
+        self._link = link
+
+    def collect(self) -> Iterator[Metric]:
+        """All metrics. No label comes from the air: nobody out there decides how many there are."""
+        from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
+
+        node = self._server.node
+        config = node.config
+        about = {
+            "node_id": config.node_id.hex(":"),
+            "profile": config.profile.name,
+            "spec_version": str(config.profile.spec_version),
+            "link": self._link.name,
+        }
+        yield InfoMetricFamily("dcp_node", "Who this is.", value=about)
+        families: dict[str, CounterMetricFamily] = {}
+        for name, number in node.bp.counters().items():
+            base, _, label = name.partition("/")
+            if base == "drops":
+                # Among all others below.
+                continue
+            key = "protocol" if label else ""
+            if base not in families:
+                labels = [key] if key else []
+                families[base] = CounterMetricFamily(
+                    f"dcp_bp_{base.replace('-', '_')}", f"{base} of BP.", labels=labels
+                )
+            families[base].add_metric([label] if key else [], number)
+        yield from families.values()
+        drops = CounterMetricFamily("dcp_drops", "What was received and ignored.", labels=["layer", "reason"])
+        for name, number in sorted(self._server.drops.items()):
+            drops.add_metric(name.split("/", 1), number)
+        yield drops
+        counters = self._link.counters
+        for name in counters.__struct_fields__:
+            yield CounterMetricFamily(f"dcp_link_{name}", f"{name} of the link.", value=getattr(counters, name))
+        yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", value=int(node.bp.active))
+        yield GaugeMetricFamily("dcp_control_sessions", "Clients of the control socket.", len(self._server.sessions))
+        if node.srp is not None and node.srp.registered:
+            yield GaugeMetricFamily("dcp_srp_neighbours", "Neighbour table.", value=len(node.srp.neighbours))
+        if node.vardis is not None:
+            yield GaugeMetricFamily("dcp_vardis_active", "Whether VarDis is active.", value=int(node.vardis.active))
+            known = node.vardis.describe_database().variables
+            kinds = GaugeMetricFamily("dcp_vardis_variables", "Variables by state.", labels=["state"])
+            deleted = sum(each.is_deleted for each in known)
+            kinds.add_metric(["alive"], len(known) - deleted)
+            kinds.add_metric(["deleted"], deleted)
+            yield kinds
+
+
+class MetricsServer:
+    """Answers ``GET /metrics`` at 127.0.0.1."""
+
+    def __init__(self, port: int) -> None:
+        """Raises MetricsError: port in use, or the library is missing."""
+        try:
+            import http.server
+
+            from prometheus_client.openmetrics import exposition
+        except ImportError:
+            raise MetricsError("metrics need prometheus_client: pip install 'dcp-conformance-kit[metrics]'") from None
+        self._exposition: Any = exposition
+        self._parser: Any = http.server.BaseHTTPRequestHandler
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind(("127.0.0.1", port))
+            self._socket.listen(8)
+            self._socket.setblocking(False)
+        except OSError as error:
+            self._socket.close()
+            why = "the port is in use" if error.errno == errno.EADDRINUSE else error.strerror
+            raise MetricsError(f"metrics: 127.0.0.1:{port}: {why}") from None
+        self._collector: NodeCollector | None = None
+        self._scrapers: dict[socket.socket, _Scrape] = {}
+
+    @property
+    def port(self) -> int:
+        """The port, also if it was 0 for any."""
+        port: int = self._socket.getsockname()[1]
+        return port
+
+    def serve(self, collector: NodeCollector) -> None:
+        """What to answer with."""
+        self._collector = collector
+
+    def attach(self, reactor: Reactor) -> None:
+        """Begin to answer."""
+        self._reactor = reactor
+        reactor.watch(self._socket.fileno(), READ, self._accept)
+
+    def tick(self, now: int) -> None:
+        """Give up on those that take too long."""
+        for client, scrape in list(self._scrapers.items()):
+            if now - scrape.since > PATIENCE:
+                self._end(client)
+
+    def close(self) -> None:
+        """End."""
+        for client in list(self._scrapers):
+            self._end(client)
+        self._socket.close()
+
+    def _accept(self, _events: int) -> None:
+        with contextlib.suppress(OSError):
+            client, _ = self._socket.accept()
+            if len(self._scrapers) >= MAX_SCRAPERS:
+                client.close()
+                return
+            client.setblocking(False)
+            self._scrapers[client] = _Scrape()
+            self._reactor.watch(client.fileno(), READ, lambda events: self._on_ready(client, events))
+
+    def _on_ready(self, client: socket.socket, events: int) -> None:
+        scrape = self._scrapers[client]
+        try:
+            if events & READ and not scrape.answer:
+                data = client.recv(MAX_REQUEST)
+                scrape.request += data
+                if not data or len(scrape.request) > MAX_REQUEST:
+                    self._end(client)
+                    return
+                if b"\r\n\r\n" not in scrape.request:
+                    return
+                scrape.answer = self._answer(bytes(scrape.request))
+                self._reactor.watch(client.fileno(), WRITE, lambda events: self._on_ready(client, events))
+            elif events & WRITE:
+                scrape.answer = scrape.answer[client.send(scrape.answer) :]
+                if not scrape.answer:
+                    self._end(client)
+        except BlockingIOError:
+            return
+        except OSError:
+            self._end(client)
+
+    def _end(self, client: socket.socket) -> None:
+        del self._scrapers[client]
+        self._reactor.forget(client.fileno())
+        client.close()
+
+    def _answer(self, request: bytes) -> bytes:
+        status, body, kind = self._respond(request)
+        head = (
+            f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n"
+            "X-Content-Type-Options: nosniff\r\n\r\n"
+        )
+        return head.encode() + body
+
+    def _respond(self, request: bytes) -> tuple[str, bytes, str]:
+        plain = "text/plain; charset=utf-8"
+        asked = self._parser.__new__(self._parser)
+        # The parser of http.server on octets instead of a connection: what it would answer to nonsense goes nowhere.
+        asked.rfile, asked.wfile = io.BytesIO(request), io.BytesIO()
+        asked.client_address = ("", 0)
+        asked.log_message = lambda *_: None
+        asked.raw_requestline = asked.rfile.readline(MAX_REQUEST)
+        if not asked.parse_request():
+            return "400 Bad Request", b"bad request\n", plain
+        # Pages in a browser may not read it under a name that somebody pointed to this machine.
+        host = str(asked.headers.get("Host", "127.0.0.1")).rsplit(":", 1)[0]
+        if host not in ("127.0.0.1", "localhost", "[::1]"):
+            return "403 Forbidden", b"ask for 127.0.0.1\n", plain
+        if asked.command != "GET":
+            return "405 Method Not Allowed", b"GET only\n", plain
+        if asked.path.partition("?")[0] not in ("/metrics", "/"):
+            return "404 Not Found", b"there is /metrics\n", plain
+        try:
+            return "200 OK", self._exposition.generate_latest(self._collector), self._exposition.CONTENT_TYPE_LATEST
+        except Exception:
+            log.exception("metrics failed")
+            return "500 Internal Server Error", b"see the log of the node\n", plain
+
+
+class _Scrape:
+    """One request on its way."""
+
+    def __init__(self) -> None:
+        self.request = bytearray()
+        self.answer = b""
+        self.since = time.monotonic_ns()

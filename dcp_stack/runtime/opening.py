@@ -1,0 +1,163 @@
+"""From settings to a node at work: everything is opened here, in the order in which it can be refused."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import random
+import time
+from collections.abc import Iterator
+
+import msgspec
+
+from dcp_codec.codec import Codec
+from dcp_stack.config import NodeConfig
+from dcp_stack.links.base import Link, LinkError
+from dcp_stack.links.opening import open_link
+from dcp_stack.links.recording import Recorder, RecordingLink
+from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileWriter
+from dcp_stack.node import Node
+from dcp_stack.positions import PositionSource, SourceError, open_source
+
+from .channels import ControlSocket, ControlSocketError, StandardStreams
+from .driver import Driver
+from .privileges import PrivilegeError, become, find_user
+from .settings import Settings, SettingsError, codec_of, node_config
+
+log = logging.getLogger(__name__)
+
+STDIO = "stdio"
+
+
+class NodeError(Exception):
+    """The node cannot be started; the message says what is in the way."""
+
+
+@contextlib.contextmanager
+def open_node(settings: Settings) -> Iterator[Driver]:
+    """A node that is ready to run. Raises NodeError, and leaves nothing behind then."""
+    try:
+        with contextlib.ExitStack() as stack:
+            driver = _open(settings, stack)
+            # From here on the driver closes everything, in its own order.
+            stack.pop_all()
+        yield driver
+    except (SettingsError, LinkError, ControlSocketError, SourceError, NeighbourFileError, PrivilegeError) as error:
+        raise NodeError(str(error)) from None
+
+
+def _open(settings: Settings, stack: contextlib.ExitStack) -> Driver:
+    user = None if settings.user is None else find_user(settings.user)
+    if settings.control == STDIO and settings.position == "stdin":
+        raise SettingsError("control and position cannot both be standard input")
+    codec = codec_of(settings)
+    spec = _link_spec(settings)
+    config = node_config(settings, codec, default_id=_address_of(settings.interface))
+    link: Link = open_link(spec, config)
+    stack.callback(link.close)
+    config = _fitted(config, link)
+    rng = random.Random(settings.seed)  # noqa: S311 - jitter, no secret
+    now, wall = time.monotonic_ns(), time.time_ns()
+    try:
+        node = Node(config, rng=rng, now=now, wall=wall)
+    except ValueError as error:
+        raise SettingsError(str(error)) from None
+    control: ControlSocket | None = None
+    if settings.control is not None and settings.control != STDIO:
+        control = ControlSocket(settings.control)
+        stack.callback(control.close)
+    positions: PositionSource | None = None
+    if settings.position is not None:
+        positions = open_source(settings.position, codec, rng=rng)
+        stack.callback(positions.close)
+    neighbours: NeighbourFileWriter | None = None
+    if settings.neighbour_file is not None:
+        neighbours = NeighbourFileWriter(settings.neighbour_file, codec.profile, config.node_id, now=now, wall=wall)
+        stack.callback(neighbours.close)
+    metrics = None
+    if settings.metrics is not None:
+        from .metrics import MetricsError, MetricsServer
+
+        try:
+            metrics = MetricsServer(settings.metrics)
+        except MetricsError as error:
+            raise SettingsError(str(error)) from None
+        stack.callback(metrics.close)
+    if user is not None and control is not None:
+        control.give_to(user.uid, user.gid)
+    if user is not None:
+        become(user)
+    # After that: a recording is a file of the user, and the last thing to be refused should leave none.
+    recorder = _recorder(settings, config, codec)
+    if recorder is not None:
+        stack.callback(recorder.close)
+        link = RecordingLink(link, recorder)
+    driver = Driver(
+        node,
+        link,
+        recorder=recorder,
+        positions=positions,
+        neighbour_file=neighbours,
+        attachments=() if metrics is None else (metrics,),
+    )
+    if metrics is not None:
+        from .metrics import NodeCollector
+
+        metrics.serve(NodeCollector(driver.server, link))
+        log.info("metrics at http://127.0.0.1:%d/metrics", metrics.port)
+    if control is not None:
+        driver.add_control(control)
+    if settings.control == STDIO:
+        # Who started the node this way and closes its input has no more use for it.
+        driver.add_control(StandardStreams(driver.stop))
+    log.info("node %s on %s", config.node_id.hex(":"), link.name, extra={"fields": _about(settings, config)})
+    return driver
+
+
+def _about(settings: Settings, config: NodeConfig) -> dict[str, object]:
+    about = {"profile": config.profile.name, "control": settings.control, "record": settings.record}
+    return {name: value for name, value in about.items() if value is not None}
+
+
+def _link_spec(settings: Settings) -> str:
+    if settings.interface is not None and settings.link is not None:
+        raise SettingsError("interface and link are two ways to say one thing; give one of them")
+    if settings.interface is not None:
+        return f"eth:{settings.interface}"
+    if settings.link is not None:
+        return settings.link
+    raise SettingsError("which link? --interface IF for Ethernet (interface = ...), or --link udp (link = ...)")
+
+
+def _address_of(interface: str | None) -> bytes | None:
+    """The address of an interface, which is what a node is called if nobody says otherwise."""
+    if interface is None:
+        return None
+    from dcp_stack.links.interfaces import hardware_address
+
+    try:
+        return hardware_address(interface)[1]
+    except OSError:
+        # Opening the link explains it.
+        return None
+
+
+def _fitted(config: NodeConfig, link: Link) -> NodeConfig:
+    """With beacons that the link can carry. Raises SettingsError if somebody asked for longer ones."""
+    wanted = config.bp.max_packet_size
+    if (wanted or config.profile.limits.max_beacon_size) <= link.max_packet_size:
+        return config
+    if wanted is not None:
+        raise SettingsError(
+            f"bp.max_packet_size: {link.name} carries at most {link.max_packet_size} octets, not {wanted}"
+        )
+    log.info("beacons of at most %d octets, which is what %s carries", link.max_packet_size, link.name)
+    bp = msgspec.structs.replace(config.bp, max_packet_size=link.max_packet_size)
+    return msgspec.structs.replace(config, bp=bp)
+
+
+def _recorder(settings: Settings, config: NodeConfig, codec: Codec) -> Recorder | None:
+    if settings.record is None:
+        return None
+    about = {"node": config.node_id.hex(":")}
+    return Recorder(settings.record, codec, decoded=settings.record_decoded, about=about)

@@ -1,0 +1,42 @@
+"""Giving up root, once what needs it is open."""
+
+from __future__ import annotations
+
+import os
+import pwd
+from typing import NamedTuple
+
+
+class PrivilegeError(Exception):
+    """The privileges cannot be given up; the message says why."""
+
+
+class User(NamedTuple):
+    """Whose rights to go on with."""
+
+    name: str
+    uid: int
+    gid: int
+
+
+def find_user(name: str) -> User:
+    """The user ``name``. Raises PrivilegeError if there is none, or we are not root and could not become it."""
+    try:
+        entry = pwd.getpwnam(name)
+    except KeyError:
+        raise PrivilegeError(f"user {name}: there is no such user") from None
+    if os.geteuid() != 0:
+        raise PrivilegeError(f"user {name}: only root can go on as another user; leave it out, or start as root")
+    return User(name, entry.pw_uid, entry.pw_gid)
+
+
+def become(user: User) -> None:
+    """Go on as ``user``, without a way back. Raises PrivilegeError."""
+    try:
+        os.initgroups(user.name, user.gid)
+        os.setgid(user.gid)
+        os.setuid(user.uid)
+    except OSError as error:
+        raise PrivilegeError(f"user {user.name}: {error.strerror}") from None
+    if user.uid and os.getuid() != user.uid:
+        raise PrivilegeError(f"user {user.name}: the system did not change the user")

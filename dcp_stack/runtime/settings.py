@@ -1,0 +1,191 @@
+"""Settings of ``dcp-node run``: a TOML file, flags over it, and the node configuration that they make."""
+
+from __future__ import annotations
+
+import difflib
+import random
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from dcp_spec.profile import Profile
+from dcp_spec.profile_loading import ProfileError
+from dcp_spec.readings import UnknownReadingError
+
+from dcp_codec.codec import Codec, get_codec
+from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
+
+
+class SettingsError(Exception):
+    """Settings that make no node; the message names file and key, and says what would be right."""
+
+
+class SRPSettings(SRPConfig, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """State reporting, and whether there is any."""
+
+    enabled: bool | None = None
+    """None: if the profile has octets for state reports."""
+
+
+class VardisSettings(VardisConfig, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Variable dissemination, and whether there is any."""
+
+    enabled: bool = True
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Everything about one node. ``docs/dcp-node.md`` explains the keys."""
+
+    node_id: str | None = None
+    profile: str = "dcp-2.0"
+    interface: str | None = None
+    link: str | None = None
+    control: str | None = None
+    record: str | None = None
+    record_decoded: bool = True
+    position: str | None = None
+    neighbour_file: str | None = None
+    metrics: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
+    user: str | None = None
+    seed: int | None = None
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: Literal["text", "json"] = "text"
+    bp: BPConfig = BPConfig()
+    srp: SRPSettings = SRPSettings()
+    vardis: VardisSettings = VardisSettings()
+    readings: Mapping[str, str] = msgspec.field(default_factory=dict)
+
+
+_SECTIONS: dict[str, type[msgspec.Struct]] = {"bp": BPConfig, "srp": SRPSettings, "vardis": VardisSettings}
+
+
+def load_settings(path: str | Path | None, flags: Mapping[str, Any]) -> Settings:
+    """The settings in a TOML file, with ``flags`` in their place where they are given.
+
+    Flags are keys such as ``node_id`` and ``bp.beacon_period_ms``; None is not given. Raises SettingsError.
+    """
+    data = {} if path is None else _read(Path(path))
+    where = "" if path is None else f"{path}: "
+    _check_keys(where, data)
+    for key, value in flags.items():
+        if value is None:
+            continue
+        table = data
+        *sections, name = key.split(".")
+        for section in sections:
+            table = table.setdefault(section, {})
+        table[name] = value
+    if flags.get("interface") is not None:
+        data.pop("link", None)
+    elif flags.get("link") is not None:
+        data.pop("interface", None)
+    try:
+        return msgspec.convert(data, Settings)
+    except msgspec.ValidationError as error:
+        raise SettingsError(where + _explained(str(error))) from None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"{path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: not TOML: {error}") from None
+
+
+def _check_keys(where: str, data: Mapping[str, Any]) -> None:
+    """Refuse keys that are not known: a misspelt one would otherwise have no effect."""
+    tables: list[tuple[str, type[msgspec.Struct], Mapping[str, Any]]] = [("", Settings, data)]
+    tables += [(f"{name}.", kind, data[name]) for name, kind in _SECTIONS.items() if isinstance(data.get(name), dict)]
+    for prefix, kind, table in tables:
+        known = kind.__struct_fields__
+        for key in table:
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+                raise SettingsError(f"{where}unknown key {prefix + key!r}; {hint}")
+
+
+def _explained(message: str) -> str:
+    """A message of msgspec with the key in front, as it stands in the file."""
+    found = re.fullmatch(r"(.*?) - at `(?:key in )?\$\.?(.*)`", message)
+    text, key = (found[1], found[2]) if found else (message, "")
+    text = text.replace("`", "").replace("object", "table").replace("Expected ", "expected ")
+    return f"{key}: {text}" if key else text
+
+
+def codec_of(settings: Settings) -> Codec:
+    """The codec of the profile. Raises SettingsError."""
+    try:
+        return get_codec(settings.profile)
+    except ProfileError as error:
+        raise SettingsError(f"profile: {error}") from None
+
+
+def node_config(settings: Settings, codec: Codec, *, default_id: bytes | None = None) -> NodeConfig:
+    """The configuration of the node. Raises SettingsError.
+
+    Without ``node_id`` it is ``default_id`` if the profile's identifiers are addresses, otherwise a random one.
+    """
+    profile = codec.profile
+    if settings.node_id is not None:
+        node_id = parse_node_id(settings.node_id, profile)
+    elif default_id is not None and profile.types.node_id.width == len(default_id) and any(default_id):
+        node_id = default_id
+    else:
+        node_id = random_node_id(profile)
+    has_reports = codec.report_plan is not None
+    srp = settings.srp if (has_reports if settings.srp.enabled is None else settings.srp.enabled) else None
+    if settings.position is not None and srp is None:
+        raise SettingsError("position: the node runs without SRP, which would send it")
+    if settings.neighbour_file is not None and srp is None:
+        raise SettingsError("neighbour_file: the node runs without SRP, which has the neighbours")
+    try:
+        return NodeConfig(
+            node_id=node_id,
+            codec=codec,
+            bp=settings.bp,
+            srp=srp,
+            vardis=settings.vardis if settings.vardis.enabled else None,
+            readings=settings.readings,
+        )
+    except UnknownReadingError as error:
+        raise SettingsError(f"readings: {error}") from None
+    except ValueError as error:
+        raise SettingsError(str(error)) from None
+
+
+def parse_node_id(text: str, profile: Profile) -> bytes:
+    """A node identifier as people write it in this profile. Raises SettingsError."""
+    from dcp_codec.jsonform import node_id_octets
+
+    layout = profile.types.node_id
+    try:
+        octets = node_id_octets(text, layout.representation)
+    except ValueError:
+        raise SettingsError(f"node_id: {text!r} is not hex, as in 02:00:00:00:00:01") from None
+    if layout.length is None and len(octets) != layout.width:
+        raise SettingsError(f"node_id: {text} has {len(octets)} octets, and {layout.width} in profile {profile.name}")
+    return octets
+
+
+def random_node_id(profile: Profile) -> bytes:
+    """An identifier that no other node is likely to have."""
+    layout = profile.types.node_id
+    chosen = random.SystemRandom()
+    if layout.representation == "text":
+        return f"node-{chosen.randrange(1 << 32):08x}".encode()[: layout.width or None]
+    # As an address: locally administered, and of one station.
+    first = (chosen.randrange(256) & 0xFC) | 0x02
+    return bytes([first]) + chosen.randbytes(max(layout.width, 1) - 1)
+
+
+def settings_text(settings: Settings) -> str:
+    """The settings as a TOML file that says the same; keys without a value are left out."""
+    from dcp_codec.export.tomltext import toml_text
+
+    return toml_text(msgspec.to_builtins(settings))
