@@ -414,7 +414,9 @@ def test_wrong_values_name_the_field(view: View) -> None:
         beside = steps[-1] in ("protocol_id", "ic_type", "content", "extra")
         place = path.rpartition(".")[0] if beside else path
         assert error.path
-        assert error.path.startswith(place) or path.startswith(error.path), (path, error.path)
+        # A member that may have another length leaves an area with another rest, which is then what does not fit.
+        area = error.path.removesuffix("area") if error.path.endswith("].area") else error.path
+        assert error.path.startswith(place) or path.startswith(area), (path, error.path)
         assert error.why
         assert str(error).startswith(error.path)
 
