@@ -215,7 +215,8 @@ class BeaconingProtocol:
             return BPStatus.UNKNOWN_QUEUEING_MODE
         outcome = queue.submit(payload)
         self._counters.count(f"payloads-{outcome}/{client.protocol_id}")
-        if outcome != "discarded" and self._config.bp.triggered and self._active:
+        # While inactive this changes nothing: activation starts the schedule anew.
+        if outcome != "discarded" and self._config.bp.triggered:
             self._schedule.trigger(now)
         ##= BP-TXP-09
         return BPStatus.OK

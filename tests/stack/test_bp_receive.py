@@ -254,8 +254,10 @@ def test_reading_x02_goes_by_the_size_of_the_frame(version):
 @pytest.mark.parametrize("version", SINCE_1_2)
 def test_the_announced_number_of_blocks_is_not_binding(version, number):
     rig = listening(version)
-    assert rig.receive(rig.patch(rig.forge(A, B), "numPayloads", number)) == ([A, B], [])
-    assert rig.bp.counters()["beacons-with-other-count"] == 1
+    octets = rig.patch(rig.forge(A, B), "numPayloads", number)
+    assert rig.receive(octets) == ([A, B], [])
+    assert rig.receive(octets + bytes(5)) == ([A, B], [])
+    assert rig.bp.counters()["beacons-with-other-count"] == 2
 
 
 @pytest.mark.req("BP-RX-12")

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from .bp_rig import DROPHEAD, MS, ONCE, REPEAT, VERSIONS, Rig
+from .bp_rig import DROPHEAD, DROPTAIL, MS, ONCE, REPEAT, VERSIONS, Rig
 
 PERIOD = 100 * MS
 
@@ -146,6 +146,14 @@ def test_a_payload_brings_the_next_beacon_forward(version):
     assert rig.bp.poll_timeout() == rig.now
 
 
+def test_a_trigger_keeps_no_distance_to_a_beacon_that_was_none():
+    rig = Rig(triggered=True)
+    rig.register(7, ONCE)
+    assert rig.tick() is None
+    rig.submit(b"A")
+    assert rig.bp.poll_timeout() == rig.now
+
+
 def test_without_triggers_a_payload_waits():
     rig = Rig()
     due = rig.bp.poll_timeout()
@@ -154,23 +162,28 @@ def test_without_triggers_a_payload_waits():
     assert rig.bp.poll_timeout() == due
 
 
-@pytest.mark.parametrize("setting", ["discarded", "refused"])
-def test_what_is_not_kept_triggers_nothing(setting):
+def test_what_is_not_kept_triggers_nothing():
     rig = Rig(triggered=True)
-    rig.register(7, "BP_QMODE_QUEUE_DROPTAIL", entries=1)
-    rig.submit(b"A")
-    rig.tick()
+    rig.register(7, DROPTAIL, entries=1)
+    rig.submit(bytes(100))
+    # The queue stays full, as the payload fits into no beacon any more.
+    rig.bp.set_parameter("BPPAR_MAXIMUM_PACKET_SIZE", 100)
+    assert rig.tick() is None
     due = rig.bp.poll_timeout()
-    if setting == "refused":
-        rig.submit(b"")
-        rig.submit(bytes(101))
-        assert rig.bp.poll_timeout() == due
-    else:
-        rig.submit(b"B")
-        brought_forward = rig.bp.poll_timeout()
-        rig.now += 1
-        rig.submit(b"C")
-        assert rig.bp.poll_timeout() == brought_forward
+    for payload in (b"", bytes(101), b"B"):
+        rig.submit(payload)
+    assert rig.bp.poll_timeout() == due
+
+
+def test_a_trigger_keeps_its_distance_to_a_late_beacon():
+    rig = Rig(triggered=True, jitter=0.0)
+    rig.register(7, DROPHEAD)
+    rig.submit(b"A")
+    rig.submit(b"B")
+    rig.tick()
+    rig.tick(10 * MS)
+    rig.submit(b"C")
+    assert rig.bp.poll_timeout() == rig.now + PERIOD // 4
 
 
 @pytest.mark.req("BP-TX-01")
