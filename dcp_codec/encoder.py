@@ -21,7 +21,7 @@ from .source import Source
 Encode = Callable[[Any], bytes]
 
 #: What packing a wrong value can raise; anything else is a fault of ours and must show.
-_PACKING_ERRORS = (struct.error, TypeError, ValueError, AttributeError, OverflowError, LookupError)
+_PACKING_ERRORS = (struct.error, TypeError, ValueError, AttributeError, OverflowError)
 
 
 class _Out:
