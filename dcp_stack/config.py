@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Literal
 
 import msgspec
+from dcp_spec.bp import header_size
 from dcp_spec.constants import Features, features
 from dcp_spec.parameters import Sizes
-from dcp_spec.profile import Profile
+from dcp_spec.profile import Opaque, Profile
 from dcp_spec.readings import reading
 
 from dcp_codec.codec import Codec
@@ -103,15 +104,15 @@ def sizes(config: NodeConfig) -> Sizes:
     profile, types = config.profile, config.profile.types
     widths = {
         "varId": types.var_id.width,
-        "prodId": types.node_id.width,
+        # Identifiers of varying length are counted as long as the own one.
+        "prodId": len(config.node_id) + (types.node_id.length.width if types.node_id.length else 0),
         "repCnt": types.var_rep_cnt.width,
         "creationTime": types.timestamp.width,
         "timeout": types.var_timeout.width,
         "descr": sum(length.width for length in types.string.lengths) + types.string.terminated,
     }
+    foreign = sum(member.opaque for member in profile.bp.payload_header if isinstance(member, Opaque))
     value = sum(length.width for length in types.value.lengths) + types.value.terminated
-    from dcp_spec.bp import header_size
-
     return Sizes(
         version=profile.spec_version,
         uwb_max_packet_size=profile.limits.uwb_max_packet,
@@ -119,7 +120,7 @@ def sizes(config: NodeConfig) -> Sizes:
         network_id=types.network_id.width,
         var_len=types.value.lengths[0].width,
         bp_header=header_size(profile),
-        bp_payload_header=types.protocol_id.width + types.bp_length.width,
+        bp_payload_header=types.protocol_id.width + types.bp_length.width + foreign,
         ic_header=2,
         var_spec_fixed=sum(widths[name] for name in profile.vardis.var_spec),
         var_update_fixed=types.var_id.width + types.var_seqno.width + value,

@@ -411,7 +411,9 @@ def validate(name: str, value: object, sizes: Sizes) -> Violation | None:
     # bool is an int to Python, but never a length or a period.
     if isinstance(value, bool) or not isinstance(value, int | float):
         return _violation(entry, value, "an integer" if entry.type == "integer" else "a number")
-    if not math.isfinite(value) or (entry.type == "integer" and not isinstance(value, int)):
+    # An int is finite however large; math.isfinite would try to make a float of it.
+    finite = isinstance(value, int) or math.isfinite(value)
+    if not finite or (entry.type == "integer" and not isinstance(value, int)):
         return _violation(entry, value, "an integer" if entry.type == "integer" else "a finite number")
     for bound in entry.bounds:
         if bound.holds_in(sizes.version) and not bound.allows(value, sizes):

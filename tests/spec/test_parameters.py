@@ -216,3 +216,10 @@ def test_valid_parameters_leave_room_for_the_largest_create(max_packet, payload,
         container = 2 + (6 + 1 + 1 + 1 + 8 + 2 + 1 + description) + (1 + 1 + 1 + value)
         assert container <= payload
         assert 18 + 4 + payload <= max_packet
+
+
+@pytest.mark.parametrize("value", [10**400, -(10**400)])
+def test_integers_beyond_every_float_are_violations(value):
+    sizes = Sizes(uwb_max_packet_size=1500)
+    for name in ("BPPAR_MAXIMUM_PACKET_SIZE", "VARDISPAR_MAX_VALUE_LENGTH", "VARDISPAR_SCRUBBING_PERIOD"):
+        assert validate(name, value, sizes) is not None

@@ -1,0 +1,50 @@
+"""Configuration of a node: sizes of a profile, readings by name."""
+
+from __future__ import annotations
+
+import pytest
+from dcp_spec.profile_loading import profile_names
+
+from dcp_codec import Codec
+from dcp_stack.config import NodeConfig, sizes
+
+
+def config(profile: str, **rest: object) -> NodeConfig:
+    return NodeConfig(node_id=bytes((2, 0, 0, 0, 0, 1)), codec=Codec(profile), **rest)
+
+
+@pytest.mark.parametrize(
+    ("profile", "header", "block", "spec"),
+    [
+        ("dcp-1.0", 14, 4, 9),
+        ("dcp-1.1", 14, 4, 9),
+        ("dcp-1.3", 16, 4, 9),
+        ("dcp-2.0", 18, 4, 19),
+        ("cpp-2.0", 18, 4, 19),
+        ("student-2024", 0, 12, 16),
+    ],
+)
+def test_sizes_of_records(profile, header, block, spec):
+    found = sizes(config(profile))
+    assert (found.bp_header, found.bp_payload_header, found.var_spec_fixed) == (header, block, spec)
+
+
+@pytest.mark.parametrize("profile", profile_names())
+def test_every_profile_has_sizes(profile):
+    assert sizes(config(profile)).version == Codec(profile).profile.spec_version
+
+
+def test_readings_are_chosen_by_name():
+    assert config("dcp-2.0").reading("X04") == "with-header"
+    assert config("dcp-2.0", readings={"X04": "blocks-only"}).reading("X04") == "blocks-only"
+
+
+@pytest.mark.parametrize("readings", [{"X04": "nonsense"}, {"X99": "with-header"}, {"X09": "any"}])
+def test_readings_that_do_not_exist_are_refused(readings):
+    with pytest.raises((ValueError, KeyError)):
+        config("dcp-2.0", readings=readings)
+
+
+def test_a_node_id_of_another_width_is_refused():
+    with pytest.raises(ValueError, match="has 3 octets, not 6"):
+        NodeConfig(node_id=b"abc", codec=Codec("dcp-2.0"))
