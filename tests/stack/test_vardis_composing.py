@@ -405,3 +405,20 @@ def test_queues_are_first_in_first_out() -> None:
     for var_id in order:
         rig.delete(var_id)
     assert [record.var_id for record in rig.records(VarDelete)] == order
+
+
+@pytest.mark.req("VD-CMP-06")
+@pytest.mark.req("VD-CMP-09")
+@pytest.mark.req("VD-CMP-10")
+def test_what_is_repeated_goes_behind_what_waits() -> None:
+    rig = Rig(max_payload_size=60, max_description_length=4, max_summaries=0)
+    for var_id in (1, 2, 3):
+        rig.create(var_id, bytes(30), descr=b"d", rep_cnt=2)
+    assert [rig.records()[0].spec.var_id for _ in range(6)] == [1, 2, 3, 1, 2, 3]
+    for var_id in (1, 2, 3):
+        rig.update(var_id, bytes(31))
+    assert [rig.records()[0].var_id for _ in range(6)] == [1, 2, 3, 1, 2, 3]
+    rig.vardis.set_parameter("VARDISPAR_MAX_PAYLOAD_SIZE", 3)
+    for var_id in (1, 2, 3):
+        rig.delete(var_id)
+    assert [rig.records()[0].var_id for _ in range(6)] == [1, 2, 3, 1, 2, 3]

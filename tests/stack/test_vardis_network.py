@@ -6,7 +6,9 @@ links work, and after a bounded number of rounds every live variable must have i
 What the specification itself keeps from converging (A.7 of the protocol reference) is left out, and nothing else:
 
 * H1 is noise, not divergence; the number of rounds allows for it.
-* H2: a node that has restarted forgets its variables and ignores creations of its own. They need not converge.
+* H2: a node that has restarted forgets its variables and ignores creations of its own. They need not converge. It asks
+  for them with every summary, and what it is sent in answer goes before updates: in small payloads these would starve.
+  So payloads have room for all variables once a node has restarted.
 * H3: deletions have no creation time and no check of the producer, timeouts are local, and a deleted variable stays so
   until a later creation. A variable with a timeout need not converge where it is deleted while its producer has it.
 * H4, H5: identifiers belong to one node each, so nobody takes over. Clocks are skewed and set back and forth, but one
@@ -32,6 +34,8 @@ from .vardis_rig import MS, WALL, OneSlot, Rig
 
 PERIOD = 100 * MS
 IDS_PER_NODE = 6
+SMALL_PAYLOAD = 120  # of which a VarCreate takes up to 48
+ROOM_FOR_ALL = 1400
 
 
 class Peer:
@@ -53,7 +57,11 @@ class Peer:
             codec=self.codec,
             # Small, so that not everything fits at once.
             vardis=VardisConfig(
-                max_payload_size=120, max_value_length=20, max_description_length=8, max_summaries=3, max_repetitions=4
+                max_payload_size=SMALL_PAYLOAD,
+                max_value_length=20,
+                max_description_length=8,
+                max_summaries=3,
+                max_repetitions=4,
             ),
         )
         self.vardis = Vardis(config, self.bp, emit=self.effects.append, now=now, wall=self.wall(now))
@@ -66,7 +74,7 @@ class Peer:
         self.vardis.handle_timeout(now, self.wall(now))
         payload = self.bp.take()
         self.vardis.payload_transmitted(now, self.wall(now))
-        assert payload is None or len(payload) <= 120
+        assert payload is None or len(payload) <= self.vardis.parameters()["VARDISPAR_MAX_PAYLOAD_SIZE"]
         return payload
 
     def entry(self, var_id: int):
@@ -93,6 +101,11 @@ class Network(RuleBasedStateMachine):
         self.orphans: set[int] = set()
         self.tainted: set[int] = set()
         self.delayed: list[tuple[int, bytes]] = []
+        # More than a payload holds, and known to all.
+        for peer in self.peers:
+            for rep_cnt in (1, 2, 4)[: 6 // count]:
+                self.new_variable(peer, peer.fresh_id, rep_cnt, 0)
+        self.heal()
 
     # -- applications -------------------------------------------------------------------------------------------
 
@@ -112,10 +125,33 @@ class Network(RuleBasedStateMachine):
             timeout = 0
             if known is not None or var_id != fresh:
                 return
-        if var_id == fresh:
-            if len(own) >= IDS_PER_NODE or fresh >= peer.index * 64 + 60:
-                return
-            peer.fresh_id += 1
+        if var_id == fresh and (len(own) >= IDS_PER_NODE or fresh >= peer.index * 64 + 60):
+            return
+        self.new_variable(peer, var_id, rep_cnt, timeout)
+
+    @precondition(lambda self: self.own_alive())
+    @rule(data=st.data())
+    def update(self, data: st.DataObject) -> None:
+        for var_id in data.draw(st.lists(st.sampled_from(self.own_alive()), min_size=1, max_size=6)):
+            peer = self.owners[var_id]
+            values = self.history[var_id, peer.entry(var_id).spec.creation_time]
+            if len(values) < 100:
+                values.append(self.value())
+                assert peer.vardis.update(var_id, values[-1], now=self.now, wall=peer.wall(self.now)).status.is_ok
+
+    @precondition(lambda self: self.own_alive())
+    @rule(data=st.data())
+    def delete(self, data: st.DataObject) -> None:
+        var_id = data.draw(st.sampled_from(self.own_alive()))
+        peer = self.owners[var_id]
+        assert peer.vardis.delete(var_id, now=self.now, wall=peer.wall(self.now)).status.is_ok
+        if self.version != "2.0":
+            # Nothing tells what was deleted from what comes after: identifiers are used once.
+            self.orphans.add(var_id)
+
+    def new_variable(self, peer: Peer, var_id: int, rep_cnt: int, timeout: int) -> None:
+        known = peer.entry(var_id)
+        peer.fresh_id = max(peer.fresh_id, var_id + 1)
         if known is not None and self.is_known_elsewhere(var_id, peer):
             self.tainted.add(var_id)
         value = self.value()
@@ -128,27 +164,6 @@ class Network(RuleBasedStateMachine):
         self.history[var_id, entry.spec.creation_time] = [value]
         if known is not None:
             assert entry.spec.creation_time > known.spec.creation_time
-
-    @precondition(lambda self: self.own_alive())
-    @rule(data=st.data())
-    def update(self, data: st.DataObject) -> None:
-        var_id = data.draw(st.sampled_from(self.own_alive()))
-        peer = self.owners[var_id]
-        values = self.history[var_id, peer.entry(var_id).spec.creation_time]
-        if len(values) >= 100:
-            return
-        values.append(self.value())
-        assert peer.vardis.update(var_id, values[-1], now=self.now, wall=peer.wall(self.now)).status.is_ok
-
-    @precondition(lambda self: self.own_alive())
-    @rule(data=st.data())
-    def delete(self, data: st.DataObject) -> None:
-        var_id = data.draw(st.sampled_from(self.own_alive()))
-        peer = self.owners[var_id]
-        assert peer.vardis.delete(var_id, now=self.now, wall=peer.wall(self.now)).status.is_ok
-        if self.version != "2.0":
-            # Nothing tells what was deleted from what comes after: identifiers are used once.
-            self.orphans.add(var_id)
 
     # -- what goes wrong ----------------------------------------------------------------------------------------
 
@@ -180,28 +195,45 @@ class Network(RuleBasedStateMachine):
             (a.index, b.index) for a in self.peers for b in self.peers if (a.index in group) != (b.index in group)
         }
 
+    @rule(count=st.integers(1, 6))
+    def rounds_go_by(self, count: int) -> None:
+        for _ in range(count):
+            self.round()
+
+    @precondition(lambda self: self.own_alive())
+    @rule(data=st.data(), group=st.sets(st.integers(0, 3)), count=st.integers(5, 8))
+    def update_while_cut_off(self, data: st.DataObject, group: set[int], count: int) -> None:
+        """All repetitions of an update get to a part of the network only."""
+        self.partition(group)
+        self.update(data)
+        self.rounds_go_by(count)
+
     @rule(milliseconds=st.sampled_from((1, 50, 400, 3000)))
     def time_passes(self, milliseconds: int) -> None:
         self.now += milliseconds * MS
         for peer in self.peers:
             peer.vardis.handle_timeout(self.now, peer.wall(self.now))
 
-    @rule(which=st.integers(0, 3))
+    @rule(which=st.integers(0, 3), data=st.data())
+    def something_happens(self, which: int, data: st.DataObject) -> None:
+        match data.draw(st.sampled_from(("restart", "clock", "noise", "inactive"))):
+            case "restart":
+                self.restart(which)
+            case "clock":
+                self.peer(which).wall_skew += data.draw(st.integers(-(10**12), 10**12))
+            case "noise":
+                # Containers that are well formed could lie about other nodes' variables: only broken ones are noise.
+                self.deliver(self.peer(which), b"\x09" + data.draw(st.binary(max_size=40)))
+            case "inactive":
+                self.inactive_for_a_while(which, data.draw(st.integers(1, 8)))
+
     def restart(self, which: int) -> None:
         peer = self.peer(which)
         self.orphans |= {var_id for var_id, owner in self.owners.items() if owner is peer}  # H2
         peer.start(self.now)
+        for each in self.peers:
+            assert each.vardis.set_parameter("VARDISPAR_MAX_PAYLOAD_SIZE", ROOM_FOR_ALL) is None
 
-    @rule(which=st.integers(0, 3), step=st.integers(-(10**12), 10**12))
-    def step_clock(self, which: int, step: int) -> None:
-        self.peer(which).wall_skew += step
-
-    @rule(which=st.integers(0, 3), noise=st.binary(max_size=40))
-    def noise(self, which: int, noise: bytes) -> None:
-        # Containers that are well formed could lie about other nodes' variables: only broken ones are noise.
-        self.deliver(self.peer(which), b"\x09" + noise)
-
-    @rule(which=st.integers(0, 3), rounds=st.integers(1, 8))
     def inactive_for_a_while(self, which: int, rounds: int) -> None:
         peer = self.peer(which)
         peer.vardis.deactivate()
