@@ -1,0 +1,138 @@
+"""``dcp-node simulate``: a network of nodes in virtual time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import msgspec
+from dcp_spec.profile_loading import ProfileError
+
+from dcp_stack.links.base import LinkError
+from dcp_stack.sim.defaults import default_scenario
+from dcp_stack.sim.loading import check, load_scenario, parse_topology
+from dcp_stack.sim.player import Simulation
+from dcp_stack.sim.report import lines
+from dcp_stack.sim.scenario import Scenario, ScenarioError
+
+from .common import ExpectedError
+
+NOT_MET = 1
+
+
+def scenario_of(
+    path: str | None,
+    *,
+    nodes: int | None,
+    topology: str | None,
+    profile: str | None,
+    loss: float | None,
+    duration: float | None,
+    seed: int | None,
+    variables: int = 2,
+) -> Scenario:
+    """The scenario of a file or the default one, with what was said on the command line instead.
+
+    Raises :class:`ExpectedError` if that is no scenario.
+    """
+    try:
+        shape = None if topology is None else parse_topology(topology)
+        if path is None:
+            if nodes is None:
+                raise ExpectedError("give a SCENARIO file or --nodes N")
+            found = default_scenario(
+                nodes,
+                topology=shape or parse_topology("full"),
+                profile=profile or "dcp-2.0",
+                duration_s=60.0 if duration is None else duration,
+                variables=variables,
+            )
+        else:
+            found = load_scenario(path)
+        changes: dict[str, object] = {
+            "nodes": nodes,
+            "topology": shape,
+            "profile": profile,
+            "duration_s": duration,
+            "seed": seed,
+            "link": None if loss is None else msgspec.structs.replace(found.link, loss=loss),
+        }
+        given = {name: value for name, value in changes.items() if value is not None}
+        return check(msgspec.structs.replace(found, **given), path or "simulation")
+    except (ScenarioError, ProfileError) as error:
+        raise ExpectedError(str(error)) from None
+
+
+@click.command(
+    "simulate",
+    epilog="Exit status: 0 everything that is expected is so, 1 something is not, 2 wrong usage or a bad scenario.",
+)
+@click.argument("scenario", required=False, metavar="[SCENARIO]")
+@click.option("-n", "--nodes", type=click.IntRange(min=1), help="How many nodes.")
+@click.option("--topology", metavar="full|line|grid[:COLUMNS]|FILE", help="Who hears whom.  [default: full]")
+@click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
+@click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
+@click.option("--duration", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Virtual seconds.")
+@click.option("--seed", type=int, help="Everything random follows from it.  [default: 1]")
+@click.option(
+    "--variables",
+    type=click.IntRange(0, 255),
+    default=2,
+    show_default=True,
+    help="Variables that are updated every 5 s, without a SCENARIO.",
+)
+@click.option("--json", "as_json", is_flag=True, help="The result as JSON.")
+@click.option(
+    "--record",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Write DIR/node-N.mcap for each node: all that it sent and received.",
+)
+@click.option(
+    "--record-medium",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write each transmission once.",
+)
+def command(
+    scenario: str | None,
+    nodes: int | None,
+    topology: str | None,
+    profile: str | None,
+    loss: float | None,
+    duration: float | None,
+    seed: int | None,
+    variables: int,
+    as_json: bool,
+    record: Path | None,
+    record_medium: Path | None,
+) -> int:
+    """Play a SCENARIO (docs/scenarios.md) on a simulated medium, as fast as the machine can.
+
+    The same seed gives the same trace digest. Without a SCENARIO nodes move about, and a few variables are created
+    and updated; options replace what a SCENARIO says.
+    """
+    played = scenario_of(
+        scenario,
+        nodes=nodes,
+        topology=topology,
+        profile=profile,
+        loss=loss,
+        duration=duration,
+        seed=seed,
+        variables=variables,
+    )
+    try:
+        if record is not None:
+            record.mkdir(parents=True, exist_ok=True)
+        simulation = Simulation(played, record=record, record_medium=record_medium)
+    except ScenarioError as error:
+        raise ExpectedError(f"{scenario or 'simulation'}: {error}") from None
+    except LinkError as error:
+        raise ExpectedError(str(error)) from None
+    except OSError as error:
+        raise ExpectedError(f"{record}: {error.strerror}") from None
+    report = simulation.run()
+    click.echo(json.dumps(report.plain(), indent=2) if as_json else "\n".join(lines(report)))
+    return 0 if report.met else NOT_MET

@@ -1,0 +1,294 @@
+"""Nodes on a simulated medium, in virtual time: one loop, one order of events, the same for the same seed."""
+
+from __future__ import annotations
+
+import heapq
+import logging
+import random
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from dcp_spec.profile import Profile
+
+from dcp_codec.codec import Codec
+from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
+from dcp_stack.effects import Effect, SendBeacon
+from dcp_stack.links.base import Watcher
+from dcp_stack.links.memory import PERFECT, WALL_START, Delivery, Medium, MemoryLink, Quality, TraceDigest
+from dcp_stack.links.topology import Topology
+from dcp_stack.node import Node
+from dcp_stack.positions import PositionSource
+
+from .requests import answer
+from .sharing import SharedCodec
+
+log = logging.getLogger(__name__)
+
+#: How often a node can want to be called at one moment before that is a defect.
+MOST_CALLS = 1000
+
+T = TypeVar("T")
+Listener = Callable[[int, int, Any], None]
+"""Called with virtual time, node and effect."""
+
+
+def node_id(profile: Profile, index: int) -> bytes:
+    """The identifier of a simulated node: locally administered MAC addresses with its number at the end."""
+    layout = profile.types.node_id
+    mac = b"\x02" + index.to_bytes(5, "big")
+    if layout.length is not None:
+        return mac.hex(":").encode()
+    return mac if layout.width == len(mac) else (index + 1).to_bytes(layout.width, "big")
+
+
+class Station:
+    """One place in the network: its link, and its node while it is switched on."""
+
+    def __init__(self, index: int, link: MemoryLink, config: NodeConfig, rng: random.Random) -> None:
+        """Made by :class:`Network`."""
+        self.index = index
+        self.link = link
+        self.config = config
+        self.rng = rng
+        self.node: Node | None = None
+        self.failure = ""
+        """What the node raised, which ended it; empty as it should be."""
+        self.sources: list[PositionSource] = []
+        self.watchers: list[Watcher] = []
+        self.beacons_sent = 0
+        self.octets_sent = 0
+        self.beacons_received = 0
+        self.up_since: int | None = None
+        self.due = -1
+        self.called = -1
+        self.calls = 0
+
+
+class Network:
+    """Nodes and medium. All times are virtual ns from 0.
+
+    Use: :meth:`start` nodes, :meth:`call` their services, and :meth:`run_until`; in any order, as time goes on.
+    Everything random comes from ``seed``: each node has a generator of its own, and so has each sender in the medium.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        codec: Codec,
+        *,
+        seed: int = 1,
+        topology: Topology | None = None,
+        quality: Quality = PERFECT,
+        bp: BPConfig | None = None,
+        srp: SRPConfig | None = None,
+        vardis: VardisConfig | None = None,
+        share_decoding: bool = True,
+    ) -> None:
+        """``srp`` and ``vardis`` None leave the protocol away. Raises ValueError for parameters out of bounds.
+
+        ``share_decoding`` False decodes a broadcast once for each receiver: slower, with the same outcome.
+        """
+        self.codec: Codec = SharedCodec(codec) if share_decoding else codec
+        self.digest = TraceDigest()
+        self.medium = Medium(seed, topology=topology, quality=quality, observer=self.digest)
+        self._listeners: dict[type[Effect], list[Listener]] = {}
+        self.watchers: list[Watcher] = []
+        """See each transmission once."""
+        self.stations: list[Station] = []
+        self.now = 0
+        # Entries are (time, number, station) and (time, number, action). The number is unique and keeps the order.
+        self._heap: list[tuple[int, int, Station | Callable[[], None]]] = []
+        self._number = 0
+        for index in range(count):
+            link = self.medium.join()
+            config = NodeConfig(
+                node_id=node_id(codec.profile, index),
+                codec=self.codec,
+                bp=bp or BPConfig(),
+                srp=srp,
+                vardis=vardis,
+            )
+            rng = random.Random(f"{seed}/node/{index}")  # noqa: S311 - to be repeatable is the point
+            link.closed = True
+            self.stations.append(Station(index, link, config, rng))
+
+    def __len__(self) -> int:
+        return len(self.stations)
+
+    @property
+    def wall(self) -> int:
+        """The wall clock of all nodes, ns since 1970."""
+        return WALL_START + self.now
+
+    # -- nodes ---------------------------------------------------------------------------------------------------------
+
+    def node(self, index: int) -> Node:
+        """The node at a place; raises LookupError while it is switched off."""
+        node = self.stations[index].node
+        if node is None:
+            raise LookupError(f"node {index} is switched off")
+        return node
+
+    def start(self, index: int) -> None:
+        """Switch a node on, now; it knows nothing. Nothing happens if it is on already."""
+        station = self.stations[index]
+        if station.node is not None:
+            return
+        station.node = Node(station.config, rng=station.rng, now=self.now, wall=self.wall)
+        station.link.closed = False
+        station.up_since = self.now
+        self._guarded(station, lambda node: node.start(self.now, self.wall))
+
+    def stop(self, index: int) -> None:
+        """Switch a node off, now and without a word, as when its battery is empty."""
+        station = self.stations[index]
+        station.node = None
+        station.link.closed = True
+        station.up_since = None
+        # Whatever it was waiting for.
+        station.due = -1
+
+    def attach(self, index: int, source: PositionSource) -> None:
+        """Let a node have its safety data from ``source`` from now on."""
+        station = self.stations[index]
+        station.sources.append(source)
+        self.at(self.now, lambda: self._poll(station, source))
+
+    def call(self, index: int, service: Callable[[Node, int, int], T]) -> T:
+        """What ``service(node, now, wall)`` returns, and then whatever it set off at that node."""
+        node = self.node(index)
+        answer = service(node, self.now, self.wall)
+        self._guarded(self.stations[index], lambda node: node.settle(self.now, self.wall))
+        return answer
+
+    def request(self, index: int, method: str, /, **params: Any) -> dict[str, Any]:
+        """What a node answers at its control interface, as ``ControlClient.call`` has it from a real one.
+
+        Raises LookupError while it is switched off, ServiceError for an error of the node.
+        """
+        return self.call(index, lambda node, now, wall: answer(node, method, params, now, wall))
+
+    def listen(self, kind: type[Effect], listener: Listener) -> None:
+        """Have all effects of one kind, of all nodes, in the order in which they happen."""
+        self._listeners.setdefault(kind, []).append(listener)
+
+    # -- time ----------------------------------------------------------------------------------------------------------
+
+    def at(self, time: int, action: Callable[[], None]) -> None:
+        """Do something at a time to come, after what arrives then and in the order of these calls."""
+        self._push(max(time, self.now), action)
+
+    def run_until(self, end: int, *, stop: Callable[[], bool] | None = None) -> bool:
+        """Let time pass up to ``end`` and with it all that happens until then.
+
+        ``stop`` is asked after each event; when it says so this ends earlier and returns True.
+        """
+        heap, medium, stations = self._heap, self.medium, self.stations
+        while True:
+            flight = medium.poll_timeout()
+            if flight is not None and flight <= end and (not heap or flight <= heap[0][0]):
+                self.now = flight
+                for delivery in medium.deliver(flight):
+                    self._deliver(stations[delivery.receiver], delivery)
+            elif heap and heap[0][0] <= end:
+                time, _, subject = heapq.heappop(heap)
+                self.now = time
+                if not isinstance(subject, Station):
+                    subject()
+                elif subject.due == time and subject.node is not None:
+                    subject.due = -1
+                    self._wake(subject)
+            else:
+                self.now = end
+                return False
+            if stop is not None and stop():
+                return True
+
+    def close(self) -> None:
+        """Give position sources back."""
+        for station in self.stations:
+            for source in station.sources:
+                source.close()
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _push(self, time: int, subject: Station | Callable[[], None]) -> None:
+        heapq.heappush(self._heap, (time, self._number, subject))
+        self._number += 1
+
+    def _wake(self, station: Station) -> None:
+        """The time that a node waited for has come."""
+        station.calls = station.calls + 1 if station.called == self.now else 0
+        station.called = self.now
+        if station.calls > MOST_CALLS:
+            # Virtual time would stand still for ever.
+            self._fail(station, RuntimeError(f"handle_timeout was called {MOST_CALLS} times and is due still"))
+        else:
+            self._guarded(station, lambda node: node.handle_timeout(self.now, self.wall))
+
+    def _deliver(self, station: Station, delivery: Delivery) -> None:
+        station.beacons_received += 1
+        reception = delivery.reception
+        for watcher in station.watchers:
+            watcher.saw(reception.octets, reception.wall, outgoing=False, source=reception.source)
+        node = station.node
+        if node is None:
+            return
+        try:
+            node.handle_frame(reception.octets, now=self.now, wall=reception.wall)
+        except Exception as error:  # nothing received may raise: that is a finding, and the others go on
+            self._fail(station, error)
+        else:
+            self._follow_up(station, node)
+
+    def _guarded(self, station: Station, step: Callable[[Node], None]) -> None:
+        node = station.node
+        if node is None:
+            return
+        try:
+            step(node)
+        except Exception as error:  # as above
+            self._fail(station, error)
+        else:
+            self._follow_up(station, node)
+
+    def _fail(self, station: Station, error: Exception) -> None:
+        log.error("node %d at %.6f s: %s", station.index, self.now / 1e9, error, exc_info=error)
+        self.stop(station.index)
+        station.failure = f"at {self.now / 1e9:.6f} s: {type(error).__name__}: {error}"
+
+    def _follow_up(self, station: Station, node: Node) -> None:
+        """Do what a node wants done, and note when it wants to be called."""
+        listeners = self._listeners
+        for effect in node.take_effects():
+            kind = type(effect)
+            if isinstance(effect, SendBeacon):
+                self._send(station, effect.octets)
+            # Most effects are drops that nobody asked for: they must cost nothing.
+            for listener in listeners.get(kind, ()):
+                listener(self.now, station.index, effect)
+        due = node.poll_timeout()
+        if due is not None and due != station.due:
+            station.due = due = max(due, self.now)
+            self._push(due, station)
+
+    def _send(self, station: Station, octets: bytes) -> None:
+        station.beacons_sent += 1
+        station.octets_sent += len(octets)
+        for watchers in (self.watchers, station.watchers):
+            for watcher in watchers:
+                watcher.saw(octets, self.wall, outgoing=True, source=station.link.source)
+        self.medium.broadcast(station.index, octets, self.now)
+
+    def _poll(self, station: Station, source: PositionSource) -> None:
+        samples = source.poll(self.now, self.wall)
+        for sentence in source.take_complaints():
+            log.warning("node %d: %s", station.index, sentence)
+        node = station.node
+        if node is not None and node.srp is not None:
+            for sample in samples:
+                node.srp.update_safety_data(sample, now=self.now, wall=self.wall)
+                self._guarded(station, lambda node: node.settle(self.now, self.wall))
+        due = source.poll_timeout()
+        if due is not None and not source.finished:
+            self.at(due, lambda: self._poll(station, source))

@@ -1,0 +1,161 @@
+"""What came of a scenario, for people and for programs; the same for simulations and testbeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import msgspec
+
+from .agreement import Convergence
+from .scenario import NS_PER_MS, NS_PER_S
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """An expectation (or that nothing failed) and whether it was met."""
+
+    what: str
+    met: bool
+    found: str = ""
+
+
+class NodeTraffic(msgspec.Struct, frozen=True):
+    """What one node sent and received. ``beacons_per_s`` counts the time it was up; None if it was switched on late
+    or off at the end."""
+
+    node: int
+    beacons_sent: int
+    octets_sent: int
+    beacons_received: int
+    beacons_per_s: float | None
+
+
+class HopDelay(msgspec.Struct, frozen=True):
+    """How long values took to nodes so many hops from their producer."""
+
+    hops: int
+    count: int
+    mean_ms: float
+    p95_ms: float
+    max_ms: float
+
+
+class Report(msgspec.Struct):
+    """Times of convergences are ns, all others what their name says."""
+
+    title: str
+    ground: str
+    """``simulate`` or ``testbed``."""
+    nodes: int
+    profile: str
+    seed: int
+    duration_s: float
+    findings: list[Finding] = []
+    convergences: list[Convergence] = []
+    traffic: list[NodeTraffic] = []
+    delays: list[HopDelay] = []
+    shares: dict[str, float] = {}
+    """Of the medium: what became of the frames, as shares of what a perfect medium would have delivered."""
+    digest: str = ""
+    elapsed_s: float = 0.0
+    cpu_s: float = 0.0
+
+    @property
+    def met(self) -> bool:
+        """Whether everything that was expected is so."""
+        return all(finding.met for finding in self.findings)
+
+    @property
+    def speed_up(self) -> float:
+        """Virtual seconds in a real one."""
+        return self.duration_s / self.elapsed_s if self.elapsed_s else 0.0
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON."""
+        found: dict[str, Any] = msgspec.to_builtins(self)
+        found["convergences"] = [
+            {
+                "at_s": each.time / NS_PER_S,
+                "what": each.what,
+                "took_s": None if each.took is None else each.took / NS_PER_S,
+            }
+            for each in self.convergences
+        ]
+        return {**found, "speed_up": round(self.speed_up, 3), "met": self.met}
+
+
+def hop_delays(delays: dict[int, list[int]]) -> list[HopDelay]:
+    """Delays in ns by hops, put into numbers."""
+    found = []
+    for hops, times in sorted(delays.items()):
+        times.sort()
+        p95 = times[min(len(times) - 1, len(times) * 95 // 100)]
+        mean = sum(times) / len(times)
+        found.append(HopDelay(hops, len(times), mean / NS_PER_MS, p95 / NS_PER_MS, times[-1] / NS_PER_MS))
+    return found
+
+
+#: Rows of a table that are printed; the rest is summed up in one line.
+SHOWN = 24
+
+
+def lines(report: Report) -> Iterator[str]:
+    """The report as text."""
+    title = f"{report.title}: " if report.title else ""
+    yield f"{title}{report.nodes} nodes, {report.profile}, {report.duration_s:g} s, {report.ground}, seed {report.seed}"
+    yield ""
+    yield from _convergences(report.convergences)
+    yield from _traffic(report)
+    yield from _delays(report.delays)
+    if report.shares:
+        yield "medium     " + ", ".join(f"{name} {share:.2%}" for name, share in report.shares.items())
+    if report.digest:
+        yield f"digest     {report.digest}"
+    if report.ground == "simulate":
+        yield f"speed      {report.speed_up:.1f} times real time ({report.elapsed_s:.2f} s, {report.cpu_s:.2f} s CPU)"
+    yield ""
+    for finding in report.findings:
+        found = f": {finding.found}" if finding.found else ""
+        yield f"{'met    ' if finding.met else 'NOT MET'}  {finding.what}{found}"
+
+
+def _convergences(convergences: Sequence[Convergence]) -> Iterator[str]:
+    if not convergences:
+        return
+    yield "        at  event                                     databases agree after"
+    for each in convergences[:SHOWN]:
+        took = "not until the end" if each.took is None else f"{each.took / NS_PER_S:.3f} s"
+        yield f"  {each.time / NS_PER_S:6.2f} s  {each.what[:40]:<40}  {took}"
+    if len(convergences) > SHOWN:
+        known = [each.took for each in convergences if each.took is not None]
+        worst = f"{max(known) / NS_PER_S:.3f} s" if known else "-"
+        yield f"  and {len(convergences) - SHOWN} more; of all, {len(known)} ended in agreement, after {worst} at most"
+    yield ""
+
+
+def _traffic(report: Report) -> Iterator[str]:
+    traffic = report.traffic
+    rates = [each.beacons_per_s for each in traffic if each.beacons_per_s is not None]
+    if len(traffic) <= SHOWN:
+        yield "  node  beacons sent   per s   octets each  received"
+        for each in traffic:
+            rate = "     -" if each.beacons_per_s is None else f"{each.beacons_per_s:6.2f}"
+            mean = each.octets_sent / each.beacons_sent if each.beacons_sent else 0
+            yield f"  {each.node:4}  {each.beacons_sent:12}  {rate}  {mean:12.1f}  {each.beacons_received:8}"
+        yield ""
+    sent, received = sum(each.beacons_sent for each in traffic), sum(each.beacons_received for each in traffic)
+    octets = sum(each.octets_sent for each in traffic)
+    yield f"beacons    {sent} sent, {octets} octets; {received} received"
+    if rates:
+        mean = sum(rates) / len(rates)
+        yield f"rate       {mean:.2f} beacons/s per node ({min(rates):.2f} to {max(rates):.2f})"
+
+
+def _delays(delays: Sequence[HopDelay]) -> Iterator[str]:
+    if not delays:
+        return
+    for each in delays[:SHOWN]:
+        yield (
+            f"values     {each.hops:2} hops: {each.mean_ms:7.1f} ms on average, 95 % within {each.p95_ms:7.1f} ms, "
+            f"{each.max_ms:7.1f} ms at most ({each.count})"
+        )
