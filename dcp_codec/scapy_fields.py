@@ -14,7 +14,7 @@ from scapy.fields import ConditionalField, Field, PacketField, PacketListField, 
 from scapy.volatile import RandBin, RandFloat, RandNum, VolatileValue
 
 from .dissect import Field as Found
-from .jsonform import node_id_text
+from .jsonform import node_id_octets, node_id_text
 from .plan import Fill, Node, Rest, Scalar, Text
 
 #: Fuzzing draws strings of up to so many octets; more would only make frames too long for the link.
@@ -265,6 +265,4 @@ def _exactly(octets: bytes, size: int) -> bytes:
 
 
 def _node_id_octets(value: Any, representation: str) -> bytes:
-    if not isinstance(value, str):
-        return bytes(value)
-    return value.encode() if representation == "text" else bytes.fromhex(value.replace(":", ""))
+    return node_id_octets(value, representation) if isinstance(value, str) else bytes(value)
