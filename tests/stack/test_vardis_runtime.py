@@ -164,6 +164,13 @@ def test_late_timeouts_keep_the_phase() -> None:
     assert (rig.bp.queries, rig.vardis.poll_timeout()) == (1, 100 * MS)
 
 
+@pytest.mark.req("VD-SCR-01")
+def test_late_scrubbing_keeps_its_phase() -> None:
+    rig = Rig(buffer_check_period_ms=65000)
+    rig.vardis.handle_timeout(4700 * MS, WALL)
+    assert rig.vardis.poll_timeout() == 5000 * MS
+
+
 @pytest.mark.req("VD-PAR-01")
 @pytest.mark.req("VD-PAR-05")
 def test_a_larger_payload_is_registered_when_nothing_is_lost_by_it() -> None:
