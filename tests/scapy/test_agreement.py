@@ -20,7 +20,7 @@ from dcp_codec.capture import open_capture
 from dcp_codec.dissect import Dissection
 from dcp_codec.dissect import Field as Found
 from dcp_codec.framing import Framing, locate
-from dcp_codec.jsonform import node_id_text
+from dcp_codec.jsonform import node_id_octets, node_id_text
 from dcp_codec.plan import Scalar, Text
 from dcp_codec.scapy_layers import DCPBeacon, DCPPayload, Octets, use_profile
 
@@ -47,8 +47,10 @@ def expected(codec: Codec, found: Found) -> Any:
         return Octets(found.raw)
     layout = found.layout
     if isinstance(layout, Scalar | Text) and layout.role == "node-id":
-        text = node_id_text(found.value, codec.profile.types.node_id.representation)
-        return text if b"\\" not in text.encode() else Octets(found.raw)
+        representation = codec.profile.types.node_id.representation
+        text = node_id_text(found.value, representation)
+        # Text that would not give these octets again, such as a real backslash before an x, is no text.
+        return text if node_id_octets(text, representation) == found.value else Octets(found.raw)
     return found.value
 
 
