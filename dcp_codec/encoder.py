@@ -114,6 +114,14 @@ class _Generator:
             zeros = source.constant("zeros", tuple(zero(member) for member in foreign))
             targets = "".join(f"{value}_{index}, " for index in range(len(foreign)))
             source.add(f"{targets}= {value}.extra or {zeros}")
+        # What the layout cannot carry must not be lost silently.
+        lost = [
+            f"{value}.extra" if name == "extra" else f"{value}.{name} is not None"
+            for name in self.types.homeless(group)
+        ]
+        if lost:
+            with source.block(f"if {' or '.join(lost)}:"):
+                source.add("raise ValueError")
         for member in group.members:
             if isinstance(member, Scalar | Text | Group):
                 continue

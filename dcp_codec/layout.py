@@ -144,6 +144,12 @@ class ValueTypes:
         ]
         return names, foreign
 
+    def homeless(self, group: Group) -> list[str]:
+        """The attributes of the value class that this layout has no place for: they must be None (``extra``: empty)."""
+        names, foreign = self.slots(group)
+        placed = {self.attribute(group, member) for member in group.members} | ({"extra"} if foreign else set())
+        return [name for name in names if name not in placed]
+
     def attribute(self, group: Group, member: Node) -> str | None:
         """The attribute of the value class that holds ``member``, or None when it is derived or goes to ``extra``."""
         if isinstance(member, Scalar) and not member.stored:

@@ -138,6 +138,9 @@ class _Explainer:
                 raise EncodeError(_join(path, "extra"), f"needs a tuple ({names}), not {type(extra).__name__}")
             if len(extra) != len(foreign):
                 raise EncodeError(_join(path, "extra"), f"needs {len(foreign)} entries ({names}), not {len(extra)}")
+        for name in self.types.homeless(group):
+            if getattr(value, name) if name == "extra" else getattr(value, name) is not None:
+                raise EncodeError(_join(path, name), "this layout has no place for it; leave it out")
         siblings: dict[str, Any] = {}
         for member in group.members:
             attribute = self.types.attribute(group, member)

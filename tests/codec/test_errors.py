@@ -579,3 +579,34 @@ def test_lists_may_be_lists_but_nothing_else() -> None:
     for containers in wrong:
         with pytest.raises(EncodeError):
             codec.encode_containers(containers)
+
+
+# -- values that a layout cannot carry ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "path"),
+    [
+        (lambda b: msgspec.structs.replace(b, bp=msgspec.structs.replace(b.bp, network_id=0x1111)), "bp.network_id"),
+        (lambda b: msgspec.structs.replace(b, bp=msgspec.structs.replace(b.bp, extra=(1,))), "bp.extra"),
+        (lambda b: _with_spec(b, creation_time=1), "payloads[0].vardis[0].records[0].spec.creation_time"),
+        (lambda b: _with_spec(b, timeout=0), "payloads[0].vardis[0].records[0].spec.timeout"),
+    ],
+)
+def test_what_a_layout_cannot_carry_is_refused(change, path):
+    """Specification 1.3 has no network identifier, creation time or timeout: encoding must not drop them silently."""
+    codec = get_codec("dcp-1.3")
+    node = bytes(6)
+    create = VarCreate(VarSpec(1, node, 1, b"d"), VarUpdate(1, 0, b"v"))
+    beacon = Beacon(BPHeader(node, 0), (Payload(2, (Container(5, (create,)),)),))
+    codec.encode(beacon)
+    with pytest.raises(EncodeError) as error:
+        codec.encode(change(beacon))
+    assert error.value.path == path
+    assert "no place" in error.value.why
+
+
+def _with_spec(beacon, **changes):
+    create = beacon.payloads[0].content[0].records[0]
+    changed = msgspec.structs.replace(create, spec=msgspec.structs.replace(create.spec, **changes))
+    return msgspec.structs.replace(beacon, payloads=(Payload(2, (Container(5, (changed,)),)),))
