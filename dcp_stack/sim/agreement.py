@@ -122,6 +122,11 @@ class ConvergenceClock:
         self.events: list[Convergence] = []
         self._open: list[Convergence] = []
 
+    @property
+    def pending(self) -> bool:
+        """Whether there is an event since which they did not agree."""
+        return bool(self._open)
+
     def event(self, time: int, what: str) -> None:
         """Something happened that the databases have to come to terms with."""
         # The time of an event that is overtaken by the next one goes on: they may agree on both at once.

@@ -1,0 +1,154 @@
+"""``dcp-node testbed``: node processes in network namespaces of their own, on a virtual Ethernet."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+import click
+
+from dcp_stack.sim.namespaces import NamespaceError, permitted
+from dcp_stack.sim.report import lines
+from dcp_stack.sim.scenario import ScenarioError
+from dcp_stack.sim.testbed import Testbed
+
+from .common import ExpectedError, note
+from .simulate import NOT_MET, scenario_of
+
+#: Set for the copy of this command that runs in a user namespace.
+_INSIDE = "DCP_TESTBED_INSIDE"
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+class _InterruptedError(BaseException):
+    """A signal asks the testbed to end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+@click.command(
+    "testbed",
+    epilog="Exit status: 0 everything that is expected is so, 1 something is not, 2 wrong usage, a bad scenario or "
+    "no right to make network namespaces, 128 + N ended by signal N.",
+)
+@click.argument("nodes", required=False, type=click.IntRange(1, 200), metavar="[N]")
+@click.option("--scenario", metavar="FILE", help="What happens, and what is expected (docs/scenarios.md).")
+@click.option("--topology", metavar="bus|line|grid[:COLUMNS]|FILE", help="Who hears whom.  [default: bus]")
+@click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
+@click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
+@click.option("--duration", type=click.FloatRange(0, 86_400, min_open=True), metavar="S", help="[default: 30]")
+@click.option("--seed", type=int, help="Of the nodes' jitter.  [default: 1]")
+@click.option("--json", "as_json", is_flag=True, help="The result as JSON.")
+@click.option(
+    "--keep",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Have recordings (node-N.mcap), logs, settings and control sockets there, and leave them.",
+)
+def command(
+    nodes: int | None,
+    scenario: str | None,
+    topology: str | None,
+    profile: str | None,
+    loss: float | None,
+    duration: float | None,
+    seed: int | None,
+    as_json: bool,
+    keep: Path | None,
+) -> int:
+    """Start N nodes, each a process in a network namespace with one interface, and play a scenario on them.
+
+    While it runs, 'dcp-node ... --control DIR/node-0.sock' talks to the nodes. Afterwards nothing is left but what
+    --keep asks for. Needs root, or a system that allows user namespaces.
+    """
+    played = scenario_of(
+        scenario,
+        nodes=nodes,
+        topology=topology,
+        profile=profile,
+        loss=loss,
+        duration=30.0 if duration is None and scenario is None else duration,
+        seed=seed,
+    )
+    if played.nodes > 200:
+        raise ExpectedError(f"{played.nodes} nodes are {played.nodes} processes; a testbed takes up to 200")
+    _get_rights()
+    directory = _directory(keep)
+    try:
+        with _signals(), Testbed(played, directory, keep=keep is not None) as testbed:
+            if keep is not None:
+                note(f"control sockets are {directory}/node-*.sock")
+            report = testbed.run()
+    except (ScenarioError, NamespaceError) as error:
+        raise ExpectedError(f"testbed: {error}") from None
+    except _InterruptedError as stop:
+        note(f"ended by {signal.Signals(stop.number).name}; the testbed is removed")
+        return 128 + stop.number
+    finally:
+        if keep is None:
+            shutil.rmtree(directory, ignore_errors=True)
+    click.echo(json.dumps(report.plain(), indent=2) if as_json else "\n".join(lines(report)))
+    return 0 if report.met else NOT_MET
+
+
+def _directory(keep: Path | None) -> Path:
+    if keep is None:
+        return Path(tempfile.mkdtemp(prefix="dcp-testbed-"))
+    try:
+        keep.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ExpectedError(f"{keep}: {error.strerror}") from None
+    # Settings of the nodes hold it, wherever they run.
+    return keep.absolute()
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[None]:
+    """Turn signals into an exception, so that everything is removed on the way out; only the first one counts."""
+
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        for each in _SIGNALS:
+            signal.signal(each, signal.SIG_IGN)
+        raise _InterruptedError(number)
+
+    before = {each: signal.signal(each, interrupt) for each in _SIGNALS}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+def _get_rights() -> None:
+    """Go on if namespaces can be made; otherwise begin again in a user namespace, if that is possible."""
+    if permitted():
+        return
+    if shutil.which("ip") is None:
+        raise ExpectedError("testbed: ip is not installed (Debian: iproute2)")
+    unshare = shutil.which("unshare")
+    # No namespace for processes: it would need a process in between, which keeps signals from this one.
+    flags = ["--user", "--map-root-user", "--net", "--mount"]
+    possible = unshare is not None and not os.environ.get(_INSIDE)
+    if possible and subprocess.run([unshare or "", *flags, "true"], capture_output=True, check=False).returncode == 0:  # noqa: S603
+        # Where ip keeps its namespaces belongs to root; this /run is ours alone.
+        script = 'mount -t tmpfs none /run && exec "$@"'
+        inner = ["sh", "-c", script, "sh", sys.executable, "-m", "dcp_stack.cli", *sys.argv[1:]]
+        os.environ[_INSIDE] = "1"
+        sys.stdout.flush()
+        os.execv(unshare or "", ["unshare", *flags, "--", *inner])  # noqa: S606
+    raise ExpectedError(
+        "testbed: network namespaces cannot be made here: run as root, or let users have namespaces "
+        "(sysctl user.max_user_namespaces, kernel.unprivileged_userns_clone or "
+        "kernel.apparmor_restrict_unprivileged_userns=0)"
+    )
