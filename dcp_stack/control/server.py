@@ -205,6 +205,11 @@ class ControlServer:
         """The open sessions."""
         return tuple(self._sessions)
 
+    @property
+    def listening(self) -> bool:
+        """Whether somebody is to be told of what arrives."""
+        return bool(self._owners) or self._wants_variables or self._wants_neighbours or self._wants_protocols
+
     def open(self) -> ControlSession:
         """A client has come."""
         session = ControlSession(self)

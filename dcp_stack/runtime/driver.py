@@ -32,6 +32,15 @@ PUBLISH_INTERVAL: Final = 20 * MS
 """Least time between two versions of the neighbour file, which costs microseconds for each neighbour."""
 HEARTBEAT_INTERVAL: Final = 100 * MS
 HOUSEKEEPING_INTERVAL: Final = 1000 * MS
+SLACK: Final = 150 * MS
+"""What comes up so shortly before a beacon is done with it: a wake-up costs more than what it is for.
+
+Nothing is lost by it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames
+that wait in the kernel, with their time of arrival, are processed before it is made. Nobody sees the difference: before
+a request is answered the frames are taken, too, and while somebody is to be told of them they are taken at once.
+"""
+FLOOD: Final = 64
+"""Frames at once after which the link is not left alone until the next beacon."""
 #: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -78,7 +87,11 @@ class Driver:
         self._attachments = attachments
         self._controls: list[ControlSocket | StandardStreams] = []
         self._stopping = False
-        self._due: int | None = None
+        self._wake: int | None = None
+        self._node_time = self.started
+        self._link_fd = link.fileno()
+        self._lazy = self._flooded = False
+        self._srp_slack = self._slack_of_srp()
         # Only links without a descriptor have to be asked; whether this is one is too slow to find out each time.
         self._timed = link if link.fileno() < 0 and isinstance(link, TimedLink) else None
         self._housekeeping = self.started + HOUSEKEEPING_INTERVAL
@@ -101,8 +114,6 @@ class Driver:
             cleanup.callback(self._close)
             cleanup.enter_context(_signals(self.stop, self.reactor))
             self.node.start(*_times())
-            if self.link.fileno() >= 0:
-                self.reactor.watch(self.link.fileno(), READ, self._on_link)
             if self._positions is not None:
                 self._poll_positions()
             for attachment in self._attachments:
@@ -122,10 +133,12 @@ class Driver:
         now, wall = _times()
         if self._timed is not None and (due := self._timed.poll_timeout()) is not None and now >= due:
             self._on_link(READ)
-        if self._due is not None and now >= self._due:
-            self._timeout(now, wall)
-        if self._positions is not None and (due := self._positions.poll_timeout()) is not None and now >= due:
-            self._poll_positions()
+        if self._wake is not None and now >= self._wake:
+            if self._lazy:
+                self._on_link()
+                now, wall = _times()
+            if self._wake is not None and now >= self._wake:
+                self._timeout(now, wall)
         if now >= self._housekeeping:
             self._housekeep(now)
         self._after_turn(now, wall)
@@ -135,11 +148,9 @@ class Driver:
         if any(channel.busy for control in self._controls for channel in control.channels):
             return 0
         due = [self._housekeeping]
-        if self._due is not None:
-            due.append(self._due)
+        if self._wake is not None:
+            due.append(self._wake)
         if self._timed is not None and (when := self._timed.poll_timeout()) is not None:
-            due.append(when)
-        if self._positions is not None and (when := self._positions.poll_timeout()) is not None:
             due.append(when)
         if self._neighbour_file is not None:
             due.append(self._published + PUBLISH_INTERVAL if self._dirty else self._heartbeat + HEARTBEAT_INTERVAL)
@@ -147,12 +158,15 @@ class Driver:
 
     def _after_turn(self, now: int, wall: int) -> None:
         """What any input may have set off."""
+        if self._lazy and any(channel.busy for control in self._controls for channel in control.channels):
+            self._on_link()
+            now, wall = _times()
         self._serve(now, wall)
         effects = self.node.take_effects()
         if effects:
             self._carry_out(effects, now, wall)
             self._serve(now, wall)
-        self._due = self.node.poll_timeout()
+        self._plan()
         if self._neighbour_file is not None:
             self._write_neighbours(self._neighbour_file, now, wall)
 
@@ -162,16 +176,23 @@ class Driver:
         for control in self._controls:
             for channel in control.channels:
                 if channel.busy or channel.session.output:
+                    self._node_time = now
                     channel.advance(now, wall)
 
-    def _on_link(self, _events: int) -> None:
+    def _on_link(self, _events: int = 0) -> None:
         """Take what has arrived, and keep the node's time while doing so."""
         node = self.node
-        for reception in self.link.receive():
+        receptions = self.link.receive()
+        self._flooded = len(receptions) > FLOOD
+        # Between the two clocks: frames carry the time of day at which the kernel received them.
+        offset = time.time_ns() - time.monotonic_ns()
+        for reception in receptions:
             now = time.monotonic_ns()
-            if self._due is not None and now >= self._due:
+            if self._wake is not None and now >= self._wake:
                 self._timeout(now, time.time_ns())
-            node.handle_frame(reception.octets, now=now, wall=reception.wall)
+            # For the node time goes forward, whatever the clocks do.
+            arrived = self._node_time = min(max(reception.wall - offset, self._node_time), now)
+            node.handle_frame(reception.octets, now=arrived, wall=reception.wall)
             effects = node.take_effects()
             if effects:
                 self._carry_out(effects, now, reception.wall)
@@ -179,11 +200,38 @@ class Driver:
                     self._serve(now, time.time_ns())
 
     def _timeout(self, now: int, wall: int) -> None:
-        if self._due is not None:
-            self.late_ns = max(self.late_ns, now - self._due)
+        if self._wake is not None and now - self._wake > self.late_ns:
+            self.late_ns = now - self._wake
+        self._node_time = now
+        # Positions first: the newest goes into the beacon of now.
+        if self._positions is not None and (due := self._positions.poll_timeout()) is not None and now >= due:
+            self._poll_positions()
         self.node.handle_timeout(now, wall)
         self._carry_out(self.node.take_effects(), now, wall)
-        self._due = self.node.poll_timeout()
+        self._plan()
+
+    def _plan(self) -> None:
+        """When to wake the node or the positions next, and whether frames can wait until then."""
+        node = self.node
+        wake = beacon = node.bp.poll_timeout()
+        srp, vardis, positions = node.srp, node.vardis, self._positions
+        for due, slack in (
+            (None if srp is None else srp.poll_timeout(), self._srp_slack),
+            (None if vardis is None else vardis.poll_timeout(), SLACK),
+            (None if positions is None else positions.poll_timeout(), SLACK),
+        ):
+            if due is not None and (wake is None or (due < wake and (beacon is None or beacon - due > slack))):
+                wake = due
+        self._wake = wake
+        self._lazy = (
+            beacon is not None
+            and beacon - time.monotonic_ns() <= SLACK
+            and not self._flooded
+            and self._neighbour_file is None
+            and not self.server.listening
+        )
+        if self._link_fd >= 0:
+            self.reactor.watch(self._link_fd, 0 if self._lazy else READ, self._on_link)
 
     def _carry_out(self, effects: list[Effect], now: int, wall: int) -> None:
         for effect in effects:
@@ -234,6 +282,7 @@ class Driver:
 
     def _housekeep(self, now: int) -> None:
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
+        self._srp_slack = self._slack_of_srp()
         if self._recorder is not None:
             self._recorder.tick()
         for attachment in self._attachments:
@@ -243,11 +292,17 @@ class Driver:
                 if channel.stalled_since is not None:
                     channel.busy = True
 
+    def _slack_of_srp(self) -> int:
+        # SRP traverses its table six times in a timeout and must five times: 1/6 + 1/30 = 1/5.
+        srp = self.node.srp
+        return SLACK if srp is None else min(SLACK, round(min(srp.parameters().values()) * MS / 30))
+
     def describe(self) -> dict[str, Any]:
         """What is around the node, as plain data."""
         counters = self.link.counters
         shown: dict[str, Any] = {
             "uptime_ms": (time.monotonic_ns() - self.started) // MS,
+            "cpu_ms": time.process_time_ns() // MS,
             "pid": os.getpid(),
             "link": {
                 "name": self.link.name,
