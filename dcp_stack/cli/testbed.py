@@ -19,7 +19,7 @@ import click
 from dcp_stack.sim.namespaces import NamespaceError, permitted
 from dcp_stack.sim.report import lines
 from dcp_stack.sim.scenario import ScenarioError
-from dcp_stack.sim.testbed import Testbed
+from dcp_stack.sim.testbed import StartError, Testbed
 
 from .common import ExpectedError, note
 from .simulate import NOT_MET, scenario_of
@@ -90,7 +90,7 @@ def command(
             if keep is not None:
                 note(f"control sockets are {directory}/node-*.sock")
             report = testbed.run()
-    except (ScenarioError, NamespaceError) as error:
+    except (ScenarioError, NamespaceError, StartError) as error:
         raise ExpectedError(f"testbed: {error}") from None
     except _InterruptedError as stop:
         note(f"ended by {signal.Signals(stop.number).name}; the testbed is removed")

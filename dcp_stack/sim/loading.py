@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import random
 import re
 import tomllib
 from collections.abc import Iterator
@@ -13,8 +14,10 @@ import msgspec
 from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec.codec import Codec, get_codec
-from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
+from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
+from dcp_stack.node import Node
 
+from .network import node_id
 from .scenario import (
     BeaconRate,
     Content,
@@ -85,6 +88,21 @@ def check(scenario: Scenario, where: str = "scenario") -> Scenario:
         raise ScenarioError(f"{where}: {key}: {problem}")
     scenario_codec(scenario, where)
     return scenario
+
+
+def check_nodes(scenario: Scenario, codec: Codec) -> None:
+    """Raise :class:`ScenarioError` for parameters that nodes refuse: they do so when they are made."""
+    config = NodeConfig(
+        node_id=node_id(codec.profile, 0),
+        codec=codec,
+        bp=scenario.bp,
+        srp=scenario.srp_config,
+        vardis=scenario.vardis_config,
+    )
+    try:
+        Node(config, rng=random.Random(0), now=0, wall=0)  # noqa: S311 - it never runs
+    except ValueError as error:
+        raise ScenarioError(f"the nodes cannot be set up like this: {error}") from None
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -13,12 +13,11 @@ from dcp_codec.codec import Codec
 from dcp_stack.control.client import ServiceError
 from dcp_stack.effects import VariableChanged
 from dcp_stack.links.recording import Recorder
-from dcp_stack.node import Node
 from dcp_stack.positions import SourceError, open_source
 
 from .agreement import Agreement, ConvergenceClock, Known
 from .expectations import VariableState, checks, describe, judge_all, judge_now
-from .loading import check, scenario_codec
+from .loading import check, check_nodes, scenario_codec
 from .network import Network
 from .report import Finding, NodeTraffic, Report, hop_delays
 from .requests import request, trouble
@@ -63,22 +62,18 @@ class Simulation:
         """
         self.scenario = check(scenario)
         self.codec: Codec = scenario_codec(scenario)
-        try:
-            self.network = Network(
-                scenario.nodes,
-                self.codec,
-                seed=scenario.seed,
-                topology=scenario.topology.heard_by(scenario.nodes),
-                quality=scenario.link.quality(),
-                bp=scenario.bp,
-                srp=scenario.srp_config,
-                vardis=scenario.vardis_config,
-                share_decoding=share_decoding,
-            )
-            # A node refuses parameters when it is made, which must not wait until it is switched on.
-            Node(self.network.stations[0].config, rng=random.Random(0), now=0, wall=0)  # noqa: S311
-        except ValueError as error:
-            raise ScenarioError(f"the nodes cannot be set up like this: {error}") from None
+        check_nodes(scenario, self.codec)
+        self.network = Network(
+            scenario.nodes,
+            self.codec,
+            seed=scenario.seed,
+            topology=scenario.topology.heard_by(scenario.nodes),
+            quality=scenario.link.quality(),
+            bp=scenario.bp,
+            srp=scenario.srp_config,
+            vardis=scenario.vardis_config,
+            share_decoding=share_decoding,
+        )
         self.agreement = Agreement(scenario.nodes)
         self.clock = ConvergenceClock()
         self.findings: list[Finding] = []

@@ -15,7 +15,7 @@ from .agreement import Agreement, ConvergenceClock
 from .expectations import VariableState, checks, describe, judge_all, judge_now
 from .fabric import Fabric
 from .janitor import Janitor
-from .loading import check, scenario_codec
+from .loading import check, check_nodes, scenario_codec
 from .namespaces import own_prefix, sweep
 from .network import node_id
 from .processes import END_PATIENCE, NodeProcess, seconds_between, settings_for
@@ -47,6 +47,10 @@ LOOK_INTERVAL = 0.05
 START_PATIENCE = 30.0
 
 
+class StartError(Exception):
+    """A node does not start; the message says which one, and what it wrote last."""
+
+
 class Testbed:
     """Namespaces, links and processes for one scenario; a context manager that leaves nothing behind."""
 
@@ -58,7 +62,9 @@ class Testbed:
         Raises ScenarioError, NamespaceError.
         """
         self.scenario = check(scenario)
-        self.profile = scenario_codec(scenario).profile
+        codec = scenario_codec(scenario)
+        check_nodes(scenario, codec)
+        self.profile = codec.profile
         self.agreement = Agreement(scenario.nodes)
         self.clock = ConvergenceClock()
         self.findings: list[Finding] = []
@@ -106,7 +112,10 @@ class Testbed:
     # -- running -------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Switch on the nodes that are on from the start, and wait until they answer; time 0 is then."""
+        """Switch on the nodes that are on from the start, and wait until they answer; time 0 is then.
+
+        Raises :class:`StartError` if one does not.
+        """
         awaited = [node for node in self.nodes if node.index not in self.scenario.down_at_start]
         for node in awaited:
             node.start()
@@ -115,10 +124,12 @@ class Testbed:
             ready = [node.connect() for node in awaited]
             if all(ready):
                 break
-            ended = next((node.failure for node in awaited if node.failure), "")
-            if ended or time.monotonic() > deadline:
-                self._problems.append(ended or "the nodes did not start in time")
-                break
+            for node in awaited:
+                if node.ended():
+                    raise StartError(node.failure)
+            if time.monotonic() > deadline:
+                missing = ", ".join(str(node.index) for node in awaited if not node.answers)
+                raise StartError(f"after {START_PATIENCE + len(awaited):g} s nothing is heard from nodes {missing}")
             time.sleep(0.02)
         self._begin = time.monotonic()
 
@@ -128,7 +139,10 @@ class Testbed:
         return round((time.monotonic() - self._begin) * NS_PER_S)
 
     def run(self) -> Report:
-        """Start, play the scenario from beginning to end, and end the nodes; the same report as of a simulation."""
+        """Start, play the scenario from beginning to end, and end the nodes; the same report as of a simulation.
+
+        Raises :class:`StartError`.
+        """
         started = time.perf_counter()
         self.start()
         for at, act in self._timeline():

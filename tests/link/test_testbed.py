@@ -1,0 +1,300 @@
+"""Node processes on a real virtual Ethernet: they beacon, agree, and leave nothing behind.
+
+Everything that takes its time runs at once, in testbeds of its own: that they do not disturb one another is part of
+what is tested.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from dcp_codec.capture import open_capture
+from dcp_stack.sim import namespaces
+from dcp_stack.sim.fabric import chance, netem_options
+from dcp_stack.sim.scenario import LinkQuality, ScenarioError
+
+pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
+pytestmark = pytest.mark.tool("ip")
+
+ROOT = Path(__file__).parents[2]
+LINE = ROOT / "examples" / "line.toml"
+PATIENCE = 120.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rights() -> None:
+    if shutil.which("ip") is None:
+        return
+    if not namespaces.permitted():
+        message = "network namespaces cannot be made here: run as root (CAP_NET_ADMIN)"
+        if os.environ.get("DCP_REQUIRE_TOOLS") == "1":
+            pytest.fail(message, pytrace=False)
+        pytest.skip(message)
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "dcp_stack.cli", "testbed", *map(str, arguments)]
+
+
+def start(*arguments: object, prefix: tuple[str, ...] = ()) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*prefix, *command(*arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    )
+
+
+def namespaces_of(process: subprocess.Popen[str]) -> list[str]:
+    return namespaces.existing(f"{namespaces.PREFIX}-{process.pid}")
+
+
+def wait_for(done: Callable[[], bool], what: str, patience: float = 60.0) -> None:
+    deadline = time.monotonic() + patience
+    while not done():
+        if time.monotonic() > deadline:
+            pytest.fail(f"{what}: not within {patience} s")
+        time.sleep(0.05)
+
+
+def written(directory: Path, name: str, text: str) -> Path:
+    path = directory / name
+    path.write_text(text)
+    return path
+
+
+RATES = """
+nodes = {nodes}
+duration_s = 20
+[[tracks]]
+source = "track:walk,rate=20"
+[[events]]
+do = "create"
+at_s = 0.2
+node = 0
+variable = 1
+text = "x"
+[[expect]]
+that = "beacon-rate"
+per_s = 10
+tolerance = 0.02
+[[expect]]
+that = "converged"
+within_s = 2
+"""
+ALL_KNOW = '[[expect]]\nthat = "neighbours"\nnode = {node}\nare = {others}\n'
+
+
+class Runs:
+    """Testbeds that run at the same time."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.processes: dict[str, subprocess.Popen[str]] = {}
+        self._outputs: dict[str, tuple[str, str]] = {}
+        for nodes in (2, 3, 4):
+            text = RATES.format(nodes=nodes)
+            for node in range(nodes):
+                text += ALL_KNOW.format(node=node, others=[each for each in range(nodes) if each != node])
+            self._start(f"rates-{nodes}", "--scenario", written(directory, f"rates-{nodes}.toml", text))
+        self._start("line", "--scenario", LINE)
+        # The third node is out of reach: half of the frames are lost on their way to each.
+        self._start("lossy", 3, "--loss", 0.5, "--duration", 10)
+
+    def _start(self, name: str, *arguments: object) -> None:
+        self.processes[name] = start(*arguments, "--json", "--keep", self.directory / name)
+
+    def report(self, name: str) -> dict:
+        """What came of one; its exit status has to say the same."""
+        process = self.processes[name]
+        if name not in self._outputs:
+            self._outputs[name] = process.communicate(timeout=PATIENCE)
+        output, errors = self._outputs[name]
+        assert output, errors
+        report = json.loads(output)
+        assert process.returncode == (0 if report["met"] else 1)
+        return report
+
+
+@pytest.fixture(scope="module")
+def runs(rights, tmp_path_factory) -> Iterator[Runs]:
+    made = Runs(tmp_path_factory.mktemp("testbeds"))
+    try:
+        yield made
+    finally:
+        for process in made.processes.values():
+            if process.poll() is None:
+                process.terminate()
+                process.communicate(timeout=PATIENCE)
+
+
+def unmet(report: dict) -> list[dict]:
+    return [finding for finding in report["findings"] if not finding["met"]]
+
+
+class TestNodes:
+    @pytest.mark.parametrize("nodes", [2, 3, 4])
+    @pytest.mark.req("BP-TX-01")
+    def test_they_beacon_at_ten_hertz_and_hear_one_another(self, runs, nodes):
+        report = runs.report(f"rates-{nodes}")
+        assert not unmet(report)
+        assert all(9.8 <= each["beacons_per_s"] <= 10.2 for each in report["traffic"])
+
+    def test_a_line_agrees_after_everything_that_can_happen_to_a_variable(self, runs):
+        report = runs.report("line")
+        assert not unmet(report)
+        what = [each["what"] for each in report["convergences"]]
+        assert what == [
+            "node 0 creates variable 7",
+            "node 0 updates variable 7",
+            "node 0 deletes variable 7",
+            "node 0 creates variable 7",
+            "node 4 is switched on",
+            "partition 0,1",
+            "node 0 updates variable 7",
+            "the partition heals",
+        ]
+        # What was updated behind the partition was heard of only when it ended.
+        assert report["convergences"][6]["took_s"] > 3
+
+    def test_frames_are_lost_as_often_as_asked_for(self, runs):
+        report = runs.report("lossy")
+        sent = sum(each["beacons_sent"] for each in report["traffic"])
+        received = sum(each["beacons_received"] for each in report["traffic"])
+        assert 0.35 < received / (2 * sent) < 0.65
+        assert not unmet(report)
+
+    def test_each_node_has_a_recording_of_all_that_it_said_and_heard(self, runs):
+        report = runs.report("rates-3")
+        for each in report["traffic"]:
+            with open_capture(runs.directory / "rates-3" / f"node-{each['node']}.mcap") as capture:
+                frames = sum(1 for _ in capture)
+            # What was said between the last look and the end is in the recording only.
+            assert 0 <= frames - each["beacons_sent"] - each["beacons_received"] < 30
+
+    def test_nothing_is_left(self, runs):
+        for name in list(runs.processes):
+            runs.report(name)
+        for process in runs.processes.values():
+            assert not namespaces_of(process)
+        assert not list(runs.directory.glob("*/*.sock"))
+
+
+@pytest.fixture
+def running() -> Iterator[subprocess.Popen[str]]:
+    """A testbed of two nodes that run."""
+    process = start(2, "--duration", 60)
+    try:
+        wait_for(lambda: len(inside(process)) == 2, "the nodes start")
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+        process.communicate(timeout=PATIENCE)
+
+
+def inside(process: subprocess.Popen[str]) -> list[str]:
+    """The processes in the namespaces of a testbed."""
+    found = []
+    for name in namespaces_of(process):
+        found += subprocess.run(["ip", "netns", "pids", name], capture_output=True, text=True).stdout.split()
+    return found
+
+
+def runs_on(pid: str) -> bool:
+    """Whether a process runs; one that nobody has waited for yet does not."""
+    try:
+        stat = Path("/proc", pid, "stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+class TestEnds:
+    @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+    def test_a_signal_ends_it_in_an_orderly_way(self, running, number):
+        nodes = inside(running)
+        running.send_signal(number)
+        _, errors = running.communicate(timeout=30)
+        assert running.returncode == 128 + number
+        assert "the testbed is removed" in errors
+        assert not namespaces_of(running)
+        assert not any(runs_on(pid) for pid in nodes)
+
+    def test_somebody_cleans_up_behind_one_that_is_killed(self, running):
+        nodes = inside(running)
+        running.kill()
+        running.communicate(timeout=30)
+        wait_for(lambda: not namespaces_of(running), "the namespaces go", 15)
+        assert not any(runs_on(pid) for pid in nodes)
+
+    def test_the_next_start_removes_what_nobody_else_did(self):
+        ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+        left = f"{namespaces.PREFIX}-{ended.stdout.strip()}-1-n0"
+        mine = f"{namespaces.own_prefix()}-n0"
+        foreign = f"{namespaces.PREFIX}-not-one-of-ours"
+        namespaces.create([left, mine, foreign])
+        sleeper = subprocess.Popen([*namespaces.enter_command(left), "sleep", "100"])
+        try:
+            assert namespaces.sweep() == [left]
+            assert sleeper.wait(10) < 0
+            assert namespaces.existing(namespaces.own_prefix()) == [mine]
+            assert Path("/run/netns", foreign).exists()
+        finally:
+            sleeper.kill()
+            namespaces.delete([mine])
+            subprocess.run(["ip", "netns", "delete", foreign], check=True)
+            assert not Path("/run/netns", left).exists()
+
+
+class TestRefusals:
+    def test_without_rights_it_says_what_to_do(self):
+        if shutil.which("setpriv") is None:
+            pytest.skip("setpriv is not on PATH")
+        # Root without capabilities may not even make a user namespace for root.
+        process = start(2, prefix=("setpriv", "--bounding-set", "-all", "--inh-caps", "-all"))
+        output, errors = process.communicate(timeout=PATIENCE)
+        if process.returncode == 0:
+            pytest.skip("this kernel gives namespaces to anybody")
+        assert (process.returncode, output) == (2, "")
+        assert errors.startswith("dcp-node: testbed: network namespaces cannot be made here: run as root, or let users")
+        assert errors.count("\n") == 1
+
+    @pytest.mark.parametrize(
+        ("keys", "complaint"),
+        [
+            ("[bp]\nbeacon_period_ms = 0\n", "the nodes cannot be set up like this: BPPAR_BEACON_PERIOD"),
+            ("[bp]\nmax_packet_size = 5000\n", "BPPAR_MAXIMUM_PACKET_SIZE must be at most 1500"),
+            (
+                '[[tracks]]\nsource = "track:spiral"\n',
+                "node 0 ended with status 2: dcp-node: track:spiral: no track 'spiral'",
+            ),
+        ],
+    )
+    def test_nodes_that_cannot_run_are_named_with_what_they_say(self, tmp_path, keys, complaint):
+        scenario = written(tmp_path, "bad.toml", "nodes = 2\nduration_s = 3\n" + keys)
+        process = start("--scenario", scenario)
+        output, errors = process.communicate(timeout=PATIENCE)
+        assert (process.returncode, output) == (2, "")
+        assert complaint in errors
+        assert errors.count("\n") == 1
+        assert not namespaces_of(process)
+
+    def test_qualities_as_options_of_netem(self):
+        assert netem_options(LinkQuality(loss=0.125)) == "loss 12.5000%"
+        everything = LinkQuality(loss=0.1, duplicate=0.01, delay_ms=5, jitter_ms=4)
+        assert netem_options(everything) == "delay 7.000ms 2.000ms loss 10.0000% duplicate 1.0000%"
+        assert netem_options(LinkQuality(reorder=0.25)) == "delay 50.000ms reorder 75.0000%"
+        with pytest.raises(ScenarioError, match="reorder"):
+            netem_options(LinkQuality(reorder=0.25, delay_ms=1))
+
+    @pytest.mark.parametrize(("probability", "threshold"), [(0.5, 1 << 31), (1e-12, 0), (0.25, 1 << 30)])
+    def test_chance_as_a_program(self, probability, threshold):
+        assert f"53 0 1 {threshold}," in chance(probability)
