@@ -274,7 +274,7 @@ class TestRefusals:
             ("[bp]\nmax_packet_size = 5000\n", "BPPAR_MAXIMUM_PACKET_SIZE must be at most 1500"),
             (
                 '[[tracks]]\nsource = "track:spiral"\n',
-                "node 0 ended with status 2: dcp-node: track:spiral: no track 'spiral'",
+                "ended with status 2: dcp-node: track:spiral: no track 'spiral'",
             ),
         ],
     )
