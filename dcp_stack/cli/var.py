@@ -52,7 +52,7 @@ def _value(value: str | None, text: str | None) -> str:
 @command.command("create", epilog=EXIT_STATUS)
 @click.argument("var_id", type=int, metavar="ID")
 @_value_options
-@click.option("--descr", default="", metavar="TEXT", help="Description.")
+@click.option("--descr", required=True, metavar="TEXT", help="Description; other nodes ignore a variable without one.")
 @click.option("--repcnt", type=int, default=3, show_default=True, help="In how many beacons each change is sent.")
 @click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
 @node_options

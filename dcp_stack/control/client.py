@@ -153,4 +153,6 @@ def _why_not(error: OSError) -> str:
         return "nobody listens there; the node that made this socket has ended"
     if isinstance(error, PermissionError):
         return "permission denied; the socket is for the user that runs the node"
+    if isinstance(error, ConnectionResetError | BrokenPipeError):
+        return "the node has closed the connection"
     return error.strerror or str(error)

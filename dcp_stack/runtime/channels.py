@@ -154,7 +154,7 @@ class ControlSocket:
         try:
             with _alone_in(self.path.parent):
                 self._bind()
-            self._socket.listen(16)
+            self._socket.listen(MAX_CLIENTS)
         except OSError as error:
             self._socket.close()
             raise ControlSocketError(f"{path}: {error.strerror or error}") from None

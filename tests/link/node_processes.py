@@ -1,0 +1,91 @@
+"""Nodes as processes of their own, on UDP multicast over the loopback interface."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dcp_stack.control import ControlClient, ControlError
+
+PATIENCE = 60.0
+#: Test processes that run side by side must not hear each other.
+LINK = f"udp:239.73.126.78:{30_000 + os.getpid() % 10_000}"
+
+
+class NodeProcess:
+    """``dcp-node run`` with a control socket; its log is kept."""
+
+    def __init__(self, folder: Path, number: int, *args: str, link: str = LINK, stdin: int | None = None) -> None:
+        self.path = folder / f"node{number}.sock"
+        self.node_id = f"02:00:00:00:00:{number:02x}"
+        command = [sys.executable, "-m", "dcp_stack.cli", "run", "--link", link, "--node-id", self.node_id]
+        command += ["--control", str(self.path), *args]
+        self.popen = subprocess.Popen(
+            command, stdin=stdin or subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.log: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.popen.stderr is not None
+        self.log.extend(self.popen.stderr)
+
+    def client(self) -> ControlClient:
+        """A connection, as soon as the node takes one."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                return ControlClient(self.path, patience=PATIENCE)
+            except ControlError:
+                if self.popen.poll() is not None or time.monotonic() > deadline:
+                    pytest.fail(f"the node does not answer: {''.join(self.log)}")
+                time.sleep(0.02)
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """End it; its exit status."""
+        if self.popen.poll() is None:
+            self.popen.send_signal(number)
+        status = self.popen.wait(PATIENCE)
+        self._reader.join(PATIENCE)
+        for stream in (self.popen.stdin, self.popen.stdout, self.popen.stderr):
+            if stream is not None:
+                stream.close()
+        return status
+
+
+def eventually(look: Any, what: str) -> Any:
+    """What ``look`` returns once it is true."""
+    deadline = time.monotonic() + PATIENCE
+    while not (found := look()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"not within {PATIENCE:g} s: {what}")
+        time.sleep(0.02)
+    return found
+
+
+def command(*args: object, stdin: str | None = None) -> subprocess.CompletedProcess[str]:
+    """``dcp-node`` with these arguments, to its end."""
+    return subprocess.run(
+        [sys.executable, "-m", "dcp_stack.cli", *map(str, args)],
+        input=stdin,
+        stdin=subprocess.DEVNULL if stdin is None else None,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+
+
+def lines(text: str) -> list[Any]:
+    """JSON lines."""
+    return [json.loads(line) for line in text.splitlines()]

@@ -1,0 +1,394 @@
+"""``dcp-node run`` and the commands that talk to it, as people use them: processes on the loopback interface."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from dcp_codec import Codec
+from dcp_codec.capture import open_capture
+from dcp_stack.control import ControlError
+from dcp_stack.links.udp import open_udp
+from dcp_stack.neighbour_file import NeighbourFileReader
+
+from .node_processes import LINK, PATIENCE, NodeProcess, command, eventually, lines
+
+GROUP, PORT = LINK.split(":")[1], int(LINK.split(":")[2])
+
+
+@pytest.fixture
+def node(tmp_path) -> Iterator[Callable[..., NodeProcess]]:
+    """Starts nodes, and ends them afterwards."""
+    started: list[NodeProcess] = []
+
+    def start(*args: str, **options) -> NodeProcess:
+        started.append(NodeProcess(tmp_path, len(started) + 1, *args, **options))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.end()
+
+
+def raw(path) -> socket.socket:
+    client = socket.socket(socket.AF_UNIX)
+    client.settimeout(PATIENCE)
+    client.connect(str(path))
+    return client
+
+
+def answers(client: socket.socket, count: int) -> list[dict]:
+    with client.makefile("rb") as stream:
+        return [json.loads(stream.readline()) for _ in range(count)]
+
+
+HELLO = b'{"jsonrpc":"2.0","id":1,"method":"UT-Hello"}\n'
+
+
+def test_two_nodes_and_the_commands(node):
+    first, second = node("--position", "track:circle,radius=5"), node()
+    for each in (first, second):
+        each.client().close()
+    shown = command("var", "create", 7, "--text", "85 %", "--descr", "battery", "--control", first.path)
+    assert (shown.returncode, shown.stdout) == (0, "VARDIS-STATUS-OK\n")
+    again = command(
+        "var", "create", 8, "--value", "00", "--descr", "x", "--repcnt", 99, "--control", first.path, "--json"
+    )
+    assert (again.returncode, json.loads(again.stdout)) == (1, {"status": "VARDIS-STATUS-ILLEGAL-REPCOUNT"})
+    with second.client() as client:
+        eventually(lambda: client.call("RTDB-Read", varId=7)["status"].endswith("-OK"), "the variable arrives")
+        eventually(lambda: client.call("SRP-NeighbourTable")["neighbours"], "the neighbour is seen")
+    control = ("--control", second.path)
+    assert command("var", "get", 7, "--text", *control).stdout == "85 %\n"
+    refused = command("var", "update", 7, "--value", "00", *control)
+    assert refused.returncode == 1
+    assert "VARDIS-STATUS-NOT-PRODUCER: The variable has another producer" in refused.stderr
+    listed = command("var", "list", *control).stdout
+    assert "battery" in listed
+    assert '38352025 "85 %"' in listed
+    (entry,) = json.loads(command("var", "list", "--json", *control).stdout)["variables"]
+    assert entry["prodId"] == first.node_id
+    assert "descr" in command("var", "describe", 7, *control).stdout
+    assert first.node_id in command("neighbours", *control).stdout
+    tables = lines(command("neighbours", "--watch", "--count", 2, "--interval", 0.1, "--json", *control).stdout)
+    assert [len(each["neighbours"]) for each in tables] == [1, 1]
+    status = command("status", *control).stdout
+    assert second.node_id in status
+    assert "1 neighbours" in status
+    looks = command("monitor", "--count", 2, "--interval", 0.2, *control).stdout.splitlines()
+    assert len(looks) == 2
+    assert "neighbours=1 variables=1" in looks[1]
+    assert "received/s=" in looks[1]
+    assert "VarDis -- Variable Dissemination Protocol V2.0" in command("bp", "list", *control).stdout
+    assert "BPPAR_BEACON_PERIOD" in command("param", "get", *control).stdout
+    assert command("param", "set", "BPPAR_BEACON_PERIOD", 60, *control).stdout == "BP-STATUS-OK\n"
+    assert command("param", "get", "BPPAR_BEACON_PERIOD", *control).stdout == "60\n"
+    refused = command("param", "set", "BPPAR_BEACON_PERIOD", 0, *control)
+    assert (refused.returncode, refused.stdout) == (1, "")
+    assert "must be greater than 0" in refused.stderr
+    assert command("deactivate", *control).stdout == "BP-STATUS-OK\nVARDIS-STATUS-OK\n"
+    refused = command("var", "get", 7, *control)
+    assert refused.returncode == 1
+    assert "INACTIVE" in refused.stderr
+    assert command("activate", "vardis", *control).stdout == "VARDIS-STATUS-OK\n"
+    assert json.loads(command("activate", "--json", *control).stdout).keys() == {"BP-MGMT-Activate", "VD-MGMT-Activate"}
+    assert command("reset", *control).stdout == "UT-STATUS-OK\n"
+    assert command("param", "get", "BPPAR_BEACON_PERIOD", *control).stdout == "100\n"
+    assert command("var", "delete", 7, "--control", first.path).stdout == "VARDIS-STATUS-OK\n"
+
+
+def test_watching_variables_and_payloads(node):
+    first, second = node(), node()
+    with first.client() as maker, second.client():
+        watch = [sys.executable, "-m", "dcp_stack.cli"]
+        control = ["--control", str(second.path), "--json", "--for", str(PATIENCE)]
+        variables = subprocess.Popen([*watch, "var", "watch", "--count", "3", *control], stdout=subprocess.PIPE)
+        assert command("bp", "register", 4660, "--mode", "once", "--control", second.path).returncode == 0
+        payloads = subprocess.Popen([*watch, "bp", "watch", "4660", "--count", "1", *control], stdout=subprocess.PIPE)
+        with second.client() as client:
+            # The watchers, and the two connections of this test.
+            eventually(lambda: client.call("UT-Status")["runtime"]["sessions"] == 4, "the watchers are connected")
+        maker.call("RTDB-Create", varId=1, repCnt=2, descr="x", value="00")
+        assert maker.call("BP-RegisterProtocol", protId=4660, name="", maxPayloadSize=4,
+                          queueingMode="BP_QMODE_REPEAT")["status"] == "BP-STATUS-OK"  # fmt: skip
+        assert maker.call("BP-TransmitPayload", protId=4660, payload="00ff")["status"] == "BP-STATUS-OK"
+        shown = lines(payloads.communicate(timeout=PATIENCE)[0].decode())
+        assert shown[0]["payload"] == "00ff"
+        assert shown[0]["senderId"] == first.node_id
+        for value in ("01", "02"):
+            maker.call("RTDB-Update", varId=1, value=value)
+            with second.client() as client:
+                eventually(lambda value=value: client.call("RTDB-Read", varId=1).get("value") == value, "an update")
+        changes = lines(variables.communicate(timeout=PATIENCE)[0].decode())
+        assert [(each["event"], each["value"]) for each in changes] == [
+            ("created", "00"),
+            ("updated", "01"),
+            ("updated", "02"),
+        ]
+
+
+def test_the_control_socket_is_for_its_user_and_goes_with_the_node(node):
+    running = node()
+    running.client().close()
+    assert stat.S_IMODE(running.path.lstat().st_mode) == 0o600
+    second = command("run", "--link", LINK, "--control", running.path)
+    assert second.returncode == 2
+    assert "another node listens there" in second.stderr
+    assert running.end() == 0
+    assert not running.path.exists()
+
+
+def test_a_stale_socket_is_replaced(node, tmp_path):
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "node1.sock"))
+    with node().client() as client:
+        assert client.call("UT-Hello")["status"] == "UT-STATUS-OK"
+
+
+def test_bad_clients_hurt_nobody(node):
+    running = node()
+    good = running.client()
+    # Not JSON, too long, vanished in the middle, unknown method: each on a connection of its own.
+    with raw(running.path) as client:
+        client.sendall(b"\x00\xff nonsense\n")
+        assert answers(client, 1)[0]["error"]["code"] == -32700
+        client.sendall(b"x" * (1 << 20) + b"y\n" + HELLO)
+        too_long, hello = answers(client, 2)
+        assert too_long["error"]["code"] == -32600
+        assert hello["result"]["status"] == "UT-STATUS-OK"
+    with raw(running.path) as client:
+        client.sendall(b'{"jsonrpc": "2.0", "id"')
+    with raw(running.path) as client:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        client.sendall(HELLO * 100)
+    assert good.call("UT-Hello")["status"] == "UT-STATUS-OK"
+    eventually(lambda: good.call("UT-Status")["runtime"]["sessions"] == 1, "the others are forgotten")
+    good.close()
+
+
+def test_who_asks_without_reading_waits_alone(node):
+    running = node()
+    good = running.client()
+    request = b'{"jsonrpc":"2.0","id":1,"method":"UT-Status"}\n'
+    with raw(running.path) as deaf:
+        deaf.setblocking(False)
+        sent = 0
+        deadline = time.monotonic() + 2
+        while time.monotonic() < deadline:
+            try:
+                sent += deaf.send(request * 100)
+            except BlockingIOError:
+                # The node has stopped reading; others are served.
+                assert good.call("UT-Hello")["status"] == "UT-STATUS-OK"
+                break
+        memory = resident(running.popen.pid)
+        assert memory < 80_000
+        # Who reads in the end gets all of it.
+        deaf.setblocking(True)
+        deaf.settimeout(PATIENCE)
+        with deaf.makefile("rb") as stream:
+            for _ in range(sent // len(request)):
+                assert json.loads(stream.readline())["result"]["status"] == "UT-STATUS-OK"
+    good.close()
+
+
+def resident(pid: int) -> int:
+    status = Path(f"/proc/{pid}/status").read_text()
+    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS"))
+
+
+def test_a_client_that_ends_its_side_gets_its_answers(node):
+    running = node()
+    running.client().close()
+    with raw(running.path) as client:
+        client.sendall(HELLO * 20 + HELLO.rstrip())
+        client.shutdown(socket.SHUT_WR)
+        with client.makefile("rb") as stream:
+            assert len(stream.readlines()) == 21
+
+
+def test_too_many_clients(node):
+    running = node()
+    good = running.client()
+    crowd = [raw(running.path) for _ in range(70)]
+    eventually(lambda: good.call("UT-Status")["runtime"]["sessions"] == 64, "the crowd is let in")
+    refused = 0
+    for each in crowd:
+        try:
+            each.sendall(HELLO)
+            refused += not each.recv(1)
+        except OSError:
+            refused += 1
+    assert refused == 7
+    for each in crowd:
+        each.close()
+    eventually(lambda: good.call("UT-Status")["runtime"]["sessions"] == 1, "the crowd is forgotten")
+    good.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_ends_it_in_an_orderly_way(node, tmp_path, number):
+    recording = tmp_path / "flight.mcap"
+    running = node("--record", str(recording), "--position", "track:circle")
+    with running.client() as client:
+        eventually(lambda: client.call("UT-Status")["runtime"]["recording"]["frames"] >= 2, "two beacons")
+        waiting = running.client()
+        assert running.end(number) == 0
+        with pytest.raises(ControlError, match="closed the connection"):
+            waiting.wait()
+        waiting.close()
+    assert any("event=ended" in line for line in running.log)
+    with open_capture(recording) as reader:
+        assert len(list(reader)) >= 2
+        assert reader.problems == []
+    # A second recording does not replace the first.
+    shown = command("run", "--link", LINK, "--record", recording)
+    assert shown.returncode == 2
+    assert "does not replace another one" in shown.stderr
+
+
+def test_standard_input_and_output_as_the_control_interface():
+    requests = HELLO.decode() + '{"jsonrpc":"2.0","id":2,"method":"RTDB-DescribeDatabase"}'
+    shown = command("run", "--link", LINK, "--node-id", "02:00:00:00:00:01", "--control", "stdio", stdin=requests)
+    assert shown.returncode == 0
+    first, second = lines(shown.stdout)
+    assert first["result"]["nodeId"] == "02:00:00:00:00:01"
+    assert second["result"]["variables"] == []
+
+
+def test_standard_input_may_be_a_file(tmp_path):
+    (tmp_path / "requests").write_bytes(HELLO * 3)
+    with (tmp_path / "requests").open() as stdin, (tmp_path / "answers").open("w") as stdout:
+        run = [sys.executable, "-m", "dcp_stack.cli", "run", "--link", LINK, "--control", "stdio"]
+        assert subprocess.run(run, stdin=stdin, stdout=stdout, stderr=subprocess.DEVNULL, check=False).returncode == 0
+    assert len(lines((tmp_path / "answers").read_text())) == 3
+
+
+def test_positions_from_standard_input(node):
+    running = node("--position", "stdin", stdin=subprocess.PIPE)
+    listener = node()
+    with listener.client() as client:
+        running.client().close()
+        running.popen.stdin.write('nonsense\n{"x": 1.5, "y": 2, "z": 3}\n')
+        running.popen.stdin.flush()
+        (seen,) = eventually(lambda: client.call("SRP-NeighbourTable")["neighbours"], "the report arrives")
+        assert seen["position"] == [1.5, 2.0, 3.0]
+    running.popen.stdin.close()
+    with running.client() as client:
+        eventually(lambda: client.call("UT-Status")["runtime"]["positions"]["finished"], "the end of input is seen")
+
+
+def test_the_neighbour_file(node, tmp_path):
+    published = tmp_path / "neighbours"
+    running = node("--neighbour-file", str(published))
+    node("--position", "track:line,speed=0,x=7").client().close()
+    running.client().close()
+    reader = NeighbourFileReader(published)
+    entries = eventually(lambda: reader.snapshot().entries, "the neighbour is published")
+    assert entries[0].node_id.hex(":") == "02:00:00:00:00:02"
+    assert entries[0].position[0] == pytest.approx(7)
+    assert running.end() == 0
+    assert not published.exists()
+
+
+def test_metrics(node):
+    pytest.importorskip("prometheus_client")
+    from prometheus_client.openmetrics.parser import text_string_to_metric_families
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    running = node("--metrics", str(port), "--position", "track:circle")
+    with running.client() as client:
+        eventually(lambda: client.call("UT-Status")["node"]["bp"]["next_seqno"] > 1, "beacons are sent")
+    url = f"http://127.0.0.1:{port}"
+    with urllib.request.urlopen(f"{url}/metrics", timeout=PATIENCE) as response:
+        assert response.headers["Content-Type"].startswith("application/openmetrics-text")
+        families = {each.name: each for each in text_string_to_metric_families(response.read().decode())}
+    assert families["dcp_bp_beacons_sent"].samples[0].value > 1
+    assert families["dcp_node"].samples[0].labels["node_id"] == "02:00:00:00:00:01"
+    assert families["dcp_link_sent"].samples[0].value > 1
+    for path, headers, status in (("/x", {}, 404), ("/metrics", {"Host": "evil.example"}, 403)):
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(urllib.request.Request(url + path, headers=headers), timeout=PATIENCE)
+        assert refused.value.code == status
+        refused.value.close()
+    with socket.create_connection(("127.0.0.1", port), PATIENCE) as client:
+        client.sendall(b"\xff\xfe\r\n\r\n")
+        assert client.recv(100).startswith(b"HTTP/1.0 400")
+    with running.client() as client:
+        assert client.call("UT-Hello")["status"] == "UT-STATUS-OK"
+
+
+def test_a_flood_does_not_stop_beacons_or_answers(node):
+    running = node("--position", "track:circle,rate=40")
+    codec = Codec("dcp-2.0")
+    flood = open_udp(GROUP, PORT)
+    with running.client() as client:
+        eventually(lambda: client.call("UT-Status")["node"]["bp"]["next_seqno"] > 1, "beacons are sent")
+        before = client.call("UT-Status")
+        foreign = bytes.fromhex("01497e0200000000031112000500010000000000010001ff")
+        beacons = [foreign, foreign[:10], b"", os.urandom(300), codec.profile.name.encode()]
+        end = time.monotonic() + 3
+        sent = answered = 0
+        while time.monotonic() < end:
+            for _ in range(200):
+                flood.send(beacons[sent % len(beacons)])
+                sent += 1
+            client.call("UT-Hello")
+            answered += 1
+        after = client.call("UT-Status")
+    flood.close()
+    seconds = (after["now"] - before["now"]) / 1e9
+    rate = (after["node"]["bp"]["next_seqno"] - before["node"]["bp"]["next_seqno"]) / seconds
+    assert sent > 5_000
+    assert answered >= 10
+    assert 9 < rate < 11
+    assert sum(after["drops"].values()) > 1000
+
+
+def test_beacons_come_at_their_rate(node):
+    running = node("--position", "track:circle,rate=40", "--seed", "1")
+    with running.client() as client:
+        eventually(lambda: client.call("UT-Status")["node"]["bp"]["next_seqno"] > 1, "beacons are sent")
+        before = client.call("UT-Status")
+        time.sleep(5)
+        after = client.call("UT-Status")
+    beacons = after["node"]["bp"]["next_seqno"] - before["node"]["bp"]["next_seqno"]
+    # 50 intervals of 10 % jitter: a standard deviation of 0.8 %, and one beacon at the edge.
+    assert beacons / ((after["now"] - before["now"]) / 1e9) == pytest.approx(10, rel=0.06)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give up being root")
+def test_privileges_are_given_up(node, tmp_path):
+    running = node("--user", "nobody")
+    with running.client() as client:
+        assert client.call("UT-Hello")["status"] == "UT-STATUS-OK"
+    status = dict(line.split(":", 1) for line in Path(f"/proc/{running.popen.pid}/status").read_text().splitlines())
+    assert "0" not in status["Uid"].split()
+    assert running.path.lstat().st_uid != 0
+
+
+def test_an_interface_without_the_privilege(tmp_path):
+    if os.geteuid() != 0:
+        shown = command("run", "--interface", "lo")
+    else:
+        setpriv = ["setpriv", "--reuid=65534", "--clear-groups", sys.executable, "-m", "dcp_stack.cli"]
+        shown = subprocess.run(
+            [*setpriv, "run", "--interface", "lo"], capture_output=True, text=True, check=False, timeout=PATIENCE
+        )
+    assert shown.returncode == 2
+    assert "dcp-node: eth:lo" in shown.stderr
+    assert "Traceback" not in shown.stderr
