@@ -40,7 +40,7 @@ def scenario_of(
         shape = None if topology is None else parse_topology(topology)
         if path is None:
             if nodes is None:
-                raise ExpectedError("give a SCENARIO file or --nodes N")
+                raise ExpectedError("give a SCENARIO file or a number of nodes")
             found = default_scenario(
                 nodes,
                 topology=shape or parse_topology("full"),

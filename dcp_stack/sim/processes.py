@@ -39,7 +39,9 @@ class Look(NamedTuple):
 class NodeProcess:
     """One place in the testbed, and the process there while it is switched on."""
 
-    def __init__(self, index: int, namespace: str, settings: Settings, directory: Path, name: str) -> None:
+    def __init__(
+        self, index: int, namespace: str, settings: Settings, directory: Path, name: str, *, record: bool = True
+    ) -> None:
         """``settings`` lack what is of this place: interface, control socket and recording."""
         self.index = index
         self.namespace = namespace
@@ -52,6 +54,7 @@ class NodeProcess:
         self._settings = settings
         self._directory = directory
         self._name = name
+        self._record = record
         self._lives = 0
         self._process: subprocess.Popen[bytes] | None = None
         self._client: ControlClient | None = None
@@ -74,17 +77,18 @@ class NodeProcess:
             return
         self._lives += 1
         life = "" if self._lives == 1 else f".{self._lives}"
+        recording = self._directory / f"{self._name}{life}.mcap"
         settings = msgspec.structs.replace(
             self._settings,
             interface=INTERFACE,
             control=str(self.control),
-            record=str(self._directory / f"{self._name}{life}.mcap"),
+            record=str(recording) if self._record else None,
         )
         path = self._directory / f"{self._name}.toml"
         path.write_text(settings_text(settings))
         # A socket that is still there from a life before would be refused as one in use, or answer for the dead.
         self.control.unlink(missing_ok=True)
-        Path(settings.record or "").unlink(missing_ok=True)
+        recording.unlink(missing_ok=True)
         command = [sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(path)]
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(  # noqa: S603 - our own program

@@ -56,8 +56,9 @@ class Testbed:
 
     __test__ = False
 
-    def __init__(self, scenario: Scenario, directory: Path, *, keep: bool) -> None:
+    def __init__(self, scenario: Scenario, directory: Path, *, keep: bool, record: bool = True) -> None:
         """``directory`` exists and takes settings, logs, sockets and recordings; it stays if ``keep`` says so.
+        ``record`` False leaves the recordings away.
 
         Raises ScenarioError, NamespaceError.
         """
@@ -84,7 +85,7 @@ class Testbed:
             for index, identifier in enumerate(identifiers):
                 settings = settings_for(scenario, index, identifier.decode() if text else identifier.hex(":"))
                 name, namespace = f"node-{index:0{width}}", self._fabric.namespaces[index]
-                self.nodes.append(NodeProcess(index, namespace, settings, directory, name))
+                self.nodes.append(NodeProcess(index, namespace, settings, directory, name, record=record))
         except BaseException:
             self._janitor.finish()
             raise

@@ -1,0 +1,95 @@
+"""``dcp-node simulate``, and what ``dcp-node testbed`` says before it needs any rights."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dcp_stack.cli import main
+
+LINE = Path(__file__).parents[2] / "examples" / "line.toml"
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main([str(each) for each in arguments])
+        shown = capsys.readouterr()
+        return ended.value.code, shown.out, shown.err
+
+    return call
+
+
+def test_a_scenario_as_text(run):
+    status, output, errors = run("simulate", LINE)
+    assert (status, errors) == (0, "")
+    assert output.startswith("five in a line: 5 nodes, dcp-2.0, 24 s, simulate, seed 1\n")
+    assert "node 4 is switched on" in output
+    assert "times real time" in output
+    assert "NOT MET" not in output
+
+
+def test_json_and_the_same_digest_for_the_same_seed(run):
+    first, second, other = (
+        json.loads(run("simulate", "-n", 9, "--topology", "grid", "--duration", 8, "--json", "--seed", seed)[1])
+        for seed in (5, 5, 6)
+    )
+    assert first["digest"] == second["digest"] != other["digest"]
+    assert first["met"] is True
+    assert first["speed_up"] > 0
+    assert [each["node"] for each in first["traffic"]] == list(range(9))
+
+
+def test_options_replace_what_the_scenario_says(run):
+    status, output, _ = run("simulate", LINE, "--loss", 1, "--json")
+    report = json.loads(output)
+    assert status == 1
+    assert report["shares"]["lost"] == 1
+    assert not report["met"]
+    # Nodes 5 and 6 hear their neighbours, and the line goes on.
+    assert len(json.loads(run("simulate", LINE, "--nodes", 7, "--json")[1])["traffic"]) == 7
+
+
+def test_recordings(run, tmp_path):
+    status, _, _ = run(
+        "simulate", "-n", 3, "--duration", 3, "--record", tmp_path / "new", "--record-medium", tmp_path / "all.mcap"
+    )
+    assert status == 0
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["node-0.mcap", "node-1.mcap", "node-2.mcap"]
+    assert (tmp_path / "all.mcap").stat().st_size > 1000
+
+
+def test_a_network_of_one(run):
+    assert run("simulate", "-n", 1, "--duration", 2)[0] == 0
+
+
+@pytest.mark.parametrize("what", ["simulate", "testbed"])
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ([], "give a SCENARIO file or a number of nodes"),
+        (["--scenario", "/nowhere.toml"], "/nowhere.toml: there is no such file"),
+        (["2", "--topology", "ring"], "topology 'ring' is none of"),
+        (["2", "--profile", "dcp-3.0"], "unknown profile 'dcp-3.0'"),
+        (["2", "--loss", "2"], "--loss"),
+        (["2", "--duration", "0"], "--duration"),
+        (["two"], ""),
+    ],
+)
+def test_wrong_usage_is_said_in_a_line(run, what, arguments, complaint):
+    if what == "simulate":
+        arguments = [each for each in arguments if each != "--scenario"]
+        arguments = ["--nodes", *arguments] if arguments[:1] == ["2"] else arguments
+    status, output, errors = run(what, *arguments)
+    assert (status, output) == (2, "")
+    assert complaint in errors
+    assert "Traceback" not in errors
+
+
+def test_too_many_processes(run):
+    status, _, errors = run("testbed", "--scenario", LINE, "--topology", "line", "201")
+    assert status == 2
+    assert "200" in errors
