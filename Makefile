@@ -29,6 +29,7 @@ $(KAITAI): package.json
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/codec.py
+	$(BIN)/python benchmarks/stack.py
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
