@@ -52,11 +52,24 @@ class ControlClient:
         self._last_id = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._socket.settimeout(patience)
-            self._socket.connect(os.fspath(self.path))
+            self._connect(patience)
         except OSError as error:
             self._socket.close()
             raise ControlError(f"{path}: {_why_not(error)}") from None
+
+    def _connect(self, patience: float) -> None:
+        deadline = time.monotonic() + patience
+        while True:
+            try:
+                self._socket.settimeout(patience)
+                self._socket.connect(os.fspath(self.path))
+            except BlockingIOError:
+                # Many others are waiting to be let in; with a timeout, the system does not wait by itself.
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.01)
+            else:
+                return
 
     def fileno(self) -> int:
         """The descriptor of the socket."""

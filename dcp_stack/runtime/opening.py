@@ -21,6 +21,7 @@ from dcp_stack.positions import PositionSource, SourceError, open_source
 
 from .channels import ControlSocket, ControlSocketError, StandardStreams
 from .driver import Driver
+from .memory import settle
 from .privileges import PrivilegeError, become, find_user
 from .settings import Settings, SettingsError, codec_of, node_config
 
@@ -110,6 +111,7 @@ def _open(settings: Settings, stack: contextlib.ExitStack) -> Driver:
     if settings.control == STDIO:
         # Who started the node this way and closes its input has no more use for it.
         driver.add_control(StandardStreams(driver.stop))
+    settle()
     log.info("node %s on %s", config.node_id.hex(":"), link.name, extra={"fields": _about(settings, config)})
     return driver
 

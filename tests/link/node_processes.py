@@ -24,10 +24,19 @@ LINK = f"udp:239.73.126.78:{30_000 + os.getpid() % 10_000}"
 class NodeProcess:
     """``dcp-node run`` with a control socket; its log is kept."""
 
-    def __init__(self, folder: Path, number: int, *args: str, link: str = LINK, stdin: int | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        number: int,
+        *args: str,
+        link: str = LINK,
+        stdin: int | None = None,
+        namespace: str | None = None,
+    ) -> None:
         self.path = folder / f"node{number}.sock"
         self.node_id = f"02:00:00:00:00:{number:02x}"
-        command = [sys.executable, "-m", "dcp_stack.cli", "run", "--link", link, "--node-id", self.node_id]
+        command = [] if namespace is None else ["ip", "netns", "exec", namespace]
+        command += [sys.executable, "-m", "dcp_stack.cli", "run", "--link", link, "--node-id", self.node_id]
         command += ["--control", str(self.path), *args]
         self.popen = subprocess.Popen(
             command, stdin=stdin or subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -44,8 +44,9 @@ def node(tmp_path) -> Iterator[Callable[..., NodeProcess]]:
 
 def raw(path) -> socket.socket:
     client = socket.socket(socket.AF_UNIX)
-    client.settimeout(PATIENCE)
+    # Blocking, or a crowd would be turned away by the system already.
     client.connect(str(path))
+    client.settimeout(PATIENCE)
     return client
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 
 import pytest
 
 from dcp_codec import Codec
+from dcp_stack.config import BPConfig
 from dcp_stack.runtime.settings import (
     Settings,
     SettingsError,
+    SRPSettings,
+    VardisSettings,
     load_settings,
     node_config,
     parse_node_id,
@@ -73,6 +77,18 @@ def test_settings_are_shown_as_a_file_that_says_the_same(tmp_path):
     assert defaults == Settings()
     assert load_settings(write(tmp_path, settings_text(defaults)), {}) == defaults
     assert tomllib.loads(settings_text(defaults))["bp"]["beacon_period_ms"] == 100
+
+
+def test_the_documentation_names_every_key():
+    text = (Path(__file__).parents[2] / "docs" / "dcp-node.md").read_text(encoding="utf-8")
+    sections = {"bp", "srp", "vardis", "readings"}
+    for name in {*Settings.__struct_fields__} - sections:
+        assert f"| `{name}` |" in text, name
+    for kind in (BPConfig, SRPSettings, VardisSettings):
+        for name in kind.__struct_fields__:
+            assert f"`{name}`" in text, name
+    for name in sections:
+        assert f"`[{name}]`" in text, name
 
 
 def test_flags_go_before_the_file(tmp_path):
