@@ -33,7 +33,7 @@ def test_two_nodes_beacon_at_10_hz_and_hear_each_other(pair):
     seconds = (after["now"] - before["now"]) / 1e9
     for counter in ("beacons-sent", "beacons-received"):
         beacons = after["node"]["bp"]["counters"][counter] - before["node"]["bp"]["counters"][counter]
-        # 2 % are asked for (200 intervals of 10 % jitter have a standard deviation of 0.4 %), and a beacon at each edge.
+        # 2 % are asked for (200 intervals of 10 % jitter: standard deviation 0.4 %), and a beacon at each edge.
         assert beacons / seconds == pytest.approx(10, rel=0.03)
 
 
