@@ -180,6 +180,11 @@ class BeaconingProtocol:
         ##= BP-GEN-01
         return ListConfirm(BPStatus.OK, tuple(client.registration for client in self._clients))
 
+    def registration(self, prot_id: int) -> Registration | None:
+        """What is registered under an identifier, None if nothing is; the same object as long as it stands."""
+        client = self._clients.get(prot_id)
+        return None if client is None else client.registration
+
     # -- payloads ---------------------------------------------------------------------------------------------
 
     def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:

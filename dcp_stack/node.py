@@ -13,6 +13,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from .bp import BeaconingProtocol
+from .client_port import ClientPort
 from .config import NodeConfig
 from .effects import Effect, PayloadReceived, PayloadTransmitted
 from .srp import StateReporting
@@ -32,8 +33,10 @@ class Node:
     def _build(self, now: int, wall: int) -> None:
         config, emit = self.config, self._pending.append
         self.bp = BeaconingProtocol(config, rng=self._rng, emit=emit, now=now, wall=wall)
-        self.srp = StateReporting(config, self.bp, emit=emit, now=now, wall=wall) if config.srp else None
-        self.vardis = Vardis(config, self.bp, emit=emit, now=now, wall=wall) if config.vardis else None
+        self._srp_port = srp = ClientPort(self.bp, BP_PROTID_SRP)
+        self._vardis_port = vardis = ClientPort(self.bp, BP_PROTID_VARDIS)
+        self.srp = StateReporting(config, srp, emit=emit, now=now, wall=wall) if config.srp else None
+        self.vardis = Vardis(config, vardis, emit=emit, now=now, wall=wall) if config.vardis else None
 
     def start(self, now: int, wall: int) -> None:
         """Let the client protocols register; from here on the node beacons when there is something to say."""
@@ -94,22 +97,39 @@ class Node:
     def _settle(self, now: int, wall: int) -> None:
         """Deliver indications to SRP and VarDis. What they emit in turn is handled in the same order."""
         pending = self._pending
+        if not pending:
+            return
         # The list grows while it is walked: a client that submits a payload may set off more.
         for effect in pending:
-            match effect:
-                case PayloadReceived(protocol_id=protocol) if protocol == BP_PROTID_SRP and self.srp is not None:
-                    self.srp.handle_payload(effect.payload, effect.sender_id, now=now, wall=wall)
-                case PayloadReceived(protocol_id=protocol) if protocol == BP_PROTID_VARDIS and self.vardis is not None:
-                    self.vardis.handle_payload(effect.payload, now=now, wall=wall)
-                case PayloadTransmitted(protocol_id=protocol) if (
-                    protocol == BP_PROTID_VARDIS and self.vardis is not None
-                ):
-                    self.vardis.payload_transmitted(now, wall)
-                case PayloadTransmitted(protocol_id=protocol) if protocol == BP_PROTID_SRP and self.srp is not None:
-                    pass
-                case _:
+            if isinstance(effect, PayloadReceived):
+                if not self._received(effect, now, wall):
                     self._effects.append(effect)
+            elif isinstance(effect, PayloadTransmitted):
+                if not self._transmitted(effect.protocol_id, now, wall):
+                    self._effects.append(effect)
+            else:
+                self._effects.append(effect)
         pending.clear()
+
+    ##= BP-RXP-03
+    # Whoever registered gets it: the numbers of SRP and VarDis may have become those of somebody outside the node.
+
+    def _received(self, effect: PayloadReceived, now: int, wall: int) -> bool:
+        """Deliver a payload inside; False if it is for somebody else."""
+        if effect.protocol_id == BP_PROTID_SRP and self.srp is not None and self._srp_port.holds:
+            self.srp.handle_payload(effect.payload, effect.sender_id, now=now, wall=wall)
+            return True
+        if effect.protocol_id == BP_PROTID_VARDIS and self.vardis is not None and self._vardis_port.holds:
+            self.vardis.handle_payload(effect.payload, now=now, wall=wall)
+            return True
+        return False
+
+    def _transmitted(self, protocol_id: int, now: int, wall: int) -> bool:
+        if protocol_id == BP_PROTID_VARDIS and self.vardis is not None and self._vardis_port.holds:
+            self.vardis.payload_transmitted(now, wall)
+            return True
+        # SRP has no use for it.
+        return protocol_id == BP_PROTID_SRP and self.srp is not None and self._srp_port.holds
 
     def snapshot(self) -> dict[str, Any]:
         """The state of all entities as plain data, for displays and comparisons."""

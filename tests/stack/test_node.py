@@ -6,12 +6,14 @@ import random
 
 import pytest
 from dcp_spec.profile_loading import profile_names
+from dcp_spec.status import BPStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_codec import Codec
+from dcp_codec.values import Beacon, BPHeader, Payload
 from dcp_stack.config import NodeConfig, SRPConfig
-from dcp_stack.effects import Dropped, NeighbourSeen, PayloadReceived, SendBeacon, VariableChanged
+from dcp_stack.effects import Dropped, NeighbourSeen, PayloadReceived, PayloadTransmitted, SendBeacon, VariableChanged
 from dcp_stack.node import Node
 
 WALL = 1_795_225_151_000_000_000
@@ -160,6 +162,85 @@ def test_a_node_without_clients_runs():
     pair.run(500)
     assert pair.nodes[0].srp is None
     assert pair.effects == [[], []]
+
+
+def register(pair, prot_id):
+    """Somebody outside the node registers at its BP, and submits something."""
+    bp = pair.nodes[0].bp
+    confirm = bp.register(prot_id, "another", 100, "BP_QMODE_ONCE", 1, False, now=pair.now, wall=pair.wall)
+    assert confirm.status is BPStatus.OK
+    assert bp.transmit_payload(prot_id, b"theirs", now=pair.now).status is BPStatus.OK
+    pair.settle(0)
+
+
+def hear(pair, prot_id, payload=b"whatever"):
+    codec = pair.codec
+    header = BPHeader(node_id(2), 0, network_id=codec.profile.bp.network_id)
+    pair.nodes[0].handle_frame(
+        codec.encode_envelope(Beacon(header, (Payload(prot_id, payload),))), now=pair.now, wall=pair.wall
+    )
+    pair.take(0)
+
+
+def seen_by_clients(pair):
+    return [e for e in pair.effects[0] if isinstance(e, PayloadReceived | PayloadTransmitted)]
+
+
+@pytest.mark.req("BP-RXP-03")
+@pytest.mark.parametrize("prot_id", [1, 2])
+def test_the_numbers_of_srp_and_vardis_are_free_where_the_node_runs_without_them(prot_id):
+    pair = Pair(srp=None, vardis=None)
+    register(pair, prot_id)
+    hear(pair, prot_id)
+    pair.run(300)
+    received, transmitted = seen_by_clients(pair)
+    assert received == PayloadReceived(prot_id, b"whatever", node_id(2))
+    assert isinstance(transmitted, PayloadTransmitted)
+    assert transmitted.protocol_id == prot_id
+
+
+@pytest.mark.req("BP-RXP-03", "BP-DRG-04", "BP-REG-10")
+@pytest.mark.parametrize("prot_id", [1, 2])
+def test_who_registers_after_srp_or_vardis_was_deregistered_gets_what_is_for_the_number(prot_id):
+    pair = Pair()
+    node = pair.nodes[0]
+    # Both have something to say, all the time.
+    node.vardis.create(7, None, 1, b"pos", b"ABCD", 0, now=0, wall=WALL)
+    node.srp.update_safety_data({"x": 1, "y": 2, "z": 3}, now=0, wall=WALL)
+    assert node.bp.deregister(prot_id).status is BPStatus.OK
+    register(pair, prot_id)
+    hear(pair, prot_id)
+    assert seen_by_clients(pair) == [PayloadReceived(prot_id, b"whatever", node_id(2))]
+    assert not [e for e in pair.effects[0] if isinstance(e, Dropped)]
+    for _ in range(3):
+        node.srp.update_safety_data({"x": 1, "y": 2, "z": 3}, now=pair.now, wall=pair.wall)
+        pair.settle(0)
+        pair.run(100)
+    # What the new client submitted is on the air, and nothing of the old one under its number.
+    sent = [
+        block.data
+        for e in pair.effects[0]
+        if isinstance(e, SendBeacon)
+        for block in pair.codec.decode_envelope(e.octets)[0].payloads
+        if block.protocol_id == prot_id
+    ]
+    assert sent == [b"theirs"]
+    transmitted = [e.protocol_id for e in seen_by_clients(pair) if isinstance(e, PayloadTransmitted)]
+    assert transmitted == [prot_id]
+
+
+@pytest.mark.req("SRP-INI-04", "VD-INI-03")
+@pytest.mark.parametrize("prot_id", [1, 2])
+def test_srp_and_vardis_take_their_number_back_when_they_start_again(prot_id):
+    pair = Pair()
+    node = pair.nodes[0]
+    node.bp.deregister(prot_id)
+    register(pair, prot_id)
+    {1: node.srp, 2: node.vardis}[prot_id].start(pair.now, pair.wall)
+    hear(pair, prot_id)
+    assert not seen_by_clients(pair)
+    reasons = [e.reason for e in pair.effects[0] if isinstance(e, Dropped)]
+    assert reasons == [{1: "wrong-length", 2: "unknown-type"}[prot_id]]
 
 
 @settings(max_examples=60)
