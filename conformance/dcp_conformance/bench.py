@@ -1,0 +1,574 @@
+"""The bench: what a case does and says goes through here.
+
+A case runs straight on, top to bottom: it sends with peers, waits in beacon periods, and asks what was heard. Time
+passes only inside of the waiting methods, so that the same case runs in virtual time and on the air. What a case finds
+is a *check*; a failed check can stop the case (``require``) or not (``check``). Before a failure is believed, the bench
+looks for its own: frames that the kernel dropped and beacons that were not heard turn it into ``inconclusive``.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, NoReturn, TypeVar
+
+from dcp_spec.constants import BP_SEQNO_MODULUS, Features, ICType, features
+from dcp_spec.parameters import parameter
+from dcp_spec.profile import Profile
+from dcp_spec.readings import reading as reading_of
+
+from dcp_codec.codec import Codec
+from dcp_codec.values import ExtendedSafetyData, VarCreate, VarSpec, VarUpdate
+
+from .case import Case
+from .errors import StopCase, UpperTesterError
+from .forge import Forge
+from .heard import Heard, Instruction
+from .lower import LowerTester
+from .peers import Peer
+from .pics import Pics
+from .results import Check, Mark, Table
+from .traffic import Traffic
+from .upper import Answer, Notification, UpperTester
+from .verdict import Verdict, worst
+
+T = TypeVar("T")
+MS = 1_000_000
+
+
+class Session:
+    """What lasts from case to case: the way to the implementation, what is known of it, and names not used yet."""
+
+    def __init__(
+        self,
+        codec: Codec,
+        lower: LowerTester,
+        upper: UpperTester | None,
+        pics: Pics,
+        *,
+        timing_scale: float = 1.0,
+        seed: int = 1,
+    ) -> None:
+        self.codec = codec
+        self.lower = lower
+        self.upper = upper
+        self.pics = pics
+        self.timing_scale = timing_scale
+        self.seed = seed
+        self.sut_id: bytes | None = None
+        """The implementation's node identifier, once it is known."""
+        self.parameters: dict[str, Any] = {}
+        """Initial values of parameters, as the upper tester told them."""
+        self.can_restart = False
+        self.next_peer = 0
+        self.next_var_id = 0
+        self.creation_time = 0
+
+
+class Bench:
+    """One case's view of the session."""
+
+    def __init__(self, session: Session, case: Case) -> None:
+        self.session = session
+        self.case = case
+        self.codec = session.codec
+        self.lower = session.lower
+        self.pics = session.pics.pics
+        self.pixit = session.pics.pixit
+        self.forge = Forge(session.codec)
+        self.traffic = Traffic()
+        self.heard: list[Heard] = []
+        """The implementation's frames since the case began."""
+        self.notifications: list[Notification] = []
+        self.checks: list[Check] = []
+        self.readings: dict[str, str] = {}
+        self.peers_made: list[Peer] = []
+        self.created: set[int] = set()
+        self.dropped = 0
+        self.late_ns = 0
+
+    # -- what is known -----------------------------------------------------------------------------------------
+
+    @property
+    def profile(self) -> Profile:
+        """The wire profile."""
+        return self.codec.profile
+
+    @property
+    def features(self) -> Features:
+        """What the profile's version of the specification has."""
+        return features(self.profile.spec_version)
+
+    @property
+    def period(self) -> int:
+        """The beacon period in ns; with ``--timing-scale``, longer for every time window."""
+        return round(self.pixit.beacon_period_ms * MS * self.session.timing_scale)
+
+    @property
+    def reaction(self) -> float:
+        """Beacon periods within which a reaction must show (PIXIT)."""
+        return self.pixit.reaction_periods
+
+    @property
+    def sut_id(self) -> bytes:
+        """The implementation's node identifier. Stops the case as inconclusive if it is not known yet."""
+        if self.session.sut_id is None:
+            self.inconclusive("the node identifier of the implementation", "no beacon of it was heard so far")
+        return self.session.sut_id
+
+    def parameter(self, name: str) -> int:
+        """The value of a parameter of the implementation: as it said itself, else from PIXIT or profile.
+
+        Names are the specification's (``VARDISPAR_MAX_SUMMARIES``), periods in ms.
+        """
+        if name in self.session.parameters:
+            return int(self.session.parameters[name])
+        limits, pixit = self.profile.limits, self.pixit
+        known: dict[str, float | int | None] = {
+            "BPPAR_BEACON_PERIOD": pixit.beacon_period_ms,
+            "BPPAR_NETWORK_ID": pixit.network_id if pixit.network_id is not None else self.profile.bp.network_id,
+            "BPPAR_MAXIMUM_PACKET_SIZE": pixit.max_packet_size or limits.max_beacon_size,
+            "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT": pixit.neighbour_timeout_ms,
+            "VARDISPAR_MAX_VALUE_LENGTH": pixit.max_value_length or limits.max_value_length,
+            "VARDISPAR_MAX_DESCRIPTION_LENGTH": pixit.max_description_length or limits.max_description_length,
+            "VARDISPAR_MAX_REPETITIONS": pixit.max_repetitions or limits.max_repetitions,
+            "VARDISPAR_MAX_PAYLOAD_SIZE": pixit.max_payload_size or limits.max_vardis_payload,
+            "VARDISPAR_MAX_SUMMARIES": limits.max_summaries if pixit.max_summaries is None else pixit.max_summaries,
+            "VARDISPAR_SCRUBBING_PERIOD": pixit.scrubbing_period_ms,
+            "VARDISPAR_BUFFER_CHECK_PERIOD": pixit.buffer_check_period_ms,
+        }
+        parameter(name)
+        value = known[name]
+        return int(value or 0)
+
+    # -- names and values that nobody else uses ----------------------------------------------------------------
+
+    def peer(self) -> Peer:
+        """A virtual station that has not spoken before."""
+        self.session.next_peer += 1
+        number = self.session.next_peer
+        peer = Peer(self, self._node_id(number), _address(number))
+        self.peers_made.append(peer)
+        return peer
+
+    def node_id(self) -> bytes:
+        """The identifier of a node that does not exist: a producer far away, or a neighbour of somebody else."""
+        self.session.next_peer += 1
+        return self._node_id(self.session.next_peer)
+
+    def _node_id(self, number: int) -> bytes:
+        layout = self.profile.types.node_id
+        octets = _address(number)
+        if layout.representation == "text":
+            return octets.hex(":").encode()
+        return octets[-layout.width :].rjust(layout.width, b"\x02")
+
+    def var_id(self) -> int:
+        """A variable identifier that this case has not used, and others least recently."""
+        top = (1 << (8 * self.profile.types.var_id.width)) - 1
+        first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
+        number = first + self.session.next_var_id % (last - first + 1)
+        self.session.next_var_id += 1
+        self.created.add(number)
+        return number
+
+    def var_ids(self, count: int) -> list[int]:
+        """Several of them, ascending unless the range ends in between."""
+        return [self.var_id() for _ in range(count)]
+
+    def creation_time(self) -> int:
+        """A time stamp as on the air: now, and later than any that was handed out before."""
+        stamp = self.profile.types.timestamp
+        per_second = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000, "ps": 1_000_000_000_000}[stamp.unit]
+        wall = self.lower.wall() if stamp.epoch in ("unix", "gps") else self.lower.now()
+        if stamp.epoch == "gps":
+            wall -= 315_964_800 * 1_000_000_000
+        ticks = wall * per_second // 1_000_000_000
+        self.session.creation_time = max(self.session.creation_time + 1, ticks)
+        return self.session.creation_time
+
+    def spec(
+        self,
+        var_id: int,
+        producer: bytes,
+        *,
+        rep_cnt: int = 1,
+        descr: bytes = b"tester",
+        creation_time: int | None = None,
+        timeout: int = 0,
+    ) -> VarSpec:
+        """A VarSpec with what the profile's layout has; ``creation_time`` is a fresh one unless given."""
+        names = self.profile.vardis.var_spec
+        return VarSpec(
+            var_id,
+            producer,
+            rep_cnt,
+            descr,
+            (self.creation_time() if creation_time is None else creation_time) if "creationTime" in names else None,
+            timeout if "timeout" in names else None,
+        )
+
+    def create(
+        self,
+        var_id: int,
+        producer: bytes,
+        *,
+        value: bytes = b"value",
+        seqno: int = 0,
+        rep_cnt: int = 1,
+        descr: bytes = b"tester",
+        creation_time: int | None = None,
+        timeout: int = 0,
+    ) -> VarCreate:
+        """A VarCreate record."""
+        spec = self.spec(var_id, producer, rep_cnt=rep_cnt, descr=descr, creation_time=creation_time, timeout=timeout)
+        return VarCreate(spec, VarUpdate(var_id, seqno, value))
+
+    def report(self, node_id: bytes, seqno: int, *, t_stamp: int | None = None, **fields: float) -> ExtendedSafetyData:
+        """A state report; the fields of the safety data that are not given are zero."""
+        kind = self.codec.safety_data_type
+        zeros: dict[str, Any] = {
+            each.name: b"\0" * each.octets if each.type == "opaque" else 0.0 if each.type.startswith("f") else 0
+            for each in self.profile.srp.safety_data
+        }
+        data = kind(**{_attribute(kind, name): value for name, value in {**zeros, **fields}.items()})
+        return ExtendedSafetyData(data, node_id, self.creation_time() if t_stamp is None else t_stamp, seqno)
+
+    # -- waiting -----------------------------------------------------------------------------------------------
+
+    def now(self) -> int:
+        """ns of the lower tester's clock."""
+        return self.lower.now()
+
+    def mark(self) -> int:
+        """A place in ``heard``: what comes from now on is ``heard[mark:]``; what has arrived already lies before it."""
+        self.wait_ns(0)
+        return len(self.heard)
+
+    def wait(self, periods: float) -> list[Heard]:
+        """Let time pass; what was heard meanwhile."""
+        return self.wait_ns(round(periods * self.period))
+
+    def wait_ns(self, duration: int) -> list[Heard]:
+        """As :meth:`wait`, in ns."""
+        before = len(self.heard)
+        deadline = self.now() + duration
+        for _ in self._listen(deadline):
+            pass
+        return self.heard[before:]
+
+    def until(self, wanted: Callable[[Heard], T], periods: float | None = None) -> T | None:
+        """Wait for a frame for which ``wanted`` says something true, and return that; None if none comes in time.
+
+        Frames that came before are not asked. ``periods`` is :attr:`reaction` unless given.
+        """
+        deadline = self.now() + round((self.reaction if periods is None else periods) * self.period)
+        for heard in self._listen(deadline):
+            if found := wanted(heard):
+                return found
+        return None
+
+    def until_instruction(self, kind: ICType, var_id: int, periods: float | None = None) -> Any | None:
+        """Wait for a record of this kind about a variable, and return it; None if none comes in time."""
+        return self.until(lambda heard: heard.about(kind, var_id), periods)
+
+    def until_notified(self, method: str, periods: float | None = None, **members: Any) -> Notification | None:
+        """Wait for a notification with these members (as in JSON); those that came before are not asked."""
+        seen = len(self.notifications)
+
+        def found() -> Notification | None:
+            for each in self.notifications[seen:]:
+                if each.method == method and all(each.params.get(name) == value for name, value in members.items()):
+                    return each
+            return None
+
+        deadline = self.now() + round((self.reaction if periods is None else periods) * self.period)
+        while self.now() < deadline:
+            if (notification := found()) is not None:
+                return notification
+            self.wait_ns(max(1, min(deadline - self.now(), self.period // 10)))
+        return found()
+
+    def beacons(self, count: int, periods: float | None = None) -> list[Heard]:
+        """Wait for so many beacons; those that came, which may be fewer at the end of the time."""
+        before = len(self.heard)
+        deadline = self.now() + round((2 * count + self.reaction if periods is None else periods) * self.period)
+        if count > 0:
+            for _ in self._listen(deadline):
+                if len(self.heard) - before >= count:
+                    break
+        return self.heard[before:]
+
+    def until_quiet(
+        self, present: Callable[[Heard], object], periods: float = 60, since: int | None = None
+    ) -> list[Heard]:
+        """Wait until what is ``present`` has stopped: the frames that had it, from ``since`` (a mark) on.
+
+        It has stopped when ``quiet_beacons`` beacons in a row (PIXIT) do not have it, or when no beacons come at all
+        for the time of :attr:`reaction`. Gives up after ``periods``; then what came until then is returned.
+        """
+        start = len(self.heard) if since is None else since
+        deadline = self.now() + round(periods * self.period)
+        while self.now() < deadline:
+            frames = self.heard[start:]
+            having = [index for index, heard in enumerate(frames) if present(heard)]
+            behind = len(frames) - 1 - having[-1] if having else 0
+            if behind >= self.pixit.quiet_beacons:
+                break
+            before = len(self.heard)
+            self.beacons(1, self.reaction)
+            if len(self.heard) == before:
+                break
+        return [heard for heard in self.heard[start:] if present(heard)]
+
+    def _listen(self, deadline: int) -> Iterator[Heard]:
+        """The implementation's frames as they come in, until the deadline."""
+        lower, upper = self.lower, self.session.upper
+        also = upper.filenos() if upper is not None else ()
+        while True:
+            arrival = lower.receive(deadline, also)
+            self._take_notifications()
+            if arrival is None:
+                if lower.now() >= deadline:
+                    return
+                continue
+            heard = Heard(self.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
+            ours = self._is_sut(heard)
+            start = len(arrival.frame) - len(arrival.octets)
+            who = (heard.sender or arrival.source).hex(":")
+            heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
+            if ours:
+                self.heard.append(heard)
+                yield heard
+
+    def _take_notifications(self) -> None:
+        upper = self.session.upper
+        if upper is None:
+            return
+        for notification in upper.poll():
+            self.traffic.note("notified", self.lower.wall(), notification.method, notification.params)
+            self.notifications.append(notification)
+
+    def _is_sut(self, heard: Heard) -> bool:
+        known, sender = self.session.sut_id, heard.sender
+        if sender is None:
+            # Too short to say who sent it, or a profile without senders: whoever else is there is not ours either.
+            return known is None or known == heard.source or not self.profile.bp.header
+        if known is None:
+            self.session.sut_id = sender
+            return True
+        return sender == known
+
+    # -- sending -----------------------------------------------------------------------------------------------
+
+    def transmit(self, octets: bytes, source: bytes) -> int:
+        """Put a bearer payload on the air; the number of its frame in the recording."""
+        frame = self.lower.send(octets, source)
+        return self.traffic.frame("sent", self.lower.wall(), source.hex(":"), frame, len(frame) - len(octets))
+
+    def transmit_frame(self, frame: bytes, start: int) -> int:
+        """Put a whole link-layer frame on the air, whose bearer payload begins at ``start``; its number."""
+        self.lower.send_frame(frame)
+        return self.traffic.frame("sent", self.lower.wall(), "", frame, start)
+
+    def probe(self, periods: float | None = None) -> bool:
+        """Whether VarDis answers: a summary of an unknown variable must bring a request for it (VD-PS-01)."""
+        peer, var_id = self.peer(), self.var_id()
+        self.created.discard(var_id)
+        peer.send(peer.summary(var_id, 1))
+        return self.until_instruction(ICType.REQUEST_VARCREATES, var_id, periods) is not None
+
+    def require_alive(self, after: str, *requirements: str) -> None:
+        """Stop as failed unless VarDis still answers."""
+        alive = self.probe() or self.probe()
+        self.require(alive, f"VarDis still answers after {after}", "no answer to two probes", *requirements)
+
+    # -- services ----------------------------------------------------------------------------------------------
+
+    @property
+    def ut(self) -> UpperTester:
+        """The upper tester. Cases that use it say so in their needs."""
+        if self.session.upper is None:
+            raise UpperTesterError("this case needs an upper tester, and there is none")
+        return self.session.upper
+
+    def call(self, method: str, /, **params: Any) -> Answer:
+        """Call a service of the implementation; the answer may be an error."""
+        return self.call_on(self.ut, method, **params)
+
+    def call_on(self, upper: UpperTester, method: str, /, **params: Any) -> Answer:
+        """As :meth:`call` on another connection."""
+        self.traffic.note("call", self.lower.wall(), method, params, upper.name)
+        answer = upper.call(method, params)
+        data = answer.result if answer.code is None else {"code": answer.code, "message": answer.message}
+        self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)
+        self._take_notifications()
+        return answer
+
+    def expect_status(self, status: str, method: str, /, *requirements: str, **params: Any) -> Answer:
+        """Call a service that must answer with this status; a check, which does not stop the case."""
+        answer = self.call(method, **params)
+        matches = answer.code is None and answer.status.replace("_", "-") == status.replace("_", "-")
+        self.check(matches, f"{method} answers {status}", f"{answer}", *requirements)
+        return answer
+
+    def must(self, method: str, /, **params: Any) -> Answer:
+        """Call a service whose success the case needs, but does not judge; stops as inconclusive without it."""
+        answer = self.call(method, **params)
+        if not answer.ok:
+            self.inconclusive(f"{method} succeeds, which this case needs", str(answer))
+        return answer
+
+    # -- saying what was found ---------------------------------------------------------------------------------
+
+    def check(
+        self,
+        holds: object,
+        expected: str,
+        observed: str = "",
+        /,
+        *requirements: str,
+        frames: Iterable[Heard | Instruction | Mark] = (),
+    ) -> bool:
+        """Say that something is as it must be, or is not. ``requirements``: those decided, by default all of the case.
+
+        A failure with losses of the tester's own in this case counts as inconclusive. Does not stop the case.
+        """
+        verdict = Verdict.PASS if holds else Verdict.FAIL
+        if not holds and (lost := self.own_losses()):
+            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but the tester has lost something: {lost}"
+        self._add(verdict, expected, "" if holds else observed, requirements, frames)
+        return bool(holds)
+
+    def require(
+        self,
+        holds: object,
+        expected: str,
+        observed: str = "",
+        /,
+        *requirements: str,
+        frames: Iterable[Heard | Instruction | Mark] = (),
+    ) -> None:
+        """As :meth:`check`, and stops the case if it does not hold."""
+        if not self.check(holds, expected, observed, *requirements, frames=frames):
+            raise StopCase
+
+    def fail(
+        self, expected: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
+    ) -> NoReturn:
+        """Something is wrong: stops the case."""
+        self.check(False, expected, observed, *requirements, frames=frames)
+        raise StopCase
+
+    def inconclusive(self, expected: str, observed: str, /, *requirements: str) -> NoReturn:
+        """The case cannot be decided: stops it."""
+        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, ())
+        raise StopCase
+
+    def info(
+        self, question: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
+    ) -> None:
+        """The specification leaves it open: say what the implementation does."""
+        self._add(Verdict.INFO, question, observed, requirements, frames)
+
+    def reading(self, identifier: str, observed: str) -> None:
+        """Say which reading of a disputed text (A.7) the implementation follows, by its name in the catalogue."""
+        entry = reading_of(identifier)
+        self.readings[identifier] = observed
+        self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
+
+    def _add(
+        self,
+        verdict: Verdict,
+        expected: str,
+        observed: str,
+        requirements: Sequence[str],
+        frames: Iterable[Heard | Instruction | Mark],
+    ) -> None:
+        table: Table = "robustness" if self.case.robustness else "conformance"
+        marks = tuple(self._mark(each) for each in frames)
+        checked = Check(verdict, tuple(requirements) or self.case.requirements, expected, observed, marks, table)
+        self.checks.append(checked)
+        self.traffic.note("note", self.lower.wall(), f"{verdict}: {expected}" + (f": {observed}" if observed else ""))
+
+    def _mark(self, what: Heard | Instruction | Mark) -> Mark:
+        if isinstance(what, Mark):
+            return what
+        if isinstance(what, Heard):
+            return Mark(what.number)
+        return self._mark_of_instruction(what)
+
+    def _mark_of_instruction(self, what: Instruction) -> Mark:
+        """The octets of a record in its frame."""
+        found = self.codec.dissect(what.heard.octets)
+        event = next((each for each in self.traffic.events if each.number == what.heard.number), None)
+        containers = [each for each in found.root.walk() if each.path.endswith("]") and ".vardis[" in each.path]
+        whole = [each for each in containers if each.path.count("[") == 2]
+        path = f"{whole[what.container].path}.records[{what.position}]" if what.container < len(whole) else ""
+        field = found.root.find(path) if path else None
+        if field is None or event is None:
+            return Mark(what.heard.number)
+        return Mark(what.heard.number, event.start + field.offset, field.length, path)
+
+    def own_losses(self) -> str:
+        """What the tester has missed in this case, in words; empty if nothing is known."""
+        health = self.lower.health()
+        self.dropped += health.dropped
+        self.late_ns = max(self.late_ns, health.late_ns)
+        lost = []
+        if self.dropped:
+            lost.append(f"the kernel dropped {self.dropped} frames")
+        if self.late_ns > self.period:
+            lost.append(f"it was late by {self.late_ns / MS:.0f} ms")
+        if gaps := self.gaps():
+            lost.append(f"beacons were not heard ({gaps})")
+        return ", ".join(lost)
+
+    def gaps(self) -> str:
+        """Where sequence numbers are missing between the beacons that were heard, in words; empty if none are."""
+        numbers = [heard.seqno for heard in self.heard if heard.seqno is not None]
+        for before, after in itertools.pairwise(numbers):
+            missing = (after - before - 1) % BP_SEQNO_MODULUS
+            # Back to the start is a restart; a large jump is the implementation's own.
+            if 0 < missing <= 5:
+                return f"sequence number {after} follows {before}"
+        return ""
+
+    def fail_numbers(
+        self, expected: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
+    ) -> NoReturn:
+        """As :meth:`fail` for a fault of the sequence numbers, where a gap is the finding and no excuse.
+
+        Only frames that the kernel is known to have dropped are one.
+        """
+        health = self.lower.health()
+        self.dropped += health.dropped
+        verdict = Verdict.INCONCLUSIVE if self.dropped else Verdict.FAIL
+        self._add(verdict, expected, observed, requirements, frames)
+        raise StopCase
+
+    # -- looking back ------------------------------------------------------------------------------------------
+
+    def instructions(self, kind: ICType, var_id: int | None = None, since: int = 0) -> list[Instruction]:
+        """All records of a kind that were heard from a mark on, about one variable or any."""
+        return [each for heard in self.heard[since:] for each in heard.instructions(kind, var_id)]
+
+    def frames_with(self, kind: ICType, var_id: int, since: int = 0) -> list[Heard]:
+        """The beacons with a record of this kind about a variable."""
+        return [heard for heard in self.heard[since:] if heard.instructions(kind, var_id)]
+
+    def verdict(self) -> Verdict:
+        """What the checks come to; ``inconclusive`` for a case that has checked nothing."""
+        return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
+
+
+def _address(number: int) -> bytes:
+    """A locally administered address that says whose it is: 02:dc:9n:..."""
+    return bytes((0x02, 0xDC, 0x90)) + number.to_bytes(3, "big")
+
+
+def _attribute(kind: type[Any], name: str) -> str:
+    """The attribute of a safety data class for a field's name."""
+    from dcp_codec.plan import snake
+
+    return snake(name) if snake(name) in kind.__struct_fields__ else name

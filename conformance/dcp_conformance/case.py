@@ -1,0 +1,200 @@
+"""Test cases: what they are called, what they decide, what they need.
+
+A case is a function that is given a :class:`~dcp_conformance.bench.Bench` and says with it what it expects. The
+decorator holds everything that people and reports must know without running it. Vocabulary of ISO/IEC 9646 and of
+ETSI test purposes: valid behaviour (BV), invalid (BI) and inopportune (BO) stimuli, timer behaviour (TI).
+
+Identifiers are ``TC_<protocol>_<group>_<kind>_<number>``, and ``...-<variant>`` for each variant of a case. They are
+never reused: ``data/case-ids.txt`` remembers those that ever were.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final
+
+from dcp_spec.constants import SpecVersion
+from dcp_spec.requirements import requirement
+
+if TYPE_CHECKING:
+    from .bench import Bench
+
+CASES: Final = "dcp_conformance.cases"
+_ID = re.compile(r"TC_(?:DCP|BP|SRP|VD|NET)_[A-Z0-9]+_(BV|BI|BO|TI)_\d\d")
+_VARIANT = re.compile(r"[a-zA-Z0-9][a-zA-Z0-9.+_=-]*")
+
+
+class Kind(StrEnum):
+    """The kind of stimulus, after ISO/IEC 9646."""
+
+    VALID = "BV"
+    INVALID = "BI"
+    INOPPORTUNE = "BO"
+    TIMER = "TI"
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What must hold for a case to apply. What is missing makes it not applicable, with the reason said."""
+
+    since: SpecVersion = SpecVersion.V1_0
+    until: SpecVersion = SpecVersion.V2_0
+    """First and last version of the specification (of the profile) that the case is about."""
+    ut: tuple[str, ...] = ()
+    """Methods of the upper tester interface that the case calls."""
+    entities: tuple[str, ...] = ("vardis",)
+    """Of ``vardis`` and ``srp``: the client protocols that must be there (PICS)."""
+    pics: tuple[str, ...] = ()
+    """Capabilities that must be declared true in the PICS, by their names there."""
+    header: tuple[str, ...] = ()
+    """Fields that the profile's beacon header must have."""
+    restart: bool = False
+    """Whether a command to restart the implementation must be known."""
+    when: Callable[[Bench], str | None] | None = None
+    """Anything else: the reason for which the case does not apply, or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One test case, or one variant of it."""
+
+    id: str
+    purpose: str
+    """One line: what is to be shown."""
+    requirements: tuple[str, ...]
+    """The requirements of the catalogue that the case decides."""
+    kind: Kind
+    stimulus: str
+    expect: str
+    window: float
+    """How long the expected behaviour may take to show, in beacon periods."""
+    section: str
+    """The section of the specification: first line of the module's docstring."""
+    module: str
+    run: Callable[[Bench], None]
+    needs: Needs = Needs()
+    destructive: bool = False
+    """May leave the implementation dead or in a state that needs a restart: runs after all others."""
+    robustness: bool = False
+    """The specification leaves the reaction open: a crash counts in the table of robustness."""
+    smoke: bool = False
+    """Belongs to the short plan."""
+    line: int = 0
+
+    @property
+    def base(self) -> str:
+        """The identifier without its variant."""
+        return self.id.partition("-")[0]
+
+
+@dataclass(slots=True)
+class _Definition:
+    """A decorated function: its variants become cases when the module is collected."""
+
+    cases: list[Case] = field(default_factory=list)
+
+
+_Body = Callable[..., None]
+_ATTRIBUTE = "__dcp_cases__"
+
+
+def case(
+    identifier: str,
+    purpose: str,
+    *,
+    requirements: str,
+    stimulus: str,
+    expect: str,
+    window: float = 4,
+    needs: Needs = Needs(),
+    variants: Mapping[str, Any] | None = None,
+    destructive: bool = False,
+    robustness: bool = False,
+    smoke: bool = False,
+) -> Callable[[_Body], _Body]:
+    """Make a test case of ``body(bench)``, or with ``variants`` one of ``body(bench, value)`` for each of them.
+
+    ``requirements`` are ids separated by spaces; with variants, ``purpose``, ``stimulus`` and ``expect`` may contain
+    ``{variant}``. ``window`` is in beacon periods. Raises ``ValueError`` for an identifier of another form and
+    ``UnknownRequirementError`` for an id that the catalogue does not have.
+    """
+    match = _ID.fullmatch(identifier)
+    if match is None:
+        raise ValueError(f"{identifier!r} is no case identifier (TC_BP_RX_BI_01)")
+    ids = tuple(requirements.split())
+    for each in ids:
+        requirement(each)
+    if not ids:
+        raise ValueError(f"{identifier} decides no requirement")
+
+    def decorate(body: _Body) -> _Body:
+        module = inspect.getmodule(body)
+        section = (module.__doc__ or "").partition("\n")[0].rstrip(".") if module is not None else ""
+
+        def build(suffix: str, run: Callable[[Bench], None]) -> Case:
+            variant = suffix.removeprefix("-")
+            return Case(
+                id=identifier + suffix,
+                purpose=purpose.replace("{variant}", variant),
+                requirements=ids,
+                kind=Kind(match[1]),
+                stimulus=stimulus.replace("{variant}", variant),
+                expect=expect.replace("{variant}", variant),
+                window=window,
+                section=section,
+                module=body.__module__,
+                run=run,
+                needs=needs,
+                destructive=destructive,
+                robustness=robustness,
+                smoke=smoke,
+                line=body.__code__.co_firstlineno,
+            )
+
+        definition = _Definition()
+        if variants is None:
+            definition.cases.append(build("", body))
+        for name, value in (variants or {}).items():
+            if not _VARIANT.fullmatch(name):
+                raise ValueError(f"{identifier}: {name!r} is no name for a variant")
+
+            def bound(bench: Bench, value: Any = value) -> None:
+                body(bench, value)
+
+            definition.cases.append(build(f"-{name}", bound))
+        setattr(body, _ATTRIBUTE, definition)
+        return body
+
+    return decorate
+
+
+def cases_of(module: ModuleType) -> Iterator[Case]:
+    """The cases of a module, in the order in which they stand there."""
+    for value in vars(module).values():
+        definition = getattr(value, _ATTRIBUTE, None)
+        if isinstance(definition, _Definition) and value.__module__ == module.__name__:
+            yield from definition.cases
+
+
+def modules() -> Iterator[str]:
+    """The names of the modules with cases, sorted."""
+    package = importlib.import_module(CASES)
+    yield from sorted(f"{CASES}.{info.name}" for info in pkgutil.iter_modules(package.__path__))
+
+
+def all_cases() -> dict[str, Case]:
+    """All cases by identifier, by module and line. Raises ``ValueError`` for an identifier that is there twice."""
+    found: dict[str, Case] = {}
+    for name in modules():
+        for each in cases_of(importlib.import_module(name)):
+            if each.id in found:
+                raise ValueError(f"{each.id} stands in {found[each.id].module} and in {each.module}")
+            found[each.id] = each
+    return found

@@ -1,0 +1,1 @@
+"""The test cases, one module per section of the specification; the first line of a module names it."""

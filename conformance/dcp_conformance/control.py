@@ -1,0 +1,27 @@
+"""Handling the implementation as a process or program: is it alive, start it again."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class SutControl(Protocol):
+    """What the tester can do to the implementation besides talking to it."""
+
+    can_restart: bool
+
+    def alive(self) -> bool | None:
+        """Whether it runs; None if that cannot be known."""
+        ...
+
+    def why_dead(self) -> str:
+        """How it ended (exit status, signal, last lines of its output), in words; empty if it is not known."""
+        ...
+
+    def restart(self) -> None:
+        """Start it again, from its initial state. Raises ``ConformanceError`` if that does not work."""
+        ...
+
+    def close(self) -> None:
+        """End what was started here; may be called twice."""
+        ...

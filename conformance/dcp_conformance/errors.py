@@ -1,0 +1,23 @@
+"""What stops a command, or a case."""
+
+from __future__ import annotations
+
+
+class ConformanceError(Exception):
+    """Base of what this package raises for people to read; the message says what, where, and what to do."""
+
+
+class UsageError(ConformanceError):
+    """The command was given something that makes no sense."""
+
+
+class LowerTesterError(ConformanceError):
+    """The link cannot be used: the tester's own trouble."""
+
+
+class UpperTesterError(ConformanceError):
+    """The upper tester cannot be reached, does not answer, or does not keep to its contract."""
+
+
+class StopCase(Exception):  # noqa: N818 - not an error: the case is decided
+    """Raised inside of a case when going on makes no sense; its verdict is set already."""

@@ -1,0 +1,114 @@
+"""What was heard: beacons taken apart, with the questions that cases ask of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import DecodeError, Problem
+from dcp_codec.values import Beacon, Container, ExtendedSafetyData
+
+
+class Instruction(NamedTuple):
+    """A record of a VarDis payload and where it stood."""
+
+    heard: Heard
+    container: int
+    """Counts the containers of the beacon from 0."""
+    position: int
+    """Counts the records of the container from 0."""
+    kind: ICType
+    record: Any
+
+    @property
+    def var_id(self) -> int:
+        """The variable that it is about."""
+        return var_id_of(self.record)
+
+
+class Heard:
+    """One frame of the implementation, decoded once. ``beacon`` is None if it is none in the profile."""
+
+    __slots__ = ("_instructions", "beacon", "number", "octets", "problem", "sender", "source", "time", "wall")
+
+    def __init__(self, codec: Codec, number: int, time: int, wall: int, octets: bytes, source: bytes) -> None:
+        self.number = number
+        self.time = time
+        self.wall = wall
+        self.octets = octets
+        self.source = source
+        self.problem: Problem | None = None
+        self.beacon: Beacon | None = None
+        try:
+            self.beacon = codec.decode(octets)
+        except DecodeError as error:
+            self.problem = error.problem
+        self.sender: bytes | None = self._sender(codec)
+        """The node identifier in the beacon, where there is one."""
+        self._instructions = tuple(self._taken_apart(codec))
+
+    def _taken_apart(self, codec: Codec) -> Iterator[Instruction]:
+        numbers = codec.profile.vardis.container_types.by_name()
+        kinds = {number: ICType[label.replace("-", "_")] for label, number in numbers.items()}
+        for number, container in enumerate(self.containers):
+            for position, record in enumerate(container.records):
+                yield Instruction(self, number, position, kinds[container.ic_type], record)
+
+    def _sender(self, codec: Codec) -> bytes | None:
+        if self.beacon is not None:
+            return None if self.beacon.bp is None else self.beacon.bp.sender_id
+        # What is wrong may stand behind the identifier.
+        field = codec.dissect(self.octets).root.find("bp.senderId")
+        return None if field is None else field.value
+
+    @property
+    def seqno(self) -> int | None:
+        """The beacon's sequence number."""
+        return None if self.beacon is None or self.beacon.bp is None else self.beacon.bp.seqno
+
+    @property
+    def containers(self) -> tuple[Container, ...]:
+        """The VarDis containers of all blocks, in order."""
+        if self.beacon is None:
+            return ()
+        return tuple(container for payload in self.beacon.payloads for container in payload.vardis or ())
+
+    @property
+    def has_vardis(self) -> bool:
+        """Whether there is a VarDis block."""
+        return self.beacon is not None and any(payload.vardis is not None for payload in self.beacon.payloads)
+
+    @property
+    def report(self) -> ExtendedSafetyData | None:
+        """The first state report."""
+        if self.beacon is None:
+            return None
+        return next((payload.srp for payload in self.beacon.payloads if payload.srp is not None), None)
+
+    def data(self, protocol_id: int) -> list[bytes]:
+        """The payloads of a protocol that is neither SRP nor VarDis."""
+        if self.beacon is None:
+            return []
+        return [each.data for each in self.beacon.payloads if each.protocol_id == protocol_id and each.data is not None]
+
+    def instructions(self, kind: ICType | None = None, var_id: int | None = None) -> list[Instruction]:
+        """The VarDis records of a kind and of a variable, None for any."""
+        return [
+            each
+            for each in self._instructions
+            if (kind is None or each.kind is kind) and (var_id is None or each.var_id == var_id)
+        ]
+
+    def about(self, kind: ICType, var_id: int) -> Any | None:
+        """The first record of that kind about a variable, or None."""
+        return next((each.record for each in self.instructions(kind, var_id)), None)
+
+
+def var_id_of(record: Any) -> int:
+    """The variable that a record is about; for a VarCreate that of its VarSpec (X14)."""
+    spec = getattr(record, "spec", None)
+    number: int = record.var_id if spec is None else spec.var_id
+    return number

@@ -1,0 +1,67 @@
+"""The contract of a lower tester: frames out, frames in, and the time that goes with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+
+class Arrival(NamedTuple):
+    """A frame that came in. ``octets`` is the bearer payload, ``frame`` the whole link-layer frame for recordings."""
+
+    time: int
+    """When, in ns of the lower tester's clock; the kernel's own stamp where there is one."""
+    wall: int
+    """The same in ns since 1970."""
+    octets: bytes
+    frame: bytes
+    source: bytes
+
+
+class LinkHealth(NamedTuple):
+    """What the tester has to hold against itself."""
+
+    dropped: int = 0
+    """Frames that the kernel dropped since the last time this was asked."""
+    late_ns: int = 0
+    """The longest that the tester was late in looking at the link since then."""
+
+
+class LowerTester(Protocol):
+    """One link, on which any number of virtual peers speak. Clocks are read here, so that time can be virtual."""
+
+    name: str
+
+    def now(self) -> int:
+        """Monotonic ns."""
+        ...
+
+    def wall(self) -> int:
+        """ns since 1970."""
+        ...
+
+    def send(self, octets: bytes, source: bytes) -> bytes:
+        """Put a bearer payload on the air as from the station ``source``; the whole frame is returned.
+
+        Raises ``LowerTesterError``.
+        """
+        ...
+
+    def send_frame(self, frame: bytes) -> None:
+        """Put a whole link-layer frame on the air as it is. Raises ``LowerTesterError``."""
+        ...
+
+    def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
+        """The next frame before ``until``; None at that time, or earlier when a descriptor of ``also`` is readable.
+
+        Virtual time passes in here. Raises ``LowerTesterError``.
+        """
+        ...
+
+    def health(self) -> LinkHealth:
+        """What was lost since the last call."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the link; may be called twice."""
+        ...

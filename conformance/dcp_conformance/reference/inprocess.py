@@ -1,0 +1,249 @@
+"""Our node in this process, in virtual time: lower tester, upper tester and control of it in one object each."""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+
+from dcp_codec.codec import Codec
+from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.lower import Arrival, LinkHealth
+from dcp_conformance.upper import Answer, Notification
+from dcp_conformance.upper.jsonrpc import answer_of, notification_of, request_line
+from dcp_stack.config import BPConfig, NodeConfig
+from dcp_stack.control import ControlServer
+from dcp_stack.effects import SendBeacon
+from dcp_stack.node import Node
+
+NODE_ID = b"\x02\x00\x00\x00\x00\x01"
+ADDRESS = NODE_ID
+#: 2026-01-01, so that traces are the same every time.
+EPOCH = 1_767_225_600 * 1_000_000_000
+
+MakeNode = Callable[[NodeConfig, random.Random, int, int], Any]
+
+
+def plain_node(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Node:
+    """The node as it is."""
+    return Node(config, rng=rng, now=now, wall=wall)
+
+
+class InProcess:
+    """A node with the time around it. ``make`` builds the node, so that mutants can be put in its place."""
+
+    def __init__(self, config: NodeConfig, *, seed: int = 1, make: MakeNode = plain_node) -> None:
+        self.config = config
+        self.now = 0
+        self._seed = seed
+        self._make = make
+        self._sessions: list[VirtualUpperTester] = []
+        self.arrivals: deque[Arrival] = deque()
+        self.died = ""
+        """What the node raised; it is dead then."""
+        self._start()
+
+    def _start(self) -> None:
+        self._rng = random.Random(self._seed)  # noqa: S311 - jitter, no secret
+        self.died = ""
+        self.arrivals.clear()
+        self.node = self._make(self.config, self._rng, self.now, self.wall())
+        self.server = ControlServer(self.node)
+        self.node.start(self.now, self.wall())
+        self.carry_out()
+        for session in self._sessions:
+            session.connect()
+
+    def wall(self) -> int:
+        """ns since 1970."""
+        return EPOCH + self.now
+
+    # -- driving the node --------------------------------------------------------------------------------------
+
+    def carry_out(self) -> None:
+        """Do what the node wants done."""
+        effects = self.node.take_effects()
+        for effect in effects:
+            if isinstance(effect, SendBeacon):
+                frame = b"\xff" * 6 + ADDRESS + _ether_type(self.config).to_bytes(2, "big") + effect.octets
+                self.arrivals.append(Arrival(self.now, self.wall(), effect.octets, frame, ADDRESS))
+        self.server.indicate(effects, now=self.now, wall=self.wall())
+
+    def guarded(self, step: Callable[[], None]) -> None:
+        """Let the node do something; if it raises, it is dead."""
+        if self.died:
+            return
+        try:
+            step()
+            self.carry_out()
+        except Exception as error:
+            self.died = f"{type(error).__name__}: {error}"
+            self.arrivals.clear()
+
+    def deliver(self, octets: bytes) -> None:
+        """A frame reaches the node."""
+        self.guarded(lambda: self.node.handle_frame(octets, now=self.now, wall=self.wall()))
+
+    def advance(self, until: int) -> None:
+        """Let time pass until a frame has arrived at the tester, at most to ``until``."""
+        while not self.arrivals:
+            due = None if self.died else self.node.poll_timeout()
+            if due is None or due > until:
+                self.now = max(self.now, until)
+                return
+            self.now = max(self.now, due)
+            self.guarded(lambda: self.node.handle_timeout(self.now, self.wall()))
+
+    # -- SutControl --------------------------------------------------------------------------------------------
+
+    can_restart = True
+
+    def alive(self) -> bool:
+        """Whether the node runs."""
+        return not self.died
+
+    def why_dead(self) -> str:
+        """What it raised."""
+        return self.died
+
+    def restart(self) -> None:
+        """A new node; connections are open again."""
+        self._start()
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def lower_tester(self) -> VirtualLowerTester:
+        """The link around the node."""
+        return VirtualLowerTester(self)
+
+    def upper_tester(self) -> VirtualUpperTester:
+        """A connection to the node's services."""
+        return VirtualUpperTester(self)
+
+    def register(self, session: VirtualUpperTester) -> None:
+        """A connection that is to be opened again after a restart."""
+        self._sessions.append(session)
+
+    def unregister(self, session: VirtualUpperTester) -> None:
+        """A connection that is closed."""
+        if session in self._sessions:
+            self._sessions.remove(session)
+
+
+class VirtualLowerTester:
+    """The air around a node in process: no loss, no delay."""
+
+    name = "in process"
+
+    def __init__(self, sut: InProcess) -> None:
+        self._sut = sut
+
+    def now(self) -> int:
+        """Virtual ns since the start."""
+        return self._sut.now
+
+    def wall(self) -> int:
+        """Virtual ns since 1970."""
+        return self._sut.wall()
+
+    def send(self, octets: bytes, source: bytes) -> bytes:
+        """The node receives it at once."""
+        frame = b"\xff" * 6 + source + _ether_type(self._sut.config).to_bytes(2, "big") + octets
+        self._sut.deliver(octets)
+        return frame
+
+    def send_frame(self, frame: bytes) -> None:
+        """The node receives what is in it, if it is of its type and for it."""
+        if frame[:6] == b"\xff" * 6 and int.from_bytes(frame[12:14], "big") == _ether_type(self._sut.config):
+            self._sut.deliver(frame[14:])
+
+    def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:  # noqa: ARG002 - nothing to wait on
+        """The next beacon of the node."""
+        if not self._sut.arrivals:
+            self._sut.advance(until)
+        return self._sut.arrivals.popleft() if self._sut.arrivals else None
+
+    def health(self) -> LinkHealth:
+        """Nothing is ever lost."""
+        return LinkHealth()
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class VirtualUpperTester:
+    """A connection to the services of a node in process: the same messages as over a socket."""
+
+    def __init__(self, sut: InProcess) -> None:
+        self.name = "in process"
+        self._sut = sut
+        self._last_id = 0
+        self._waiting: list[Notification] = []
+        sut.register(self)
+        self.connect()
+        self.about: dict[str, Any] = {}
+        self.methods: frozenset[str] = frozenset({"UT-Hello"})
+        self.about = self.call("UT-Hello", {}).result
+        self.methods = frozenset(self.about.get("methods", ()))
+
+    def connect(self) -> None:
+        """Open the connection, again after a restart."""
+        self._session = self._sut.server.open()
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        """Call a method; no virtual time passes."""
+        self._last_id += 1
+        sut, line = self._sut, request_line(self._last_id, method, params)
+        answers = bytearray()
+
+        def step() -> None:
+            answers.extend(self._session.feed(line, now=sut.now, wall=sut.wall()))
+
+        sut.guarded(step)
+        answer: Answer | None = None
+        for each in bytes(answers).splitlines():
+            message = msgspec.json.decode(each)
+            if "method" in message:
+                self._waiting.append(notification_of(message, sut.now))
+            else:
+                answer = answer_of(message)
+        if sut.died or answer is None:
+            raise UpperTesterError(f"{method}: the node has closed the connection")
+        return answer
+
+    def poll(self) -> list[Notification]:
+        """The notifications so far."""
+        output = bytes(self._session.output)
+        if output:
+            self._session.sent(len(output))
+            self._waiting += [notification_of(msgspec.json.decode(line), self._sut.now) for line in output.splitlines()]
+        taken, self._waiting = self._waiting, []
+        return taken
+
+    def filenos(self) -> tuple[int, ...]:
+        """There are none."""
+        return ()
+
+    def another(self) -> VirtualUpperTester:
+        """A second connection."""
+        return VirtualUpperTester(self._sut)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._sut.unregister(self)
+        self._sut.server.forget(self._session)
+
+
+def _ether_type(config: NodeConfig) -> int:
+    return config.profile.link.ether_type or 0x4953
+
+
+def reference_config(codec: Codec, *, beacon_period_ms: int = 100) -> NodeConfig:
+    """The node that the suite runs against when no other is named: everything on, nothing unusual."""
+    representation = codec.profile.types.node_id.representation
+    node_id = NODE_ID.hex(":").encode() if representation == "text" else NODE_ID
+    return NodeConfig(node_id=node_id, codec=codec, bp=BPConfig(beacon_period_ms=beacon_period_ms))

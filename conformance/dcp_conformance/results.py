@@ -1,0 +1,160 @@
+"""Results as data: what ``results.json`` holds, and what reports are made of.
+
+The file's ``schema`` says which version of these structs it follows; members are only ever added within a version.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from .verdict import Verdict
+
+SCHEMA = "dcp-conformance-results/1"
+Table = Literal["conformance", "robustness"]
+
+
+class Mark(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A place that matters for a check: frame number in the case's recording, octets from the frame's start."""
+
+    frame: int
+    offset: int = 0
+    length: int = 0
+    """0: the whole frame."""
+    path: str = ""
+    """The field, as the dissector calls it."""
+
+
+class Check(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One thing that a case looked at."""
+
+    verdict: Verdict
+    requirements: tuple[str, ...]
+    expected: str
+    observed: str = ""
+    frames: tuple[Mark, ...] = ()
+    table: Table = "conformance"
+
+
+class EventRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A line of the timeline: ``time`` is ns since 1970, ``frame`` a frame number (0: none), ``octets`` are hex."""
+
+    time: int
+    direction: str
+    who: str = ""
+    frame: int = 0
+    text: str = ""
+    octets: str = ""
+    start: int = 0
+
+
+class CaseResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What came of one case."""
+
+    id: str
+    purpose: str
+    section: str
+    kind: str
+    requirements: tuple[str, ...]
+    verdict: Verdict
+    reason: str = ""
+    """Why it is not a pass: of the check that decided it."""
+    stimulus: str = ""
+    expectation: str = ""
+    window: float = 0.0
+    duration: float = 0.0
+    """Seconds on the lower tester's clock; virtual seconds in process."""
+    table: Table = "conformance"
+    checks: tuple[Check, ...] = ()
+    readings: dict[str, str] = {}
+    """Disputed texts (A.7) and which of their readings was observed."""
+    evidence: tuple[EventRecord, ...] = ()
+    left_out: int = 0
+    recording: str = ""
+    """The files with exactly this case's traffic, without suffix, relative to the report's folder."""
+    rerun: str = ""
+    """The command that runs this case again."""
+    killed: bool = False
+    """The implementation was found dead after this case."""
+    attempt: int = 1
+    expected_verdict: Verdict | None = None
+    """What the file of expected results says, if it says anything; None otherwise."""
+    error_detail: str = ""
+    """For a fault of the tester: where it happened."""
+
+
+class Sut(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The implementation under test, as it called itself and as it was reached."""
+
+    name: str = ""
+    version: str = ""
+    spec_version: str = ""
+    node_id: str = ""
+    link: str = ""
+    upper_tester: str = ""
+    methods: tuple[str, ...] = ()
+
+
+class RunResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A whole run."""
+
+    schema: str = SCHEMA
+    tool: str = ""
+    kind: Literal["run", "check", "replay", "selftest", "fuzz"] = "run"
+    started: str = ""
+    """ISO 8601, UTC."""
+    duration: float = 0.0
+    """Seconds that passed for the person who waited."""
+    command: str = ""
+    profile: str = ""
+    profile_title: str = ""
+    spec_version: str = ""
+    sut: Sut = Sut()
+    pics: dict[str, Any] = {}
+    cases: tuple[CaseResult, ...] = ()
+    requirements: dict[str, Verdict] = {}
+    summary: dict[str, dict[str, int]] = {}
+    """By table, then by verdict: number of cases."""
+    readings: dict[str, tuple[str, ...]] = {}
+    """Disputed texts and the readings that were observed."""
+    notes: tuple[str, ...] = ()
+    """What the reader should know of the run as a whole: losses of the tester, restarts, a fallback of the link."""
+
+
+def requirement_verdicts(cases: tuple[CaseResult, ...]) -> dict[str, Verdict]:
+    """What the cases say of each requirement.
+
+    A failed case says it of the requirements that its failed checks name, and nothing of its others; a requirement
+    that only cases without a verdict about it mention is inconclusive.
+    """
+    found: dict[str, list[Verdict]] = {}
+    for case in cases:
+        decided: dict[str, list[Verdict]] = {}
+        for check in case.checks:
+            for each in check.requirements:
+                decided.setdefault(each, []).append(check.verdict)
+        for each in dict.fromkeys((*case.requirements, *decided)):
+            verdicts = decided.get(each, [])
+            if case.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE):
+                bad = [verdict for verdict in verdicts if verdict.rank > Verdict.PASS.rank]
+                found.setdefault(each, []).extend(bad or ([] if verdicts else [Verdict.INCONCLUSIVE]))
+            else:
+                found.setdefault(each, []).append(case.verdict)
+    return {each: _joined(verdicts) for each, verdicts in found.items()}
+
+
+def _joined(verdicts: list[Verdict]) -> Verdict:
+    """The worst; but what one case could not show, another may have shown."""
+    shown = [verdict for verdict in verdicts if verdict is not Verdict.INCONCLUSIVE]
+    return max(shown or verdicts or [Verdict.INCONCLUSIVE], key=lambda verdict: verdict.rank)
+
+
+def summarise(cases: tuple[CaseResult, ...]) -> dict[str, dict[str, int]]:
+    """Numbers of cases by table and verdict; every verdict is there, also with 0."""
+    counts: dict[str, dict[str, int]] = {
+        table: {str(verdict): 0 for verdict in Verdict} for table in ("conformance", "robustness")
+    }
+    for case in cases:
+        counts[case.table][str(case.verdict)] += 1
+    return counts

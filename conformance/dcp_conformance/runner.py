@@ -1,0 +1,260 @@
+"""Runs cases: preamble, body, postamble, verdict. Knows nothing of pytest, files or terminals."""
+
+from __future__ import annotations
+
+import shlex
+import time
+import traceback
+from collections.abc import Iterable
+
+from dcp_spec.parameters import parameters
+
+from .applicability import why_not
+from .bench import Bench, Session
+from .case import Case
+from .control import SutControl
+from .errors import LowerTesterError, StopCase, UpperTesterError
+from .results import CaseResult, Check, EventRecord, Sut, Table
+from .traffic import Event
+from .verdict import Verdict
+
+SANITY = "TC_DCP_SANITY_BV_01"
+"""The case that shows that the implementation is there and answers: first, last, and after every destructive case."""
+
+
+class Runner:
+    """Runs one case after the other against one implementation.
+
+    A case that finds the implementation dead is named; with a command to restart it the run goes on.
+    """
+
+    def __init__(
+        self, session: Session, control: SutControl | None = None, *, rerun: str = "dcp-conformance run"
+    ) -> None:
+        self.session = session
+        self.control = control
+        self.rerun = rerun
+        self.notes: list[str] = []
+        self.dead = ""
+        """Why nothing can be run any more; empty while the implementation lives."""
+        session.can_restart = control is not None and control.can_restart
+
+    def prepare(self) -> None:
+        """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
+        session = self.session
+        if session.pics.pixit.node_id is not None:
+            session.sut_id = bytes.fromhex(session.pics.pixit.node_id.replace(":", ""))
+        upper = session.upper
+        if upper is None:
+            return
+        node_id = upper.about.get("nodeId")
+        if session.sut_id is None and isinstance(node_id, str):
+            text = self.session.codec.profile.types.node_id.representation == "text"
+            session.sut_id = node_id.encode() if text else bytes.fromhex(node_id.replace(":", ""))
+        self._reset()
+        known = parameters()
+        for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
+            if method in upper.methods:
+                answer = upper.call(method, {})
+                told = answer.result.get("parameters")
+                if answer.ok and isinstance(told, dict):
+                    session.parameters.update({name: value for name, value in told.items() if name in known})
+
+    def about(self) -> Sut:
+        """The implementation, for the results."""
+        session, upper = self.session, self.session.upper
+        about = upper.about if upper is not None else {}
+        target = session.pics.sut
+        return Sut(
+            name=target.name or str(about.get("name", "")),
+            version=target.version or str(about.get("version", "")),
+            spec_version=str(about.get("specVersion", "")),
+            node_id=session.sut_id.hex(":") if session.sut_id else "",
+            link=session.lower.name,
+            upper_tester=upper.name if upper is not None else "",
+            methods=tuple(sorted(upper.methods)) if upper is not None else (),
+        )
+
+    # -- one case ----------------------------------------------------------------------------------------------
+
+    def run(self, case: Case, attempt: int = 1) -> CaseResult:
+        """Run one case. Whatever happens, there is a result; only ``KeyboardInterrupt`` and the like get through."""
+        bench = Bench(self.session, case)
+        begun = self.session.lower.now()
+        reason = why_not(bench, case)
+        if reason:
+            check = Check(Verdict.NOT_APPLICABLE, case.requirements, reason)
+            return self._result(case, bench, begun, attempt, [check])
+        if self.dead:
+            check = Check(Verdict.INCONCLUSIVE, case.requirements, "a living implementation", self.dead)
+            return self._result(case, bench, begun, attempt, [check])
+        detail = ""
+        try:
+            self._reset()
+            bench.mark()
+            bench.heard.clear()
+            case.run(bench)
+        except StopCase:
+            pass
+        except UpperTesterError as error:
+            self._judge_silence(bench, error)
+        except LowerTesterError as error:
+            bench.checks.append(Check(Verdict.ERROR, case.requirements, "the link can be used", str(error)))
+        except Exception as error:
+            detail = "".join(traceback.format_exception(error))
+            what = f"{type(error).__name__}: {error}"
+            bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
+        killed = self._look_after(case, bench)
+        return self._result(case, bench, begun, attempt, bench.checks, killed=killed, detail=detail)
+
+    def _judge_silence(self, bench: Bench, error: UpperTesterError) -> None:
+        """The upper tester failed in a case. If the implementation is dead, that is looked at afterwards."""
+        bench.checks.append(
+            Check(Verdict.INCONCLUSIVE, bench.case.requirements, "the upper tester answers", str(error))
+        )
+
+    def _look_after(self, case: Case, bench: Bench) -> bool:
+        """See whether the implementation survived; whether it is dead now. Brings it back if that can be done."""
+        suspicious = case.destructive or bench.verdict().rank > Verdict.PASS.rank
+        control = self.control
+        alive = control.alive() if control is not None else None
+        if alive is None and suspicious:
+            alive = self._answers(bench)
+        if alive is not False:
+            self._clean(bench)
+            return False
+        why = control.why_dead() if control is not None else ""
+        table: Table = "robustness" if case.robustness else "conformance"
+        bench.checks.append(
+            Check(
+                Verdict.FAIL,
+                case.requirements,
+                "the implementation survives",
+                f"it is dead after this case{f': {why}' if why else ''}",
+                table=table,
+            )
+        )
+        self._revive(case)
+        return True
+
+    def _answers(self, bench: Bench) -> bool:
+        """Whether there is still any sign of life, on the air or at the upper interface."""
+        try:
+            if self.session.upper is not None and "UT-Hello" in self.session.upper.methods:
+                self.session.upper.call("UT-Hello", {})
+                return True
+            heard = bool(bench.beacons(1, 10))
+            return heard or bench.probe(10)
+        except (UpperTesterError, LowerTesterError):
+            return False
+
+    def _revive(self, case: Case) -> None:
+        control = self.control
+        if control is None or not control.can_restart:
+            self.dead = f"the implementation died in {case.id}, and there is no command to restart it (--restart)"
+            self.notes.append(self.dead)
+            return
+        try:
+            control.restart()
+        except Exception as error:
+            self.dead = f"the implementation died in {case.id} and could not be restarted: {error}"
+            self.notes.append(self.dead)
+            return
+        self.notes.append(f"the implementation died in {case.id} and was restarted")
+
+    def _clean(self, bench: Bench) -> None:
+        """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up."""
+        if self._reset_mode() != "none" or not bench.created or not bench.traffic.frames:
+            return
+        try:
+            peer = bench.peer()
+            for var_id in sorted(bench.created):
+                peer.send(peer.delete(var_id))
+            bench.wait(1)
+        except (LowerTesterError, UpperTesterError):
+            # What is wrong will show in the next case.
+            return
+
+    def _reset_mode(self) -> str:
+        mode = self.session.pics.pixit.reset
+        upper = self.session.upper
+        if mode == "auto":
+            return "ut" if upper is not None and "UT-Reset" in upper.methods else "none"
+        return mode
+
+    def _reset(self) -> None:
+        mode = self._reset_mode()
+        if mode == "ut" and self.session.upper is not None:
+            self.session.upper.call("UT-Reset", {})
+        elif mode == "restart" and self.control is not None:
+            self.control.restart()
+
+    # -- the result --------------------------------------------------------------------------------------------
+
+    def _result(
+        self,
+        case: Case,
+        bench: Bench,
+        begun: int,
+        attempt: int,
+        checks: Iterable[Check],
+        *,
+        killed: bool = False,
+        detail: str = "",
+    ) -> CaseResult:
+        checks = tuple(checks)
+        verdict = max((check.verdict for check in checks), key=lambda each: each.rank, default=Verdict.INCONCLUSIVE)
+        decisive = next((check for check in checks if check.verdict is verdict), None)
+        reason = ""
+        if decisive is None:
+            reason = "the case has looked at nothing"
+        elif verdict is Verdict.NOT_APPLICABLE:
+            reason = decisive.expected
+        elif verdict is not Verdict.PASS:
+            reason = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
+        return CaseResult(
+            id=case.id,
+            purpose=case.purpose,
+            section=case.section,
+            kind=str(case.kind),
+            requirements=case.requirements,
+            verdict=verdict,
+            reason=reason,
+            stimulus=case.stimulus,
+            expectation=case.expect,
+            window=case.window,
+            duration=(self.session.lower.now() - begun) / 1e9,
+            table="robustness" if case.robustness else "conformance",
+            checks=checks,
+            readings=bench.readings,
+            evidence=tuple(_event_record(event) for event in bench.traffic.events),
+            left_out=bench.traffic.left_out,
+            rerun=f"{self.rerun} {shlex.quote(case.id)}",
+            killed=killed,
+            attempt=attempt,
+            error_detail=detail,
+        )
+
+
+def _event_record(event: Event) -> EventRecord:
+    text = event.text
+    if event.data is not None:
+        text = f"{text} {_short(event.data)}"
+    return EventRecord(event.wall, event.direction, event.who, event.number, text, event.frame.hex(), event.start)
+
+
+def _short(data: object) -> str:
+    import msgspec
+
+    text = msgspec.json.encode(data).decode()
+    return text if len(text) <= 400 else f"{text[:400]}..."
+
+
+def ordered(cases: Iterable[Case]) -> list[Case]:
+    """In the order in which cases are run: sanity first, destructive ones last."""
+    return sorted(cases, key=lambda case: (case.base != SANITY, case.destructive))
+
+
+def timestamp() -> str:
+    """Now, ISO 8601 in UTC, to the second."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
