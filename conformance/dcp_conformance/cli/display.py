@@ -1,0 +1,156 @@
+"""What ``dcp-conformance run`` shows while it runs and when it is done."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+from typing import Self
+
+from dcp_conformance.case import Case
+from dcp_conformance.results import CaseResult, RunResult
+from dcp_conformance.verdict import Verdict
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+STYLES = {
+    Verdict.PASS: "green",
+    Verdict.INFO: "cyan",
+    Verdict.NOT_APPLICABLE: "dim",
+    Verdict.INCONCLUSIVE: "yellow",
+    Verdict.FAIL: "bold red",
+    Verdict.ERROR: "bold magenta",
+}
+#: Verdicts in the order of columns.
+_COLUMNS = (
+    Verdict.PASS,
+    Verdict.INFO,
+    Verdict.FAIL,
+    Verdict.INCONCLUSIVE,
+    Verdict.ERROR,
+    Verdict.NOT_APPLICABLE,
+)
+_HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl."}
+
+
+def console(stream: object = None) -> Console:
+    """A console on standard output, or on another stream, that does not colour what is piped."""
+    return Console(file=stream or sys.stdout, highlight=False, soft_wrap=True)  # type: ignore[arg-type]
+
+
+class Display:
+    """A bar on a terminal; a line for each case that is not simply passed, or for all with ``verbose``."""
+
+    def __init__(self, *, verbose: bool = False, quiet: bool = False) -> None:
+        self._verbose = verbose
+        self._quiet = quiet
+        self._console = console()
+        bar = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=bar,
+            transient=True,
+            disable=quiet or not bar.is_terminal,
+        )
+        self._task: TaskID | None = None
+        self._total = 0
+        self._done = 0
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def start(self, total: int) -> None:
+        """So many cases are to be run."""
+        self._total = total
+        self._task = self._progress.add_task("cases", total=total)
+
+    def result(self, case: Case, result: CaseResult, surprise: str) -> None:
+        """One of them is done."""
+        self._done += 1
+        if self._task is not None:
+            self._progress.update(self._task, advance=1, description=case.id)
+        notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)
+        if self._quiet or not (notable or self._verbose):
+            return
+        # Through the progress bar's console on a terminal, so that the bar stays below.
+        out = self._progress.console if sys.stdout.isatty() and not self._progress.disable else self._console
+        out.print(self._line(result, surprise), soft_wrap=True, highlight=False)
+
+    def _line(self, result: CaseResult, surprise: str) -> str:
+        style = STYLES[result.verdict]
+        word = _HEADINGS.get(result.verdict, str(result.verdict)).rstrip(".")
+        text = f"[{style}]{word:<8}[/] {escape(result.id)}"
+        detail = result.reason if result.verdict is not Verdict.PASS else result.purpose
+        if surprise and surprise not in detail and not surprise.startswith("unexpected fail"):
+            detail = f"{surprise}; {detail}"
+        return f"{text}  {escape(detail)}"
+
+
+def print_summary(run: RunResult, *, report: str = "") -> None:
+    """The end of a run: a table by section, what failed and how to run it again, and where the report is."""
+    out = console()
+    out.print(_sections(run))
+    for case in run.cases:
+        if case.verdict in (Verdict.FAIL, Verdict.ERROR):
+            _print_finding(out, case)
+    counts = {verdict: sum(each is verdict for each in run.requirements.values()) for verdict in Verdict}
+    shown = [f"{counts[each]} {each}" for each in _COLUMNS if counts[each] and each is not Verdict.NOT_APPLICABLE]
+    decided = f"requirements: {', '.join(shown)}" if shown else "no requirement was decided"
+    sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
+    out.print(f"{escape(sut)} as {run.profile} over {escape(run.sut.link or 'no link')}: {decided}", soft_wrap=True)
+    if run.readings:
+        out.print("readings observed: " + escape(", ".join(f"{key} {'/'.join(v)}" for key, v in run.readings.items())))
+    for note in run.notes:
+        out.print(f"note: {escape(note)}", soft_wrap=True)
+    out.print(f"{len(run.cases)} cases in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
+
+
+def _sections(run: RunResult) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold", title=None)
+    table.add_column("section")
+    for verdict in _COLUMNS:
+        table.add_column(_HEADINGS.get(verdict, str(verdict)), justify="right")
+    sections: dict[tuple[str, str], dict[Verdict, int]] = {}
+    for case in run.cases:
+        row = sections.setdefault((case.table, case.section), dict.fromkeys(Verdict, 0))
+        row[case.verdict] += 1
+    totals: dict[str, dict[Verdict, int]] = {}
+    for kind in ("conformance", "robustness"):
+        rows = sorted((section, row) for (each, section), row in sections.items() if each == kind)
+        if not rows:
+            continue
+        table.add_row(f"[bold]{kind}[/]")
+        total = totals.setdefault(kind, dict.fromkeys(Verdict, 0))
+        for section, row in rows:
+            table.add_row(f"  {escape(section)}", *_cells(row))
+            for verdict, count in row.items():
+                total[verdict] += count
+        table.add_row("  [bold]all[/]", *_cells(total))
+    return table
+
+
+def _cells(row: dict[Verdict, int]) -> list[str]:
+    return [f"[{STYLES[each]}]{row[each]}[/]" if row[each] else "[dim].[/]" for each in _COLUMNS]
+
+
+def _print_finding(out: Console, case: CaseResult) -> None:
+    out.print(f"\n[{STYLES[case.verdict]}]{case.verdict}[/] [bold]{escape(case.id)}[/]: {escape(case.purpose)}")
+    for check in case.checks:
+        if check.verdict in (Verdict.FAIL, Verdict.ERROR):
+            frames = ", ".join(str(mark.frame) for mark in check.frames[:8])
+            out.print(f"  expected  {escape(check.expected)}", soft_wrap=True)
+            out.print(
+                f"  instead   {escape(check.observed)}" + (f" (frames {frames})" if frames else ""), soft_wrap=True
+            )
+            out.print(f"  decides   {', '.join(check.requirements)}", soft_wrap=True)
+    out.print(f"  again     {escape(case.rerun)}", soft_wrap=True)

@@ -1,0 +1,65 @@
+"""``dcp-conformance list``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from .options import selection_of, selection_options
+
+
+@click.command("list")
+@selection_options
+@click.option("--json", "as_json", is_flag=True, help="Everything that is known of the cases, as JSON.")
+@click.option("--requirements", "by_requirement", is_flag=True, help="By requirement: which cases decide it.")
+def command(**options: Any) -> int:
+    """Show the test cases, or those that decide something.
+
+    CASES are identifiers of cases or of requirements, or globs of them.
+    """
+    from dcp_conformance.case import all_cases
+    from dcp_conformance.selection import select
+    from dcp_spec.requirements import requirements
+
+    chosen = select(all_cases(), selection_of(options))
+    if options["as_json"]:
+        import json
+
+        entries = [
+            {
+                "id": case.id,
+                "purpose": case.purpose,
+                "section": case.section,
+                "kind": str(case.kind),
+                "requirements": list(case.requirements),
+                "stimulus": case.stimulus,
+                "expectation": case.expect,
+                "window": case.window,
+                "since": str(case.needs.since),
+                "until": str(case.needs.until),
+                "upperTester": list(case.needs.ut),
+                "entities": list(case.needs.entities),
+                "pics": list(case.needs.pics),
+                "destructive": case.destructive,
+                "robustness": case.robustness,
+                "smoke": case.smoke,
+            }
+            for case in chosen
+        ]
+        click.echo(json.dumps(entries, indent=2, ensure_ascii=False))
+    elif options["by_requirement"]:
+        for identifier, entry in requirements().items():
+            deciding = [case.id for case in chosen if identifier in case.requirements]
+            if deciding:
+                click.echo(f"{identifier}  {entry.statement}")
+                for each in deciding:
+                    click.echo(f"    {each}")
+    else:
+        section = ""
+        for case in chosen:
+            if case.section != section:
+                section = case.section
+                click.echo(f"\n{section}" if case is not chosen[0] else section)
+            click.echo(f"  {case.id:<28}  {case.purpose}  [{' '.join(case.requirements)}]")
+    return 0

@@ -1,0 +1,112 @@
+"""Options that several subcommands have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from dcp_conformance.selection import PLANS, Selection
+from dcp_conformance.target import TargetOptions
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+EXIT_STATUS = (
+    "Exit status: 0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; "
+    "3 nothing unexpected, but something inconclusive; 4 the tester's own trouble."
+)
+
+
+def _applied(function: F, decorators: list[Callable[[F], F]]) -> F:
+    for decorator in reversed(decorators):
+        function = decorator(function)
+    return function
+
+
+def target_options(function: F) -> F:
+    """Which implementation, and how it is reached."""
+    return _applied(
+        function,
+        [
+            click.option("--interface", "-i", metavar="IF", help="Network interface that the implementation is on."),
+            click.option("--link", metavar="udp[:GROUP:PORT]", help="UDP multicast instead of an interface."),
+            click.option("--in-process", is_flag=True, help="Test our own node in this process, in virtual time."),
+            click.option(
+                "--profile", metavar="NAME|FILE", help="Wire profile.  [default: that of the PICS, or dcp-2.0]"
+            ),
+            click.option(
+                "--ether-type", metavar="HEX", callback=_ether_type, help="Another EtherType than the profile's."
+            ),
+            click.option(
+                "--ut", metavar="HOW", help="Upper tester: unix:PATH, tcp:HOST:PORT, exec:COMMAND, commands:FILE."
+            ),
+            click.option("--pics", type=click.Path(path_type=Path), metavar="FILE", help="PICS and PIXIT (TOML)."),
+            click.option("--start", metavar="COMMAND", help="Starts the implementation."),
+            click.option("--stop", metavar="COMMAND", help="Stops it."),
+            click.option("--restart", metavar="COMMAND", help="Restarts it, after it was found dead."),
+            click.option("--pid", type=int, metavar="PID", help="Its process, to notice that it died."),
+            click.option("--beacon-period", type=float, metavar="MS", help="Its beacon period.  [default: 100]"),
+            click.option("--timing-scale", type=float, default=1.0, metavar="X", help="Stretch all time windows."),
+            click.option("--seed", type=int, default=1, metavar="N", help="For what is drawn by chance."),
+        ],
+    )
+
+
+def selection_options(function: F) -> F:
+    """Which cases."""
+    return _applied(
+        function,
+        [
+            click.argument("cases", nargs=-1),
+            click.option("--section", "-s", multiple=True, metavar="TEXT", help="Cases of sections named like this."),
+            click.option(
+                "--requirement", "-r", multiple=True, metavar="ID", help="Cases that decide this requirement."
+            ),
+            click.option("--exclude", "-x", multiple=True, metavar="CASE", help="Cases that are left out."),
+            click.option("--plan", type=click.Choice(PLANS), default="full", help="smoke: the short plan."),
+        ],
+    )
+
+
+def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:
+    if value is None:
+        return None
+    try:
+        number = int(value, 0)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is no number; write 0x4953 or 18771") from None
+    if not 0x0600 <= number <= 0xFFFF:
+        raise click.BadParameter(f"{value} is not within 0x0600..0xffff")
+    return number
+
+
+def target_of(options: dict[str, Any]) -> TargetOptions:
+    """The target that options of :func:`target_options` mean."""
+    return TargetOptions(
+        profile=options["profile"],
+        interface=options["interface"],
+        ether_type=options["ether_type"],
+        link=options["link"],
+        in_process=options["in_process"],
+        ut=options["ut"],
+        pics=options["pics"],
+        start=options["start"],
+        stop=options["stop"],
+        restart=options["restart"],
+        pid=options["pid"],
+        beacon_period_ms=options["beacon_period"],
+        timing_scale=options["timing_scale"],
+        seed=options["seed"],
+    )
+
+
+def selection_of(options: dict[str, Any]) -> Selection:
+    """The selection that options of :func:`selection_options` mean."""
+    return Selection(
+        patterns=options["cases"],
+        sections=options["section"],
+        requirements=options["requirement"],
+        exclude=options["exclude"],
+        plan=options["plan"],
+    )

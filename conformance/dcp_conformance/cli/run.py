@@ -1,0 +1,78 @@
+"""``dcp-conformance run``."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .options import EXIT_STATUS, selection_of, selection_options, target_of, target_options
+
+
+@click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
+@selection_options
+@target_options
+@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
+@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
+@click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run everything N times.")
+@click.option("--until-fail", is_flag=True, help="End with the first fail.")
+@click.option("--dry-run", is_flag=True, help="Only show what would be run.")
+@click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
+@click.option("--quiet", "-q", is_flag=True, help="Only the summary.")
+@click.option(
+    "--pytest", "pytest_options", metavar="OPTIONS", help="Further options for pytest, which then reports itself."
+)
+def command(**options: Any) -> int:
+    """Test an implementation of DCP.
+
+    CASES are identifiers of cases or of requirements, or globs of them; without any, everything is run. Without
+    --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
+    namespace of its own, or over UDP where that is not possible.
+    """
+    import pytest
+    from dcp_conformance.plugin import ConformanceRun
+
+    from .display import Display, print_summary
+
+    target = target_of(options)
+    display = Display(verbose=options["verbose"], quiet=options["quiet"])
+    extra = shlex.split(options["pytest_options"] or "")
+    run = ConformanceRun(
+        target,
+        selection_of(options),
+        expected=options["expected"],
+        repeat=options["repeat"],
+        until_fail=options["until_fail"],
+        command=shlex.join(["dcp-conformance", *sys.argv[1:]]),
+        on_start=None if extra else display.start,
+        on_result=None if extra else display.result,
+    )
+    if options["dry_run"]:
+        for case in run.selected:
+            click.echo(f"{case.id}  {case.purpose}")
+        return 0
+    if not (target.foreign or target.in_process):
+        from dcp_conformance.reference.process import enter_namespace
+
+        enter_namespace()
+    arguments = ["-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases", "-c", os.devnull]
+    arguments += ["--rootdir", str(Path(__file__).parent.parent), "-p", "no:cacheprovider", "--noconftest"]
+    if extra:
+        pytest.main([*arguments, *extra], plugins=[run])
+    else:
+        with display:
+            pytest.main([*arguments, "-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings"], plugins=[run])
+    result = run.result()
+    report = options["report_dir"]
+    if report is not None:
+        from dcp_conformance.reporting import write_report
+
+        write_report(result, report)
+    print_summary(result, report="" if report is None else str(report / "report.html"))
+    if run.trouble:
+        click.echo(f"dcp-conformance: {run.trouble}", err=True)
+    return run.exit_status()

@@ -1,0 +1,183 @@
+"""From what a user said to an implementation that can be tested: link, upper tester, control, all opened."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+from dcp_spec.profile_loading import ProfileError
+
+from dcp_codec.codec import Codec
+from dcp_codec.frames import with_ether_type
+
+from .bench import Session
+from .control import SutControl
+from .errors import UsageError
+from .lower import LowerTester
+from .pics import Pics, load_pics
+from .runner import Runner
+from .upper import UpperTester
+
+DEFAULT_PROFILE = "dcp-2.0"
+
+
+@dataclass(frozen=True, slots=True)
+class TargetOptions:
+    """Which implementation, and how it is reached. Without ``interface``, ``link`` or ``in_process``: our own node."""
+
+    profile: str | None = None
+    interface: str | None = None
+    ether_type: int | None = None
+    link: str | None = None
+    """``udp[:GROUP:PORT]``."""
+    in_process: bool = False
+    ut: str | None = None
+    """``unix:PATH``, ``tcp:HOST:PORT``, ``exec:COMMAND``, ``commands:FILE``."""
+    pics: Path | None = None
+    start: str | None = None
+    stop: str | None = None
+    restart: str | None = None
+    pid: int | None = None
+    beacon_period_ms: float | None = None
+    timing_scale: float = 1.0
+    seed: int = 1
+    node_options: tuple[str, ...] = field(default=())
+    """For our own node as a process: further arguments of ``dcp-node run``."""
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the implementation is somebody else's."""
+        return self.interface is not None or self.link is not None
+
+    def command_line(self) -> str:
+        """The options again, for the command that runs one case."""
+        import shlex
+
+        words = ["dcp-conformance", "run"]
+        if self.in_process:
+            words.append("--in-process")
+        for name in ("profile", "interface", "link", "ut", "pics", "start", "stop", "restart", "pid"):
+            value = getattr(self, name)
+            if value is not None:
+                words += [f"--{name}", str(value)]
+        if self.ether_type is not None:
+            words += ["--ether-type", f"{self.ether_type:#06x}"]
+        if self.beacon_period_ms is not None:
+            words += ["--beacon-period", f"{self.beacon_period_ms:g}"]
+        if self.timing_scale != 1.0:
+            words += ["--timing-scale", f"{self.timing_scale:g}"]
+        return shlex.join(words)
+
+
+@dataclass(slots=True)
+class Target:
+    """An implementation that can be tested."""
+
+    codec: Codec
+    pics: Pics
+    runner: Runner
+    notes: list[str]
+
+
+def describe(options: TargetOptions) -> tuple[Codec, Pics]:
+    """Profile and PICS, without opening anything. Raises :class:`UsageError`."""
+    pics = load_pics(options.pics) if options.pics is not None else Pics()
+    name = options.profile or pics.pixit.profile or DEFAULT_PROFILE
+    try:
+        codec = Codec(name)
+    except ProfileError as error:
+        raise UsageError(str(error)) from None
+    if options.ether_type is not None:
+        link = with_ether_type(codec.profile.link, options.ether_type)
+        codec = Codec(msgspec.structs.replace(codec.profile, link=link))
+    if options.beacon_period_ms is not None:
+        pixit = msgspec.structs.replace(pics.pixit, beacon_period_ms=options.beacon_period_ms)
+        pics = msgspec.structs.replace(pics, pixit=pixit)
+    return codec, pics
+
+
+@contextlib.contextmanager
+def open_target(options: TargetOptions) -> Iterator[Target]:
+    """Open everything, and close it again whatever happens.
+
+    Raises :class:`UsageError` for what makes no sense, ``LowerTesterError`` and ``UpperTesterError`` for what does not
+    work.
+    """
+    codec, pics = describe(options)
+    if options.in_process and options.foreign:
+        raise UsageError("--in-process tests our own node; it needs no --interface or --link")
+    with contextlib.ExitStack() as stack:
+        if options.in_process:
+            session, control, notes = _in_process(options, codec, pics)
+        elif options.foreign:
+            session, control, notes = _foreign(options, codec, pics, stack)
+        else:
+            session, control, notes = _own_node(options, codec, pics, stack)
+        stack.callback(session.lower.close)
+        if session.upper is not None:
+            stack.callback(session.upper.close)
+        runner = Runner(session, control, rerun=options.command_line())
+        runner.notes += notes
+        yield Target(codec, pics, runner, notes)
+
+
+def _session(
+    options: TargetOptions, codec: Codec, pics: Pics, lower: LowerTester, upper: UpperTester | None
+) -> Session:
+    return Session(codec, lower, upper, pics, timing_scale=options.timing_scale, seed=options.seed)
+
+
+_Opened = tuple[Session, SutControl | None, list[str]]
+
+
+def _in_process(options: TargetOptions, codec: Codec, pics: Pics) -> _Opened:
+    from .reference.inprocess import InProcess, reference_config
+
+    period = round(pics.pixit.beacon_period_ms)
+    sut = InProcess(reference_config(codec, beacon_period_ms=period), seed=options.seed)
+    session = _session(options, codec, pics, sut.lower_tester(), sut.upper_tester())
+    return session, sut, ["our own node in this process, in virtual time"]
+
+
+def _own_node(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib.ExitStack) -> _Opened:
+    from .reference.process import reference_process
+
+    period = pics.pixit.beacon_period_ms
+    node = stack.enter_context(reference_process(codec, beacon_period_ms=period, options=options.node_options))
+    session = _session(options, codec, pics, node.lower, node.upper)
+    return session, node.control, [node.about]
+
+
+def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib.ExitStack) -> _Opened:
+    from .process import ProcessControl
+
+    control: SutControl | None = None
+    if any((options.start, options.stop, options.restart, options.pid)):
+        control = ProcessControl(start=options.start, stop=options.stop, restart=options.restart, pid=options.pid)
+        stack.callback(control.close)
+    lower = open_lower(options, codec)
+    stack.callback(lower.close)
+    upper = None
+    if options.ut is not None:
+        from .upper.opening import open_upper
+
+        upper = open_upper(options.ut)
+    return _session(options, codec, pics, lower, upper), control, []
+
+
+def open_lower(options: TargetOptions, codec: Codec) -> LowerTester:
+    """The lower tester for a foreign implementation."""
+    if options.interface is not None and options.link is not None:
+        raise UsageError("--interface and --link are two ways to say one thing; give one of them")
+    if options.interface is not None:
+        if codec.profile.link.transport == "udp":
+            raise UsageError(f"the profile {codec.profile.name} goes over UDP: --link udp")
+        from .lower.ethernet import open_ethernet
+
+        return open_ethernet(options.interface, codec.profile.link)
+    from .lower.udp import open_udp, parse_udp
+
+    return open_udp(*parse_udp(options.link or "udp", codec.profile.link))
