@@ -69,7 +69,7 @@ def open_live(interface: str, link: Link | None, *, promiscuous: bool = True) ->
     names = [name for _, name in socket.if_nameindex()]
     if interface not in names:
         raise LiveError(f"{interface}: there is no such interface; there are {', '.join(names)}")
-    if not _is_up(interface):
+    if not is_up(interface):
         raise LiveError(f"{interface}: this interface is down; bring it up first: ip link set {interface} up")
     return LiveReader(interface, link, promiscuous=promiscuous)
 
@@ -274,7 +274,8 @@ def _listen(interface: str, program: _Program, *, promiscuous: bool) -> Any:
     return opened
 
 
-def _is_up(interface: str) -> bool:
+def is_up(interface: str) -> bool:
+    """Whether the interface is switched on (it may still have no carrier). Raises ``OSError`` if there is none."""
     import fcntl  # not on every system, while people may ask for help on any
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:

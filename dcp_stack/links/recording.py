@@ -10,9 +10,9 @@ from pathlib import Path
 
 from dcp_codec.capture import MAX_TIME_NS, CaptureError, CaptureWriter, Frame, create_capture
 from dcp_codec.codec import Codec
+from dcp_codec.envelope import Envelope
 from dcp_codec.mcap_channels import DecodedChannels, capture_metadata
 from dcp_stack.links.base import Link, LinkCounters, LinkError, Reception, TimedLink, Watcher
-from dcp_stack.links.envelope import Envelope
 
 log = logging.getLogger(__name__)
 

@@ -10,8 +10,8 @@ from dcp_spec.profile import Link
 
 from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.codec import Codec
+from dcp_codec.envelope import Envelope
 from dcp_stack.links.base import LinkError, TimedLink
-from dcp_stack.links.envelope import Envelope
 from dcp_stack.links.replay import PORTION, ReplayLink, open_replay
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"

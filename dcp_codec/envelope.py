@@ -1,4 +1,4 @@
-"""The headers around a bearer payload in a recording: the other way round than ``dcp_codec.framing``."""
+"""The headers around a bearer payload in a recording: the other way round than :mod:`dcp_codec.framing`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Envelope:
         self._ether_type = struct.pack(">H", ether_type)
 
     def frame(self, octets: bytes, source: bytes) -> bytes:
-        """The frame. ``source`` is ``Reception.source``: a MAC address, IPv4 address and port, or anything shorter."""
+        """The frame. ``source`` is who sent it: a MAC address, IPv4 address and port, or anything shorter."""
         source = source[:6].rjust(6, b"\0")
         header = _BROADCAST + unicast(source) + self._ether_type
         if self._port is None:
