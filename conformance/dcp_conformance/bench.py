@@ -321,6 +321,43 @@ class Bench:
                 break
         return [heard for heard in self.heard[start:] if present(heard)]
 
+    def repeated(self, kind: ICType, var_id: int, since: int, periods: float = 60) -> list[Instruction]:
+        """Wait until the records of a kind about a variable have stopped; those that came from a mark on."""
+        self.until_quiet(lambda heard: heard.instructions(kind, var_id), periods, since)
+        return self.instructions(kind, var_id, since)
+
+    def check_repeated(
+        self, kind: ICType, var_id: int, count: int, since: int, /, *requirements: str
+    ) -> list[Instruction]:
+        """Check that exactly so many distinct beacons from a mark on have one record of this kind about a variable."""
+        found = self.repeated(kind, var_id, since)
+        beacons = {id(each.heard) for each in found}
+        what = f"exactly {count} beacon{'s' if count != 1 else ''} with one {kind.label} record of variable {var_id}"
+        came = f"{len(found)} records in {len(beacons)} beacons"
+        self.check(len(found) == len(beacons) == count, what, came, *requirements, frames=found[:32])
+        return found
+
+    def learn(self, peer: Peer, *creates: VarCreate) -> None:
+        """Let the implementation learn variables, and wait until it has passed them on as often as it must.
+
+        Stops the case as inconclusive if it does not pass one of them on.
+        """
+        start = self.mark()
+        wanted = {create.spec.var_id for create in creates}
+        peer.send_all(creates)
+
+        def present(heard: Heard) -> bool:
+            return any(each.var_id in wanted for each in heard.instructions(ICType.CREATE_VARIABLES))
+
+        self.until_quiet(present, since=start)
+        if missing := wanted - {each.var_id for each in self.instructions(ICType.CREATE_VARIABLES, since=start)}:
+            names = ", ".join(map(str, sorted(missing)))
+            self.inconclusive("the implementation learns variables, which this case needs", f"not {names}")
+
+    def rep_cnt(self, wanted: int) -> int:
+        """A repetition count that the implementation accepts: the wanted one, or the largest."""
+        return max(1, min(wanted, self.parameter("VARDISPAR_MAX_REPETITIONS") or wanted))
+
     def _listen(self, deadline: int) -> Iterator[Heard]:
         """The implementation's frames as they come in, until the deadline."""
         lower, upper = self.lower, self.session.upper

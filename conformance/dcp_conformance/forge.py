@@ -90,6 +90,15 @@ class Forge:
         probe = self.container(VarDelete(0), count=count, ic_type=ic_type)
         return probe[: len(probe) - self.codec.profile.types.var_id.width] + rest
 
+    @property
+    def container_header_size(self) -> int:
+        """Octets of an ``ICHeaderT``."""
+        return len(self.empty_container(1))
+
+    def record_size(self, record: VardisRecord) -> int:
+        """Octets of a record in its container."""
+        return len(self.container(record)) - self.container_header_size
+
     def vardis(self, *containers: bytes | VardisRecord) -> Block:
         """A VarDis payload. Records become containers: neighbours of one kind share one."""
         octets = bytearray()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
+
+from dcp_spec.constants import IC_MAX_RECORDS
 
 from dcp_codec.values import (
     ExtendedSafetyData,
@@ -47,6 +50,25 @@ class Peer:
         """
         octets = self.beacon(*what, lies=lies, sender=sender, network_id=network_id) + padding
         return self.send_octets(octets if cut is None else octets[:cut])
+
+    def send_all(self, records: Iterable[VardisRecord]) -> None:
+        """Send records in as many beacons as they need: no payload is larger than the implementation's own may be."""
+        forge = self._bench.forge
+        limit = self._bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000
+        group: list[VardisRecord] = []
+        used = 0
+        for record in records:
+            size = forge.record_size(record)
+            if not group or type(group[-1]) is not type(record):
+                size += forge.container_header_size
+            if group and (used + size > limit or len(group) == IC_MAX_RECORDS):
+                self.send(*group)
+                group, used = [], 0
+                size = forge.record_size(record) + forge.container_header_size
+            group.append(record)
+            used += size
+        if group:
+            self.send(*group)
 
     def beacon(
         self,
