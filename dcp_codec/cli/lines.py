@@ -15,8 +15,7 @@ from dcp_codec.dissect import Field
 from dcp_codec.errors import Problem
 from dcp_codec.frames import DissectedFrame
 from dcp_codec.jsonform import members_json
-
-from .values import payload_name, quoted, utc
+from dcp_codec.texts import payload_line, utc
 
 
 class ListRenderer:
@@ -43,7 +42,7 @@ class ListRenderer:
         header = frame.header
         seqno = header.child("seqno") if header is not None else None
         number = f"#{seqno.value}" if seqno is not None and seqno.value is not None else "#?"
-        what = "  ".join(_payload_line(payload) for payload in frame.payloads)
+        what = "  ".join(payload_line(payload) for payload in frame.payloads)
         text = f"{frame.frame.number:>6}  {when}  {frame.sender or '?':<17}  {number:<7} {what}"
         if frame.dissection.padding:
             text += f"  +{len(frame.dissection.padding)} padding"
@@ -53,38 +52,6 @@ class ListRenderer:
             # What is wrong is worth more than what is right.
             text = text[: max(self.width - len(wrong) - 1, 20)] + "…"
         return text + (click.style(wrong, fg="red") if self.colour and wrong else wrong)
-
-
-def _payload_line(payload: Field) -> str:
-    containers = payload.child("vardis")
-    if containers is None:
-        report = payload.child("srp")
-        number = report.child("seqno") if report is not None else None
-        return f"SRP #{number.value}" if number is not None else payload_name(payload)
-    return " ".join(_container_line(container) for container in containers.children) or "VarDis (empty)"
-
-
-def _container_line(container: Field) -> str:
-    kind, records = container.child("icType"), container.child("records")
-    name = (kind.label or f"type {kind.value}") if kind is not None else "?"
-    shown = [_record_text(record) for record in (records.children if records is not None else [])]
-    return f"{name}({' '.join(shown)})"
-
-
-def _record_text(record: Field) -> str:
-    """``7:3`` variable and sequence number, ``7"pos":3=41424344`` for a create, ``7:3=4142`` for an update."""
-    spec, update = record.child("spec"), record.child("upd") or record
-    var_id = (spec or record).child("varId")
-    text = str(var_id.value) if var_id is not None and var_id.value is not None else "?"
-    descr = spec.child("descr") if spec is not None else None
-    if descr is not None and descr.value is not None:
-        text += quoted(descr.value)
-    seqno, value = update.child("seqno"), update.child("value")
-    if seqno is not None and seqno.value is not None:
-        text += f":{seqno.value}"
-    if value is not None and value.value is not None:
-        text += f"={value.value.hex()}"
-    return text
 
 
 _FRAME_COLUMNS = ("frame", "time_ns", "src", "senderId", "networkId", "bpSeqno")

@@ -14,8 +14,7 @@ from dcp_codec.errors import Problem
 from dcp_codec.frames import DissectedFrame
 from dcp_codec.framing import mac
 from dcp_codec.plan import Group, Many, Text
-
-from .values import payload_name, utc, value_text
+from dcp_codec.texts import payload_name, utc, value_text
 
 _NARROW = 60
 _VALUE_COLUMN = 34

@@ -1,4 +1,4 @@
-"""Dissected values as people read them in a terminal."""
+"""Dissected values as people read them, in a terminal or a report."""
 
 from __future__ import annotations
 
@@ -99,3 +99,36 @@ def payload_name(payload: Field) -> str:
     data = payload.child("data")
     name = PROTOCOLS.get(protocol.value, f"protocol 0x{protocol.value:04x}")
     return f"{name} [{data.length if data is not None else 0} octets]"
+
+
+def payload_line(payload: Field) -> str:
+    """What a payload block says, in one line."""
+    containers = payload.child("vardis")
+    if containers is None:
+        report = payload.child("srp")
+        number = report.child("seqno") if report is not None else None
+        return f"SRP #{number.value}" if number is not None else payload_name(payload)
+    return " ".join(_container_line(container) for container in containers.children) or "VarDis (empty)"
+
+
+def _container_line(container: Field) -> str:
+    kind, records = container.child("icType"), container.child("records")
+    name = (kind.label or f"type {kind.value}") if kind is not None else "?"
+    shown = [_record_text(record) for record in (records.children if records is not None else [])]
+    return f"{name}({' '.join(shown)})"
+
+
+def _record_text(record: Field) -> str:
+    """``7:3`` variable and sequence number, ``7"pos":3=41424344`` for a create, ``7:3=4142`` for an update."""
+    spec, update = record.child("spec"), record.child("upd") or record
+    var_id = (spec or record).child("varId")
+    text = str(var_id.value) if var_id is not None and var_id.value is not None else "?"
+    descr = spec.child("descr") if spec is not None else None
+    if descr is not None and descr.value is not None:
+        text += quoted(descr.value)
+    seqno, value = update.child("seqno"), update.child("value")
+    if seqno is not None and seqno.value is not None:
+        text += f":{seqno.value}"
+    if value is not None and value.value is not None:
+        text += f"={value.value.hex()}"
+    return text
