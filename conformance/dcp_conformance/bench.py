@@ -60,6 +60,8 @@ class Session:
         self.parameters: dict[str, Any] = {}
         """Initial values of parameters, as the upper tester told them."""
         self.can_restart = False
+        self.restart: Callable[[], None] | None = None
+        """Starts the implementation again, from its initial state; None where that cannot be done."""
         self.next_peer = 0
         self.next_var_id = 0
         self.creation_time = 0
@@ -441,6 +443,15 @@ class Bench:
         self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)
         self._take_notifications()
         return answer
+
+    def restart(self) -> None:
+        """Start the implementation again and wait until it takes part; for cases whose needs say ``restart``."""
+        if self.session.restart is None:
+            self.inconclusive("the implementation is started again", "there is no command to restart it")
+        self.traffic.note("note", self.lower.wall(), "restart of the implementation")
+        self.session.restart()
+        if not any(self.probe(self.reaction) for _ in range(5)):
+            self.inconclusive("the implementation takes part again after its restart", "no answer to five probes")
 
     def expect_status(self, status: str, method: str, /, *requirements: str, **params: Any) -> Answer:
         """Call a service that must answer with this status; a check, which does not stop the case."""

@@ -38,6 +38,7 @@ class Runner:
         self.dead = ""
         """Why nothing can be run any more; empty while the implementation lives."""
         session.can_restart = control is not None and control.can_restart
+        session.restart = control.restart if control is not None and control.can_restart else None
 
     def prepare(self) -> None:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
@@ -49,8 +50,7 @@ class Runner:
             return
         node_id = upper.about.get("nodeId")
         if session.sut_id is None and isinstance(node_id, str):
-            text = self.session.codec.profile.types.node_id.representation == "text"
-            session.sut_id = node_id.encode() if text else bytes.fromhex(node_id.replace(":", ""))
+            session.sut_id = bytes.fromhex(node_id.replace(":", ""))
         self._reset()
         known = parameters()
         for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):

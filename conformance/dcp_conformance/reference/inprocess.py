@@ -14,7 +14,7 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.lower import Arrival, LinkHealth
 from dcp_conformance.upper import Answer, Notification
 from dcp_conformance.upper.jsonrpc import answer_of, notification_of, request_line
-from dcp_stack.config import BPConfig, NodeConfig
+from dcp_stack.config import BPConfig, NodeConfig, SRPConfig
 from dcp_stack.control import ControlServer
 from dcp_stack.effects import SendBeacon
 from dcp_stack.node import Node
@@ -246,4 +246,5 @@ def reference_config(codec: Codec, *, beacon_period_ms: int = 100) -> NodeConfig
     """The node that the suite runs against when no other is named: everything on, nothing unusual."""
     representation = codec.profile.types.node_id.representation
     node_id = NODE_ID.hex(":").encode() if representation == "text" else NODE_ID
-    return NodeConfig(node_id=node_id, codec=codec, bp=BPConfig(beacon_period_ms=beacon_period_ms))
+    bp = BPConfig(beacon_period_ms=beacon_period_ms)
+    return NodeConfig(node_id=node_id, codec=codec, bp=bp, srp=SRPConfig() if codec.profile.srp.record else None)

@@ -1,0 +1,202 @@
+"""Requests to the services of VarDis and SRP, and the statuses that a version of the specification has for an outcome.
+
+What several case modules need on top of :meth:`Bench.call`: parameters that only some versions want, statuses that
+changed their names, and the ways in which a variable or a state report gets into an implementation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP, ICType, SpecVersion
+
+from dcp_codec.errors import DecodeError
+
+from .bench import Bench
+from .heard import Heard
+from .peers import Peer
+from .upper import Answer
+
+OK = "VARDIS-STATUS-OK"
+INACTIVE = "VARDIS-STATUS-INACTIVE"
+EXISTS = "VARDIS-STATUS-VARIABLE-EXISTS"
+UNKNOWN = "VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST"
+NOT_PRODUCER = "VARDIS-STATUS-NOT-PRODUCER"
+DESCRIPTION_TOO_LONG = "VARDIS-STATUS-VARIABLE-DESCRIPTION-TOO-LONG"
+VALUE_TOO_LONG = "VARDIS-STATUS-VALUE-TOO-LONG"
+ILLEGAL_REPCOUNT = "VARDIS-STATUS-ILLEGAL-REPCOUNT"
+#: JSON-RPC error for a value that the profile cannot express.
+NOT_EXPRESSIBLE = -32602
+
+
+def deleted_status(bench: Bench) -> str:
+    """What read, update and delete answer about a variable that is deleted already."""
+    if bench.features.removed_after_deletion:
+        return "VARDIS-STATUS-VARIABLE-BEING-DELETED"
+    return "VARDIS-STATUS-VARIABLE-IS-DELETED"
+
+
+def statuses_after_deletion(bench: Bench) -> tuple[str, ...]:
+    """As :func:`deleted_status`; up to 1.3 the variable may be gone by then, if its repetitions are used up."""
+    if bench.features.removed_after_deletion:
+        return (deleted_status(bench), UNKNOWN)
+    return (deleted_status(bench),)
+
+
+def empty_status(bench: Bench) -> str:
+    """What create and update answer to a value without octets."""
+    return "VARDIS-STATUS-" + ("INVALID" if bench.profile.spec_version < SpecVersion.V1_1 else "EMPTY") + "-VALUE"
+
+
+def same_status(answer: Answer, status: str) -> bool:
+    """Whether this is the answer; 1.0 writes underscores."""
+    return answer.code is None and answer.status.replace("_", "-") == status
+
+
+def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *requirements: str, **params: Any) -> Answer:
+    """As :meth:`Bench.expect_status` where the specification leaves more than one status."""
+    answer = bench.call(method, **params)
+    matches = any(same_status(answer, status) for status in statuses)
+    bench.check(matches, f"{method} answers {' or '.join(statuses)}", f"{answer}", *requirements)
+    return answer
+
+
+# -- VarDis ------------------------------------------------------------------------------------------------------------
+
+
+def create_request(
+    bench: Bench,
+    var_id: int,
+    *,
+    rep_cnt: int = 1,
+    descr: str = "tester",
+    value: bytes = b"value",
+    timeout: int = 0,
+) -> dict[str, Any]:
+    """Parameters of RTDB-Create. Up to 1.1 the application says who the producer is (VD-CRE-08)."""
+    request: dict[str, Any] = {"varId": var_id, "repCnt": rep_cnt, "descr": descr, "value": value.hex()}
+    if timeout:
+        request["timeout"] = timeout
+    if not bench.features.producer_set_by_vardis:
+        request["prodId"] = bench.sut_id.hex(":")
+    return request
+
+
+def longest_description(bench: Bench) -> int:
+    """The octets that a description may have; in 1.0 the limit counts the NUL at its end (VD-CRE-04)."""
+    name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
+    told = name in bench.session.parameters and bench.features.string_format == "nul-terminated"
+    return bench.parameter(name) - (1 if told else 0)
+
+
+def produced(bench: Bench, **request: Any) -> int:
+    """A new variable of the implementation's own; its identifier. Stops as inconclusive if that does not work."""
+    var_id = bench.var_id()
+    bench.must("RTDB-Create", **create_request(bench, var_id, **request))
+    return var_id
+
+
+def settled(bench: Bench, var_id: int) -> None:
+    """Wait until the repetitions of the variable's VarCreate are over."""
+    bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id))
+
+
+def taught(bench: Bench, peer: Peer, **record: Any) -> int:
+    """A new variable of a peer's that the implementation has learnt; its identifier. Inconclusive if it does not."""
+    var_id = bench.var_id()
+    peer.send(peer.create(var_id, **record))
+    if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
+        bench.inconclusive("the implementation learns a variable, which this case needs", "it does not repeat it")
+    return var_id
+
+
+def untaught(bench: Bench, peer: Peer, var_id: int) -> None:
+    """A peer deletes its variable, and the implementation has noticed. Inconclusive if it does not."""
+    peer.send(peer.delete(var_id))
+    if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
+        bench.inconclusive("the implementation notices a deletion, which this case needs", "it does not repeat it")
+
+
+def entry_of(bench: Bench, var_id: int) -> dict[str, Any] | None:
+    """The database entry by RTDB-DescribeVariable, None if there is none."""
+    answer = bench.call("RTDB-DescribeVariable", varId=var_id)
+    entry = answer.result.get("variable")
+    return entry if answer.ok and isinstance(entry, dict) else None
+
+
+def listed(bench: Bench) -> dict[int, dict[str, Any]]:
+    """The variables of RTDB-DescribeDatabase by identifier."""
+    found = bench.must("RTDB-DescribeDatabase").result.get("variables")
+    if not isinstance(found, list):
+        bench.fail("RTDB-DescribeDatabase returns a list", f"variables: {found!r}")
+    return {each["varId"]: each for each in found if isinstance(each, dict) and isinstance(each.get("varId"), int)}
+
+
+def max_repetitions(bench: Bench) -> int:
+    """VARDISPAR_MAX_REPETITIONS, no more than what a case has time for."""
+    return min(bench.parameter("VARDISPAR_MAX_REPETITIONS"), 15)
+
+
+@contextmanager
+def parameters_set(bench: Bench, protocol: str, **values: int) -> Iterator[None]:
+    """Set parameters of ``BP``, ``SRP`` or ``VD`` for a while, in this order; they get their old values back.
+
+    Stops as inconclusive if one is not taken: a case that asks whether a value is taken does not use this.
+    """
+    old = {name: bench.parameter(name) for name in values}
+    try:
+        for name, value in values.items():
+            bench.must(f"{protocol}-SetParameter", name=name, value=value)
+        yield
+    finally:
+        for name in reversed(old):
+            bench.call(f"{protocol}-SetParameter", name=name, value=old[name])
+
+
+# -- SRP ---------------------------------------------------------------------------------------------------------------
+
+
+def safety_data(bench: Bench, number: int) -> dict[str, int | float | str]:
+    """Values for all fields of the profile's SafetyDataT as JSON has them, different for each ``number``.
+
+    They are small whole numbers, which every field type holds exactly.
+    """
+    values: dict[str, int | float | str] = {}
+    for index, field in enumerate(bench.profile.srp.safety_data):
+        small = (7 * number + 3 * index + 1) % 100
+        values[field.name] = bytes([small] * field.octets).hex() if field.type == "opaque" else small
+    return values
+
+
+def told(bench: Bench, report: Any) -> dict[str, Any]:
+    """The safety data of a report that was heard, in the form of :func:`safety_data`."""
+    values = report.s_data.as_dict().values()
+    names = (field.name for field in bench.profile.srp.safety_data)
+    return {name: value.hex() if isinstance(value, bytes) else value for name, value in zip(names, values, strict=True)}
+
+
+def report_octets(bench: Bench) -> int:
+    """ssizeof(ExtendedSafetyDataT)."""
+    return len(bench.forge.srp(bench.report(bench.node_id(), 0)).octets)
+
+
+def srp_blocks(bench: Bench, heard: Heard) -> list[bytes]:
+    """The SRP payloads of a beacon as octets, whether they are state reports or not."""
+    try:
+        envelope, _ = bench.codec.decode_envelope(heard.octets)
+    except DecodeError:
+        return []
+    return [each.data or b"" for each in envelope.payloads if each.protocol_id == BP_PROTID_SRP]
+
+
+def until_report(bench: Bench, values: dict[str, Any], periods: float | None = None) -> Heard | None:
+    """Wait for a beacon with a state report of these values."""
+    return bench.until(lambda heard: heard.report and told(bench, heard.report) == values and heard, periods) or None
+
+
+def nanoseconds(bench: Bench, ticks: int) -> int:
+    """A time stamp or a difference of two, as on the air, in ns."""
+    unit = {"s": 10**12, "ms": 10**9, "us": 10**6, "ns": 10**3, "ps": 1}[bench.profile.types.timestamp.unit]
+    return ticks * unit // 1000
