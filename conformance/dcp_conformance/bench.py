@@ -64,6 +64,9 @@ class Session:
         """Starts the implementation again, from its initial state; None where that cannot be done."""
         self.next_peer = 0
         self.next_var_id = 0
+        self.next_unknown = 0
+        self.known: set[int] = set()
+        """Variables that the implementation has sent something about that only its database can have told it."""
         self.creation_time = 0
 
 
@@ -173,6 +176,34 @@ class Bench:
         self.session.next_var_id += 1
         self.created.add(number)
         return number
+
+    def unknown_ids(self, count: int) -> list[int]:
+        """Identifiers that the implementation has never shown to know, descending from the top of the range.
+
+        They may have been used before: what is requested and never answered stays unknown. Stops the case as
+        inconclusive when there are not enough of them, which only a reset can bring back.
+        """
+        top = (1 << (8 * self.profile.types.var_id.width)) - 1
+        first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
+        size = last - first + 1
+        found: list[int] = []
+        for _ in range(size):
+            if len(found) == count:
+                return found
+            number = last - self.session.next_unknown % size
+            self.session.next_unknown += 1
+            if number not in self.session.known and number not in self.created:
+                found.append(number)
+        if len(found) < count:
+            self.inconclusive(
+                f"{count} identifiers of variables that the implementation does not know",
+                f"{len(found)} are left of {size}; it needs a way to be reset (--ut, --restart)",
+            )
+        return found
+
+    def unknown_id(self) -> int:
+        """One of them."""
+        return self.unknown_ids(1)[0]
 
     def var_ids(self, count: int) -> list[int]:
         """Several of them, ascending unless the range ends in between."""
@@ -378,6 +409,7 @@ class Bench:
             heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
             if ours:
                 self.heard.append(heard)
+                self.session.known.update(heard.known)
                 yield heard
 
     def _take_notifications(self) -> None:
@@ -412,8 +444,7 @@ class Bench:
 
     def probe(self, periods: float | None = None) -> bool:
         """Whether VarDis answers: a summary of an unknown variable must bring a request for it (VD-PS-01)."""
-        peer, var_id = self.peer(), self.var_id()
-        self.created.discard(var_id)
+        peer, var_id = self.peer(), self.unknown_id()
         peer.send(peer.summary(var_id, 1))
         return self.until_instruction(ICType.REQUEST_VARCREATES, var_id, periods) is not None
 

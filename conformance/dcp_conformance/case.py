@@ -94,6 +94,18 @@ class Case:
         return self.id.partition("-")[0]
 
 
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A variant that differs from the others of its case in more than its value; None: as the case says."""
+
+    value: Any
+    purpose: str | None = None
+    requirements: str | None = None
+    stimulus: str | None = None
+    expect: str | None = None
+    needs: Needs | None = None
+
+
 @dataclass(slots=True)
 class _Definition:
     """A decorated function: its variants become cases when the module is collected."""
@@ -122,36 +134,33 @@ def case(
     """Make a test case of ``body(bench)``, or with ``variants`` one of ``body(bench, value)`` for each of them.
 
     ``requirements`` are ids separated by spaces; with variants, ``purpose``, ``stimulus`` and ``expect`` may contain
-    ``{variant}``. ``window`` is in beacon periods. Raises ``ValueError`` for an identifier of another form and
-    ``UnknownRequirementError`` for an id that the catalogue does not have.
+    ``{variant}``, and a value may be a :class:`Variant`. ``window`` is in beacon periods. Raises
+    ``ValueError`` for an identifier of another form and ``UnknownRequirementError`` for an id that the catalogue does
+    not have.
     """
     match = _ID.fullmatch(identifier)
     if match is None:
         raise ValueError(f"{identifier!r} is no case identifier (TC_BP_RX_BI_01)")
-    ids = tuple(requirements.split())
-    for each in ids:
-        requirement(each)
-    if not ids:
-        raise ValueError(f"{identifier} decides no requirement")
+    _ids(identifier, requirements)
 
     def decorate(body: _Body) -> _Body:
         module = inspect.getmodule(body)
         section = (module.__doc__ or "").partition("\n")[0].rstrip(".") if module is not None else ""
 
-        def build(suffix: str, run: Callable[[Bench], None]) -> Case:
+        def build(suffix: str, run: Callable[[Bench], None], own: Variant = Variant(None)) -> Case:
             variant = suffix.removeprefix("-")
             return Case(
                 id=identifier + suffix,
-                purpose=purpose.replace("{variant}", variant),
-                requirements=ids,
+                purpose=(own.purpose or purpose).replace("{variant}", variant),
+                requirements=_ids(identifier + suffix, own.requirements or requirements),
                 kind=Kind(match[1]),
-                stimulus=stimulus.replace("{variant}", variant),
-                expect=expect.replace("{variant}", variant),
+                stimulus=(own.stimulus or stimulus).replace("{variant}", variant),
+                expect=(own.expect or expect).replace("{variant}", variant),
                 window=window,
                 section=section,
                 module=body.__module__,
                 run=run,
-                needs=needs,
+                needs=own.needs or needs,
                 destructive=destructive,
                 robustness=robustness,
                 smoke=smoke,
@@ -164,15 +173,25 @@ def case(
         for name, value in (variants or {}).items():
             if not _VARIANT.fullmatch(name):
                 raise ValueError(f"{identifier}: {name!r} is no name for a variant")
+            own = value if isinstance(value, Variant) else Variant(value)
 
-            def bound(bench: Bench, value: Any = value) -> None:
+            def bound(bench: Bench, value: Any = own.value) -> None:
                 body(bench, value)
 
-            definition.cases.append(build(f"-{name}", bound))
+            definition.cases.append(build(f"-{name}", bound, own))
         setattr(body, _ATTRIBUTE, definition)
         return body
 
     return decorate
+
+
+def _ids(identifier: str, requirements: str) -> tuple[str, ...]:
+    ids = tuple(requirements.split())
+    for each in ids:
+        requirement(each)
+    if not ids:
+        raise ValueError(f"{identifier} decides no requirement")
+    return ids
 
 
 def cases_of(module: ModuleType) -> Iterator[Case]:

@@ -70,6 +70,12 @@ class Heard:
         return None if self.beacon is None or self.beacon.bp is None else self.beacon.bp.seqno
 
     @property
+    def known(self) -> set[int]:
+        """The variables that its sender must have in its database, deleted ones included."""
+        requests = (ICType.REQUEST_VARCREATES,)
+        return {each.var_id for each in self._instructions if each.kind not in requests}
+
+    @property
     def containers(self) -> tuple[Container, ...]:
         """The VarDis containers of all blocks, in order."""
         if self.beacon is None:

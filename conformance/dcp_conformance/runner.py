@@ -186,8 +186,10 @@ class Runner:
         mode = self._reset_mode()
         if mode == "ut" and self.session.upper is not None:
             self.session.upper.call("UT-Reset", {})
+            self.session.known.clear()
         elif mode == "restart" and self.control is not None:
             self.control.restart()
+            self.session.known.clear()
 
     # -- the result --------------------------------------------------------------------------------------------
 
