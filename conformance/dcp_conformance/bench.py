@@ -64,6 +64,7 @@ class Session:
         """Starts the implementation again, from its initial state; None where that cannot be done."""
         self.next_peer = 0
         self.next_var_id = 0
+        self.next_protocol = 0
         self.next_unknown = 0
         self.known: set[int] = set()
         """Variables that the implementation has sent something about that only its database can have told it."""
@@ -84,6 +85,8 @@ class Bench:
         self.traffic = Traffic()
         self.heard: list[Heard] = []
         """The implementation's frames since the case began."""
+        self.others: list[Heard] = []
+        """Frames with another sender's identifier that the tester has not sent."""
         self.notifications: list[Notification] = []
         self.checks: list[Check] = []
         self.readings: dict[str, str] = {}

@@ -1,0 +1,283 @@
+"""Client protocols of BP that the tester plays through the upper tester, and sizes that their payloads depend on.
+
+A client registers under a protocol identifier that nobody else uses and deregisters when its ``with`` block ends, so
+that cases do not see each other's payloads where nothing resets the implementation between them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+from dcp_spec.constants import QueueingMode
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import DecodeError
+
+from .bench import Bench
+from .errors import UpperTesterError
+from .forge import Block
+from .heard import Heard
+from .upper import Answer, Notification
+
+OK = "BP-STATUS-OK"
+ALREADY_REGISTERED = "BP-STATUS-PROTOCOL-ALREADY-REGISTERED"
+ILLEGAL_SIZE = "BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE"
+ILLEGAL_QUEUE = "BP-STATUS-ILLEGAL-DROPPING-QUEUE-SIZE"
+UNKNOWN_PROTOCOL = "BP-STATUS-UNKNOWN-PROTOCOL"
+TOO_LARGE = "BP-STATUS-PAYLOAD-TOO-LARGE"
+EMPTY = "BP-STATUS-EMPTY-PAYLOAD"
+UNKNOWN_MODE = "BP-STATUS-UNKNOWN-QUEUEING-MODE"
+
+REGISTER = "BP-RegisterProtocol"
+DEREGISTER = "BP-DeregisterProtocol"
+LIST = "BP-ListRegisteredProtocols"
+TRANSMIT = "BP-TransmitPayload"
+CLEAR = "BP-ClearBuffer"
+QUERY = "BP-QueryNumberBufferedPayloads"
+ACTIVATE = "BP-MGMT-Activate"
+DEACTIVATE = "BP-MGMT-Deactivate"
+CLIENT = (REGISTER, DEREGISTER, TRANSMIT)
+"""What a client that sends needs of the upper tester."""
+
+RECEIVED = "BP-ReceivePayload.indication"
+TRANSMITTED = "BP-PayloadTransmitted.indication"
+
+ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
+DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
+
+
+def queue_mode(bench: Bench) -> QueueingMode:
+    """A mode with a queue: 1.0 has one only."""
+    return DROPTAIL if DROPTAIL in bench.features.queueing_modes else QueueingMode.QUEUE
+
+
+def no_confirm(bench: Bench) -> str | None:
+    """For ``Needs.when``: why the status of BP-TransmitPayload cannot be judged (BP-TXP-08)."""
+    if bench.pics.transmit_payload_confirm is False:
+        return "the PICS says that BP-TransmitPayload is not confirmed"
+    return None
+
+
+# -- sizes -------------------------------------------------------------------------------------------------------------
+
+
+def header_octets(bench: Bench) -> int:
+    """ssizeof(BPHeaderT) in the profile."""
+    return _place(bench, "payloads[0]")
+
+
+def block_header_octets(bench: Bench) -> int:
+    """ssizeof(BPPayloadHeaderT) in the profile."""
+    return _place(bench, "payloads[0].data") - header_octets(bench)
+
+
+def _place(bench: Bench, path: str) -> int:
+    peer_id = bench.peers_made[0].node_id if bench.peers_made else bench.node_id()
+    octets = bench.forge.beacon(peer_id, 0, [Block(unused_protocol_id(bench), b"x")])
+    field = bench.codec.dissect(octets).root.find(path)
+    return 0 if field is None else field.offset
+
+
+def largest_payload(bench: Bench) -> int:
+    """The largest maxPayloadSize that BP-RegisterProtocol accepts (BP-REG-04), in octets.
+
+    Before 1.1 the bound takes four octets for the BP header, whatever it has.
+    """
+    header = header_octets(bench) if bench.features.registration_counts_bp_header else 4
+    return bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - header - block_header_octets(bench)
+
+
+def room(bench: Bench) -> int:
+    """Octets for payload blocks, their headers included, in one beacon."""
+    return bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
+
+
+def areas_of_fixed_size(bench: Bench) -> str | None:
+    """For ``Needs.when``: profiles whose blocks always have the same size know no fitting."""
+    if bench.profile.bp.payload_area:
+        return f"all payload blocks of the profile {bench.profile.name} have the same size"
+    return None
+
+
+# -- clients -----------------------------------------------------------------------------------------------------------
+
+
+def unused_protocol_id(bench: Bench) -> int:
+    """A protocol identifier that nobody has registered."""
+    width = bench.profile.types.protocol_id.width
+    first, number = (0x7000, 0x0F00) if width > 1 else (0x70, 0x60)
+    bench.session.next_protocol += 1
+    return first + bench.session.next_protocol % number
+
+
+def blocks_of(codec: Codec, heard: Heard) -> list[tuple[int, bytes]]:
+    """Protocol identifier and octets of each block of a beacon; empty if it is none."""
+    try:
+        envelope, _ = codec.decode_envelope(heard.octets)
+    except DecodeError:
+        return []
+    return [(each.protocol_id, each.data or b"") for each in envelope.payloads]
+
+
+class BPClient:
+    """A client protocol of the tester's. Registers when its ``with`` block begins; inconclusive if it cannot."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        mode: QueueingMode | str,
+        *,
+        size: int = 64,
+        entries: int = 4,
+        several: bool = False,
+        prot_id: int | None = None,
+        name: str = "tester",
+    ) -> None:
+        self.bench = bench
+        self.prot_id = unused_protocol_id(bench) if prot_id is None else prot_id
+        self.registration: dict[str, Any] = {
+            "protId": self.prot_id,
+            "name": name,
+            "maxPayloadSize": size,
+            "queueingMode": str(mode),
+            "maxEntries": entries,
+            "allowMultiplePayloads": several,
+        }
+        self.answer = Answer()
+        self._number = 0
+
+    def __enter__(self) -> Self:
+        self.answer = self.bench.must(REGISTER, **self.registration)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        # An upper tester that does not answer any more has been noticed where it mattered.
+        with contextlib.suppress(UpperTesterError):
+            self.bench.call(DEREGISTER, protId=self.prot_id)
+
+    def register(self, **changes: Any) -> Answer:
+        """BP-RegisterProtocol with this client's parameters, some of them changed."""
+        return self.bench.call(REGISTER, **{**self.registration, **changes})
+
+    def payload(self, size: int = 12) -> bytes:
+        """Octets that no client has submitted before, at least four of them."""
+        self._number += 1
+        label = self.prot_id.to_bytes(2, "big") + self._number.to_bytes(2, "big")
+        return (label + bytes((self._number + index) % 256 for index in range(size)))[:size]
+
+    def transmit(self, payload: bytes) -> Answer:
+        """BP-TransmitPayload, which must be confirmed with OK or not at all; inconclusive otherwise."""
+        answer = self.bench.call(TRANSMIT, protId=self.prot_id, payload=payload.hex())
+        if not answer.ok and self.bench.pics.transmit_payload_confirm is not False:
+            self.bench.inconclusive("a payload is submitted, which this case needs", str(answer))
+        return answer
+
+    def submit(self, count: int, size: int = 12) -> list[bytes]:
+        """Submit so many new payloads one after the other, with no beacon of them in between; they are returned.
+
+        If a beacon came in between it is tried again, at last with BP deactivated meanwhile where that can be done.
+        """
+        bench = self.bench
+        for attempt in range(4):
+            paused = attempt == 3 and {ACTIVATE, DEACTIVATE} <= bench.ut.methods
+            if paused:
+                bench.must(DEACTIVATE)
+            start = bench.mark()
+            payloads = [self.payload(size) for _ in range(count)]
+            for payload in payloads:
+                self.transmit(payload)
+            submitted = bench.now()
+            if paused:
+                bench.must(ACTIVATE)
+            bench.wait_ns(0)
+            early = [each for each in bench.heard[start:] if each.time <= submitted and self.in_frame(each)]
+            if not early or count == 1:
+                return payloads
+            # What is still waiting must not be mistaken for the next attempt's.
+            bench.until_quiet(self.in_frame)
+        bench.inconclusive(f"{count} payloads are submitted between two beacons", "a beacon came in between each time")
+
+    def number(self) -> int | None:
+        """BP-QueryNumberBufferedPayloads; None if the answer has no number."""
+        number = self.bench.must(QUERY, protId=self.prot_id).result.get("number")
+        return number if isinstance(number, int) else None
+
+    def entry(self) -> Mapping[str, Any] | None:
+        """This client in BP-ListRegisteredProtocols, None if it is not there."""
+        return registered(self.bench).get(self.prot_id)
+
+    # -- on the air --------------------------------------------------------------------------------------------
+
+    def in_frame(self, heard: Heard) -> list[bytes]:
+        """This client's payloads in a beacon."""
+        return [octets for prot_id, octets in blocks_of(self.bench.codec, heard) if prot_id == self.prot_id]
+
+    def sent(self, since: int = 0) -> list[bytes]:
+        """This client's payloads on the air from a mark on, in order."""
+        return [octets for heard in self.bench.heard[since:] for octets in self.in_frame(heard)]
+
+    def frames(self, since: int = 0, *, after: int = 0) -> list[Heard]:
+        """The beacons with a payload of this client from a mark on, and not before a time in ns."""
+        return [each for each in self.bench.heard[since:] if each.time >= after and self.in_frame(each)]
+
+    def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> Heard | None:
+        """Wait for a beacon with this payload, or with any of this client."""
+
+        def wanted(heard: Heard) -> Heard | None:
+            found = self.in_frame(heard)
+            return heard if (found if payload is None else payload in found) else None
+
+        return self.bench.until(wanted, periods)
+
+    # -- indications -------------------------------------------------------------------------------------------
+
+    def received(self, since: int = 0) -> list[bytes]:
+        """The payloads that were indicated to this client, from a number of notifications on."""
+        return [octets_of(each) for each in indications(self.bench, RECEIVED, self.prot_id, since)]
+
+    def until_received(self, count: int = 1, periods: float | None = None) -> list[bytes]:
+        """Wait for so many indications of this client in all; the payloads of those that came."""
+        until(self.bench, lambda: len(self.received()) >= count, periods)
+        return self.received()
+
+
+def registered(bench: Bench) -> dict[int, dict[str, Any]]:
+    """BP-ListRegisteredProtocols by protocol identifier."""
+    found = bench.must(LIST).result.get("protocols")
+    if not isinstance(found, list):
+        bench.fail(f"{LIST} returns a list", f"protocols: {found!r}")
+    return {each["protocolId"]: each for each in found if isinstance(each, dict) and "protocolId" in each}
+
+
+def indications(bench: Bench, method: str, prot_id: int, since: int = 0) -> list[Notification]:
+    """The notifications of a kind about a protocol, from a number of notifications on."""
+    return [
+        each for each in bench.notifications[since:] if each.method == method and each.params.get("protId") == prot_id
+    ]
+
+
+def octets_of(notification: Notification) -> bytes:
+    """The payload of an indication; empty if it is no hex."""
+    try:
+        return bytes.fromhex(str(notification.params.get("payload", "")))
+    except ValueError:
+        return b""
+
+
+def until(bench: Bench, holds: Callable[[], bool], periods: float | None = None) -> bool:
+    """Wait until something holds that notifications can change."""
+    deadline = bench.now() + round((bench.reaction if periods is None else periods) * bench.period)
+    while not holds():
+        if bench.now() >= deadline:
+            return False
+        bench.wait_ns(max(1, min(deadline - bench.now(), bench.period // 10)))
+    return True
+
+
+def listed(payloads: Iterable[bytes], known: Sequence[bytes]) -> str:
+    """Payloads by their place in a list of known ones, for messages: ``A, B, A``."""
+    names = [chr(ord("A") + known.index(each)) if each in known else each[:8].hex() for each in payloads]
+    return ", ".join(names) or "none"
