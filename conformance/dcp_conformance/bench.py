@@ -175,7 +175,9 @@ class Bench:
         """A variable identifier that this case has not used, and others least recently."""
         top = (1 << (8 * self.profile.types.var_id.width)) - 1
         first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
-        number = first + self.session.next_var_id % (last - first + 1)
+        size = last - first + 1
+        # Since 2.0 nothing is ever forgotten: the upper half is for those that must be unknown.
+        number = first + self.session.next_var_id % (size // 2 if size >= 128 else size)
         self.session.next_var_id += 1
         self.created.add(number)
         return number

@@ -1,0 +1,361 @@
+"""dcp-vardis.md: Payload Format and Payload Construction Process.
+
+Instructions are queued at once, by one beacon with requests, so that it does not matter when a payload is composed.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+from dcp_spec.constants import IC_MAX_RECORDS, ICType
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.heard import Heard
+from dcp_conformance.peers import Peer
+
+PAYLOAD_SIZE = "VARDISPAR_MAX_PAYLOAD_SIZE"
+_PARAMETERS = Needs(ut=("UT-Reset", "VD-SetParameter"))
+
+
+def longest(bench: Bench) -> tuple[bytes, bytes]:
+    """The longest value and the longest description that can be relied on."""
+    value = min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    description = min(bench.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
+    # The parameter of 1.0 counts the NUL behind the text.
+    nul = bench.features.string_format == "nul-terminated"
+    return b"v" * max(1, value), b"d" * max(1, description - nul)
+
+
+def stock(
+    bench: Bench, peer: Peer, kind: ICType, *, mixed: bool = False, rep_cnt: int = 1, seqno: int = 0
+) -> list[VarCreate]:
+    """Let the implementation learn variables of which more than two payloads could be filled with records of a kind.
+
+    With ``mixed``, every third is short.
+    """
+    value, description = longest(bench)
+    creates: list[VarCreate] = []
+    octets = 0
+    while octets < 2.5 * bench.parameter(PAYLOAD_SIZE) and len(creates) < 90:
+        short = mixed and len(creates) % 3 == 2
+        create = peer.create(
+            bench.var_id(),
+            value=b"s" if short else value,
+            descr=b"s" if short else description,
+            rep_cnt=rep_cnt,
+            seqno=seqno,
+        )
+        octets += bench.forge.record_size(create if kind is ICType.CREATE_VARIABLES else create.upd)
+        creates.append(create)
+    bench.learn(peer, *creates)
+    return creates
+
+
+def octets_up_to(bench: Bench, heard: Heard, kind: ICType) -> int:
+    """How many octets the VarDis payload has up to the end of the last container of a kind."""
+    number = bench.forge.ic_type(kind)
+    last = max((index for index, each in enumerate(heard.containers) if each.ic_type == number), default=-1)
+    return len(bench.codec.encode_containers(heard.containers[: last + 1]))
+
+
+def check_filled(bench: Bench, kind: ICType, frames: Sequence[Heard], *requirements: str) -> None:
+    """Whether nothing more would have fitted into each of the payloads but the last."""
+    limit = bench.parameter(PAYLOAD_SIZE)
+    if PAYLOAD_SIZE not in bench.session.parameters and bench.pixit.max_payload_size is None:
+        # Nobody has said how large a payload may be: at least as large as the largest.
+        limit = max(octets_up_to(bench, heard, kind) for heard in frames)
+    for heard, following in itertools.pairwise(frames):
+        if len(heard.instructions(kind)) >= IC_MAX_RECORDS:
+            continue
+        used = octets_up_to(bench, heard, kind)
+        record = following.instructions(kind)[0].record
+        size = bench.forge.record_size(record)
+        bench.check(
+            used + size > limit,
+            f"a payload is filled until the next {kind.label} record does not fit into {limit} octets",
+            f"{limit - used} octets are left, and the next record has {size}",
+            *requirements,
+            frames=heard.instructions(kind)[-1:],
+        )
+
+
+def check_order_of_queue(bench: Bench, kind: ICType, var_ids: Sequence[int], since: int, *requirements: str) -> None:
+    """Whether the records about these variables came in this order."""
+    wanted = set(var_ids)
+    found = [each for each in bench.instructions(kind, since=since) if each.var_id in wanted]
+    came = [each.var_id for each in found]
+    wrong = next((place for place, pair in enumerate(zip(came, var_ids, strict=False)) if pair[0] != pair[1]), None)
+    text = "" if wrong is None else f"at place {wrong} stands variable {came[wrong]}, not {var_ids[wrong]}"
+    bench.check(
+        came == list(var_ids),
+        f"{len(var_ids)} {kind.label} records in the order in which they were queued",
+        text or f"{len(came)} records",
+        *requirements,
+        frames=found[wrong : wrong + 1] if wrong is not None else (),
+    )
+
+
+@case(
+    "TC_VD_PAY_BV_01",
+    "The containers of a payload stand in the order of the specification, all six kinds together",
+    requirements="VD-PAY-01 VD-PAY-02 VD-IC-02",
+    stimulus="one beacon that creates, deletes and updates a variable, summarises an unknown and a newer one",
+    expect="one payload with all six kinds of containers, in the order that the version prescribes",
+    needs=Needs(when=lambda bench: None if bench.parameter("VARDISPAR_MAX_SUMMARIES") else "it sends no summaries"),
+    smoke=True,
+)
+def order_of_containers(bench: Bench) -> None:
+    peer = bench.peer()
+    deleted, updated, outdated = bench.var_ids(3)
+    bench.learn(peer, *(peer.create(each, seqno=3) for each in (deleted, updated, outdated)))
+    order = bench.features.container_order
+    full: Heard | None = None
+    for attempt in range(3):
+        created, unknown = bench.var_id(), bench.unknown_id()
+        mark = bench.mark()
+        peer.send(
+            peer.create(created),
+            peer.delete(deleted),
+            peer.update(updated, 4 + attempt),
+            peer.summary(outdated, 4 + attempt),
+            peer.summary(unknown, 1),
+        )
+        bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
+        bench.beacons(1)
+        full = next((each for each in bench.heard[mark:] if len({one.kind for one in each.instructions()}) == 6), None)
+        if full is not None:
+            break
+        # A payload may have been composed while the beacon was being processed. Once more, with new names.
+        bench.learn(peer, again := peer.create(bench.var_id()))
+        deleted = again.spec.var_id
+    for heard in bench.heard:
+        numbers = [each.ic_type for each in heard.containers]
+        places = [order.index(_kind(bench, each)) for each in numbers]
+        bench.check(
+            places == sorted(places),
+            "containers in the order " + ", ".join(each.label for each in order),
+            ", ".join(_kind(bench, each).label for each in numbers),
+            "VD-PAY-01",
+            frames=[heard],
+        )
+    if full is None:
+        bench.inconclusive("a payload with all six kinds of containers", "none in three attempts", "VD-PAY-02")
+    bench.check(True, "one payload has all six kinds of containers", "", "VD-PAY-02", "VD-IC-02", frames=[full])
+    if bench.checks and all(each.verdict == "pass" for each in bench.checks):
+        bench.reading("X18", ", ".join(_kind(bench, each.ic_type).label for each in full.containers))
+
+
+def _kind(bench: Bench, number: int) -> ICType:
+    return next(kind for kind in ICType if bench.forge.ic_type(kind) == number)
+
+
+@case(
+    "TC_VD_PAY_BV_02",
+    "Payloads are filled with {variant} until the next record does not fit, and never beyond their maximum",
+    requirements="VD-PAY-02 VD-IC-05",
+    stimulus="requests for more variables, with the longest values, than fit into two payloads",
+    expect="each payload but the last is full, none is larger than VARDISPAR_MAX_PAYLOAD_SIZE",
+    window=12,
+    variants={"creates": ICType.CREATE_VARIABLES, "updates": ICType.UPDATES},
+)
+def filled(bench: Bench, kind: ICType) -> None:
+    peer = bench.peer()
+    creates = stock(bench, peer, kind, seqno=9)
+    mark = _request(bench, peer, kind, creates)
+    _, frames = _all_of(bench, kind, creates, mark)
+    if len(frames) < 2:
+        bench.inconclusive("more records than fit into a payload", f"{len(creates)} of them came in one")
+    check_filled(bench, kind, frames, "VD-PAY-02")
+    largest = max(frames, key=lambda heard: _size(bench, heard))
+    limit = bench.parameter(PAYLOAD_SIZE)
+    text = f"{_size(bench, largest)} octets"
+    bench.check(
+        _size(bench, largest) <= limit, f"payloads of at most {limit} octets", text, "VD-IC-05", frames=[largest]
+    )
+
+
+def _size(bench: Bench, heard: Heard) -> int:
+    return len(bench.codec.encode_containers(heard.containers))
+
+
+def _request(bench: Bench, peer: Peer, kind: ICType, creates: Sequence[VarCreate]) -> int:
+    """Queue instructions about variables, all at once; the mark before."""
+    mark = bench.mark()
+    if kind is ICType.CREATE_VARIABLES:
+        peer.send(*(peer.request_create(each.spec.var_id) for each in creates))
+    elif kind is ICType.UPDATES:
+        peer.send(*(peer.request_update(each.spec.var_id, each.upd.seqno - 1) for each in creates))
+    else:
+        peer.send(*(peer.delete(each.spec.var_id) for each in creates))
+    return mark
+
+
+def _all_of(bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int) -> tuple[set[int], list[Heard]]:
+    """Wait for the records about variables: about which there were some, and in which frames."""
+    wanted = {each.spec.var_id for each in creates}
+
+    def present(heard: Heard) -> bool:
+        return any(each.var_id in wanted for each in heard.instructions(kind))
+
+    frames = bench.until_quiet(present, since=mark)
+    came = {each.var_id for heard in frames for each in heard.instructions(kind)} & wanted
+    what = f"{kind.label} records about all {len(wanted)} variables"
+    bench.require(came == wanted, what, f"only about {len(came)}", frames=frames[-1:])
+    return came, frames
+
+
+@case(
+    "TC_VD_PAY_BV_03",
+    "No variable stands twice in a container, of whatever kind",
+    requirements="VD-PAY-03",
+    stimulus="a few variables with several repetitions are created, updated, requested and deleted",
+    expect="each container names each variable at most once",
+    window=20,
+)
+def no_variable_twice(bench: Bench) -> None:
+    peer, repetitions = bench.peer(), bench.rep_cnt(3)
+    var_ids = bench.var_ids(3)
+    bench.learn(peer, *(peer.create(each, seqno=1, rep_cnt=repetitions) for each in var_ids))
+    peer.send(*(peer.update(each, 2) for each in var_ids), *(peer.summary(each, 9) for each in var_ids))
+    peer.send(*(peer.request_create(each) for each in var_ids), *(peer.summary(each, 9) for each in var_ids))
+    unknown = bench.unknown_id()
+    peer.send(peer.summary(unknown, 1), peer.summary(unknown, 2), peer.summary(unknown, 3))
+    bench.repeated(ICType.CREATE_VARIABLES, var_ids[-1], bench.mark())
+    mark = bench.mark()
+    peer.send(*(peer.delete(each) for each in var_ids))
+    bench.repeated(ICType.DELETE_VARIABLES, var_ids[-1], mark)
+    kinds = {each.kind for heard in bench.heard for each in heard.instructions()}
+    for heard in bench.heard:
+        for number in range(len(heard.containers)):
+            records = [each for each in heard.instructions() if each.container == number]
+            named = [each.var_id for each in records]
+            twice = [each for each in records if named.count(each.var_id) > 1]
+            if twice:
+                what = f"variable {twice[0].var_id} stands {named.count(twice[0].var_id)} times in it"
+                bench.fail("every container names a variable once", what, frames=twice)
+    bench.check(len(kinds) >= 4, "every container names a variable once", f"only {len(kinds)} kinds of containers came")
+
+
+@case(
+    "TC_VD_PAY_BV_04",
+    "Without anything to say there is no VarDis payload",
+    requirements="VD-PAY-04 VD-IC-03",
+    stimulus="a variable is created and deleted; then silence",
+    expect="no beacon has a VarDis block without containers; if no other variable is known, none has a VarDis block",
+    window=16,
+)
+def nothing_to_say(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    bench.learn(peer, peer.create(var_id))
+    mark = bench.mark()
+    peer.send(peer.delete(var_id))
+    bench.repeated(ICType.DELETE_VARIABLES, var_id, mark)
+    quiet = bench.mark()
+    bench.wait(5)
+    empty = [each for each in bench.heard if each.has_vardis and not each.containers]
+    bench.check(not empty, "every VarDis block has a container", f"{len(empty)} have none", frames=empty[:4])
+    broken = [each for each in bench.heard if each.problem is not None and each.problem.requirement == "VD-IC-03"]
+    text = str(broken[0].problem) if broken else ""
+    bench.check(not broken, "every container has a record", text, "VD-IC-03", frames=broken[:4])
+    later = [each for each in bench.heard[quiet:] if each.has_vardis]
+    if any(each.instructions(ICType.SUMMARIES) for each in later):
+        bench.info("whether there is a VarDis block without anything to say", "it still summarises other variables")
+        return
+    text = f"{len(later)} of {len(bench.heard) - quiet} beacons have one"
+    bench.check(not later, "no VarDis block when nothing is pending", text, "VD-PAY-04", frames=later[:4])
+
+
+def _room_for_256(bench: Bench) -> str | None:
+    width = bench.profile.types.var_id.width
+    needed = 2 * bench.forge.container_header_size + (IC_MAX_RECORDS + 1) * width
+    if bench.parameter(PAYLOAD_SIZE) < needed:
+        return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
+    return None
+
+
+@case(
+    "TC_VD_PAY_BV_05",
+    "A container has at most 255 records, and the 256th is not lost",
+    requirements="VD-PAY-05",
+    stimulus="summaries of 256 unknown variables",
+    expect="requests for all 256, in well-formed containers",
+    window=8,
+    needs=Needs(ut=("UT-Reset",), when=_room_for_256),
+)
+def more_than_255(bench: Bench) -> None:
+    peer = bench.peer()
+    wanted = set(range(IC_MAX_RECORDS + 1))
+    peer.send_all([peer.summary(each, 1) for each in sorted(wanted)])
+    requested: set[int] = set()
+    for _ in range(8):
+        if requested == wanted:
+            break
+        bench.beacons(1, 4)
+        requested = {each.var_id for each in bench.instructions(ICType.REQUEST_VARCREATES)}
+    broken = [each for each in bench.heard if each.beacon is None]
+    bench.check(not broken, "every beacon can be decoded", str(broken[0].problem) if broken else "", frames=broken[:4])
+    came = f"requests for {len(requested)}"
+    bench.check(requested == wanted, "requests for all 256 variables", came, frames=bench.heard[-4:])
+
+
+@case(
+    "TC_VD_PAY_BV_06",
+    "A short record does not overtake a long one that does not fit",
+    requirements="VD-PAY-06",
+    stimulus="requests for variables of which every third has a short VarCreate, more than fit into two payloads",
+    expect="the VarCreates in the order of the requests, through all payloads",
+    window=12,
+    variants={"creates": ICType.CREATE_VARIABLES, "updates": ICType.UPDATES},
+)
+def no_overtaking(bench: Bench, kind: ICType) -> None:
+    peer = bench.peer()
+    creates = stock(bench, peer, kind, mixed=True, seqno=9)
+    mark = _request(bench, peer, kind, creates)
+    _all_of(bench, kind, creates, mark)
+    check_order_of_queue(bench, kind, [each.spec.var_id for each in creates], mark)
+
+
+@case(
+    "TC_VD_PAY_BV_07",
+    "Two records that fill a payload to the last octet share it; with one octet less they do not ({variant})",
+    requirements="VD-PAY-02 VD-IC-05",
+    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to just that size, and both records are requested in one beacon",
+    expect="both in one payload; with one octet less in two",
+    window=10,
+    needs=_PARAMETERS,
+    variants={
+        "creates": (ICType.CREATE_VARIABLES, 0),
+        "creates-less": (ICType.CREATE_VARIABLES, 1),
+        "updates": (ICType.UPDATES, 0),
+        "updates-less": (ICType.UPDATES, 1),
+    },
+)
+def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
+    kind, less = variant
+    peer, (value, description) = bench.peer(), longest(bench)
+    creates = [peer.create(each, value=value, descr=description, seqno=9) for each in bench.var_ids(2)]
+    bench.learn(peer, *creates)
+    bench.must("VD-SetParameter", name="VARDISPAR_MAX_SUMMARIES", value=0)
+    records = creates if kind is ICType.CREATE_VARIABLES else [each.upd for each in creates]
+    sizes = [bench.forge.record_size(each) for each in records]
+    limit = bench.forge.container_header_size + sum(sizes) - less
+    # The bounds of other parameters depend on the size of a payload.
+    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
+    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
+    bench.wait(3)
+    mark = _request(bench, peer, kind, creates)
+    _, frames = _all_of(bench, kind, creates, mark)
+    share = 1 if less else 2
+    counts = [len(each.instructions(kind)) for each in frames]
+    bench.check(
+        counts == [share] * (2 // share),
+        f"{share} record{'s' if share > 1 else ''} of {sizes[0]} octets in a payload of at most {limit}",
+        f"{counts}",
+        "VD-PAY-02",
+        frames=frames,
+    )
+    largest = max(_size(bench, each) for each in frames)
+    bench.check(largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames)
