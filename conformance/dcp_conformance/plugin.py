@@ -11,6 +11,7 @@ import contextlib
 import datetime
 import importlib
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -137,7 +138,10 @@ class ConformanceRun:
         except ConformanceError as error:
             self.trouble = str(error)
             self.usage = isinstance(error, UsageError)
-            session.shouldstop = self.trouble
+            return True
+        except Exception as error:
+            self.trouble = f"a fault of the tester: {type(error).__name__}: {error}"
+            self._notes.append("".join(traceback.format_exception(error)))
             return True
         return None
 
@@ -196,7 +200,9 @@ class ConformanceRun:
     def result(self) -> RunResult:
         """Everything that is known of the run, also of one that could not begin."""
         cases = tuple(self.results)
-        notes = [*self._notes, *([self.trouble] if self.trouble else []), *self.complaints()]
+        notes = [*self._notes, *([self.trouble] if self.trouble else [])]
+        if self.expected.entries:
+            notes += self.complaints()
         observed: dict[str, dict[str, None]] = {}
         for case in cases:
             for identifier, reading in case.readings.items():

@@ -49,7 +49,7 @@ class EventRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     start: int = 0
 
 
-class CaseResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     """What came of one case."""
 
     id: str
@@ -84,7 +84,7 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """For a fault of the tester: where it happened."""
 
 
-class Sut(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class Sut(msgspec.Struct, frozen=True, kw_only=True):
     """The implementation under test, as it called itself and as it was reached."""
 
     name: str = ""
@@ -96,7 +96,7 @@ class Sut(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     methods: tuple[str, ...] = ()
 
 
-class RunResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """A whole run."""
 
     schema: str = SCHEMA

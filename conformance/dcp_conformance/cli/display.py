@@ -6,13 +6,14 @@ import sys
 from types import TracebackType
 from typing import Self
 
-from dcp_conformance.case import Case
-from dcp_conformance.results import CaseResult, RunResult
-from dcp_conformance.verdict import Verdict
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from dcp_conformance.case import Case
+from dcp_conformance.results import CaseResult, RunResult
+from dcp_conformance.verdict import Verdict
 
 STYLES = {
     Verdict.PASS: "green",
@@ -116,8 +117,8 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
 
 
 def _sections(run: RunResult) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold", title=None)
-    table.add_column("section")
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("section", no_wrap=True, overflow="ellipsis", min_width=24)
     for verdict in _COLUMNS:
         table.add_column(_HEADINGS.get(verdict, str(verdict)), justify="right")
     sections: dict[tuple[str, str], dict[Verdict, int]] = {}

@@ -18,9 +18,10 @@ def command(**options: Any) -> int:
 
     CASES are identifiers of cases or of requirements, or globs of them.
     """
+    from dcp_spec.requirements import requirements
+
     from dcp_conformance.case import all_cases
     from dcp_conformance.selection import select
-    from dcp_spec.requirements import requirements
 
     chosen = select(all_cases(), selection_of(options))
     if options["as_json"]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+
 from dcp_conformance.selection import PLANS, Selection
 from dcp_conformance.target import TargetOptions
 

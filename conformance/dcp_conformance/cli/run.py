@@ -34,6 +34,7 @@ def command(**options: Any) -> int:
     namespace of its own, or over UDP where that is not possible.
     """
     import pytest
+
     from dcp_conformance.plugin import ConformanceRun
 
     from .display import Display, print_summary

@@ -1,0 +1,54 @@
+"""``dcp-conformance compare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from dcp_conformance.errors import UsageError
+
+
+@click.command(
+    "compare",
+    epilog="Exit status: 0 nothing became worse; 1 a case fails that did not fail before; 2 results cannot be read.",
+)
+@click.argument("old", type=click.Path(path_type=Path))
+@click.argument("new", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="The differences as JSON.")
+def command(old: Path, new: Path, *, as_json: bool) -> int:
+    """Show which verdicts differ between two runs.
+
+    OLD and NEW are results.json files, or the folders they are in.
+    """
+    from dcp_conformance.reporting import load_results
+    from dcp_conformance.reporting.merge import compare
+
+    before, after = load_results(old), load_results(new)
+    if before.profile != after.profile:
+        raise UsageError(
+            f"{old} was made with the profile {before.profile}, {new} with {after.profile}; "
+            "'dcp-conformance report' puts different ones side by side"
+        )
+    changes = compare(before, after)
+    if as_json:
+        import json
+
+        click.echo(
+            json.dumps(
+                [
+                    {"id": each.id, "kind": each.kind, "old": each.old, "new": each.new, "reason": each.reason}
+                    for each in changes
+                ],
+                indent=2,
+                ensure_ascii=False,
+            )
+        )
+    else:
+        for each in changes:
+            was, is_now = each.old or "not run", each.new or "not run"
+            click.echo(f"{each.kind:<10}  {each.id}  {was} -> {is_now}" + (f"  {each.reason}" if each.reason else ""))
+        counts = {kind: sum(each.kind == kind for each in changes) for kind in dict.fromkeys(c.kind for c in changes)}
+        shown = ", ".join(f"{count} {kind}" for kind, count in counts.items())
+        click.echo(f"{len(after.cases)} cases: {shown or 'no verdict differs'}")
+    return int(any(each.kind == "regression" for each in changes))

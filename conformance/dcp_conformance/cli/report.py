@@ -1,0 +1,58 @@
+"""``dcp-conformance report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from dcp_conformance.errors import UsageError
+
+
+@click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
+@click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Where the page goes (HTML).")
+def command(results: tuple[Path, ...], output: Path | None) -> int:
+    """Make the page of a run again, or put several runs side by side.
+
+    RESULTS are results.json files, or the folders they are in. Of several, a table of implementations and requirements
+    is shown, and with --output written as a page.
+    """
+    from dcp_conformance.reporting import load_results
+    from dcp_conformance.reporting.files import codec_of
+    from dcp_conformance.reporting.merge import labels, matrix, render_matrix
+    from dcp_conformance.reporting.page import render
+
+    runs = [load_results(path) for path in results]
+    if len(runs) == 1:
+        from .display import print_summary
+
+        if output is not None:
+            _write(output, render(runs[0], codec_of(runs[0])))
+        print_summary(runs[0], report=str(output or ""))
+        return 0
+    from rich.markup import escape
+    from rich.table import Table
+
+    from .display import STYLES, console
+
+    if output is not None:
+        _write(output, render_matrix(runs))
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("requirement", no_wrap=True)
+    for label in labels(runs):
+        table.add_column(escape(label))
+    for identifier, verdicts in matrix(runs):
+        cells = [
+            f"[{STYLES[verdict]}]{verdict}[/]" if verdict is not None else "[dim]not run[/]" for verdict in verdicts
+        ]
+        table.add_row(identifier, *cells)
+    console().print(table)
+    return 0
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -1,0 +1,5 @@
+"""Reports: everything here is made from results as data, of one run or of several."""
+
+from .files import load_results, write_report
+
+__all__ = ["load_results", "write_report"]

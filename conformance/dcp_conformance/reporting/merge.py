@@ -1,0 +1,97 @@
+"""Several runs side by side: implementations and requirements, or the same implementation before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dcp_spec.requirements import requirements
+
+from dcp_conformance.results import CaseResult, RunResult
+from dcp_conformance.verdict import Verdict, worst
+
+#: From the best to the worst for comparisons: what was not decided is neither better nor worse than another doubt.
+_GOOD = (Verdict.PASS, Verdict.INFO)
+_BAD = (Verdict.FAIL, Verdict.ERROR)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A case whose verdict differs between two runs; None where a run does not have it."""
+
+    id: str
+    old: Verdict | None
+    new: Verdict | None
+    reason: str
+
+    @property
+    def kind(self) -> str:
+        """``regression``, ``fixed``, ``new``, ``gone`` or ``changed``."""
+        if self.old is None:
+            return "new"
+        if self.new is None:
+            return "gone"
+        if self.new in _BAD and self.old not in _BAD:
+            return "regression"
+        if self.old in _BAD and self.new in _GOOD:
+            return "fixed"
+        return "changed"
+
+
+def compare(old: RunResult, new: RunResult) -> list[Change]:
+    """The cases whose verdicts differ, regressions first. Of several attempts the worst counts."""
+    before, after = _by_case(old), _by_case(new)
+    changes = []
+    for identifier in dict.fromkeys((*before, *after)):
+        was, is_now = before.get(identifier), after.get(identifier)
+        if was is None or is_now is None or was.verdict is not is_now.verdict:
+            reason = is_now.reason if is_now is not None else ""
+            verdicts = (was.verdict if was is not None else None, is_now.verdict if is_now is not None else None)
+            changes.append(Change(identifier, *verdicts, reason))
+    order = ("regression", "changed", "fixed", "new", "gone")
+    return sorted(changes, key=lambda change: order.index(change.kind))
+
+
+def _by_case(run: RunResult) -> dict[str, CaseResult]:
+    found: dict[str, CaseResult] = {}
+    for case in run.cases:
+        if case.id not in found or case.verdict.rank > found[case.id].verdict.rank:
+            found[case.id] = case
+    return found
+
+
+def labels(runs: Sequence[RunResult]) -> list[str]:
+    """What to call each run: name and version, with the profile or a number where these are not enough."""
+    names = [" ".join(filter(None, (run.sut.name or "unnamed", run.sut.version))) for run in runs]
+    if len(set(names)) < len(names):
+        names = [f"{name} ({run.profile})" for name, run in zip(names, runs, strict=True)]
+    if len(set(names)) < len(names):
+        names = [f"{number}: {name}" for number, name in enumerate(names, 1)]
+    return names
+
+
+def matrix(runs: Sequence[RunResult]) -> list[tuple[str, list[Verdict | None]]]:
+    """For each requirement that any run decided, in the order of the catalogue: the verdict in each run."""
+    return [
+        (identifier, [run.requirements.get(identifier) for run in runs])
+        for identifier in requirements()
+        if any(identifier in run.requirements for run in runs)
+    ]
+
+
+def render_matrix(runs: Sequence[RunResult]) -> str:
+    """The page of several runs."""
+    from .page import environment
+
+    known = requirements()
+    rows = [
+        {
+            "id": identifier,
+            "statement": known[identifier].statement,
+            "verdicts": [str(verdict) if verdict is not None else "" for verdict in verdicts],
+            "worst": str(worst(verdict for verdict in verdicts if verdict is not None)),
+            "differs": len({verdict for verdict in verdicts if verdict is not None}) > 1,
+        }
+        for identifier, verdicts in matrix(runs)
+    ]
+    return environment().get_template("matrix.html").render(runs=list(zip(labels(runs), runs, strict=True)), rows=rows)
