@@ -15,22 +15,16 @@ from dcp_spec.profile_loading import ProfileError, profile_names
 
 from dcp_codec.capture import CaptureError, CaptureReader, Frame, open_capture
 from dcp_codec.codec import Codec, get_codec
+from dcp_codec.commandline import UNUSABLE, ExpectedError
 from dcp_codec.frames import FrameDissector, with_ether_type
 
-MALFORMED, UNUSABLE = 1, 2
+from . import main
+
+MALFORMED = 1
 
 
-class ExpectedError(Exception):
-    """A failure that the user can do something about: shown as one line, with an exit status."""
-
-    def __init__(self, message: str, status: int = UNUSABLE) -> None:
-        super().__init__(message)
-        self.status = status
-
-
-def note(message: str) -> None:
-    """Tell something on stderr, where it does not disturb output that is piped on."""
-    click.echo(f"dcp-codec: {message}", err=True)
+#: Tell something on stderr, where it does not disturb output that is piped on.
+note = main.note
 
 
 def ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None) -> int | None:

@@ -13,9 +13,10 @@ from dcp_spec.profile import Link
 from dcp_codec.capture import FORMATS, CaptureError, convert, extract_attachment, open_capture
 from dcp_codec.capture import attachments as list_attachments
 from dcp_codec.codec import Codec, get_codec
+from dcp_codec.commandline import UNUSABLE, ExpectedError
 from dcp_codec.guess import guess, sample
 
-from .common import UNUSABLE, ExpectedError, link_of, load_codec, note, profile_options
+from .common import link_of, load_codec, note, profile_options
 
 
 @click.command(

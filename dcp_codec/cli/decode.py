@@ -16,12 +16,12 @@ import click
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import get_codec
+from dcp_codec.commandline import ExpectedError
 from dcp_codec.frames import DissectedFrame, FrameDissector
 from dcp_codec.framing import OtherTraffic
 
 from .common import (
     MALFORMED,
-    ExpectedError,
     Output,
     choose,
     link_of,

@@ -11,8 +11,9 @@ from typing import Any
 import click
 
 from dcp_codec.codec import Codec
+from dcp_codec.commandline import ExpectedError
 
-from .common import ExpectedError, load_codec
+from .common import load_codec
 
 #: kind -> (module, function of a codec, help)
 _KINDS = {

@@ -8,7 +8,7 @@ import click
 import msgspec
 from dcp_spec.profile_loading import ProfileError, load_profile, profile_names
 
-from .common import ExpectedError
+from dcp_codec.commandline import ExpectedError
 
 
 @click.command("profiles")

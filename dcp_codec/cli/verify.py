@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .common import ExpectedError
+from dcp_codec.commandline import ExpectedError
 
 
 @click.command(

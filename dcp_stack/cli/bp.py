@@ -8,9 +8,10 @@ from typing import Any
 
 import click
 
+from dcp_codec.commandline import ExpectedError
+
 from .common import (
     EXIT_STATUS,
-    ExpectedError,
     columns,
     connect,
     finish,

@@ -10,31 +10,22 @@ from typing import Any, TypeVar
 
 import click
 
+from dcp_codec.commandline import UNUSABLE, ExpectedError
 from dcp_stack.control.client import ControlClient, ControlError, ServiceError
 from dcp_stack.control.jsonrpc import INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR
 
-NOT_OK, UNUSABLE, UNREACHABLE = 1, 2, 3
+from . import main
 
-EXIT_STATUS = (
-    "Exit status: 0 OK; 1 the node answered with a status other than OK; 2 wrong usage, or what the node does not "
-    "take; 3 no node could be reached."
-)
+NOT_OK, UNREACHABLE = 1, 3
+
+EXIT_STATUS = f"Exit status: {main.exit_status}"
 
 F = TypeVar("F", bound=Callable[..., Any])
 _USAGE = frozenset({PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS})
 
 
-class ExpectedError(Exception):
-    """A failure that the user can do something about: shown as one line, with an exit status."""
-
-    def __init__(self, message: str, status: int = UNUSABLE) -> None:
-        super().__init__(message)
-        self.status = status
-
-
-def note(message: str) -> None:
-    """Tell something on stderr, where it does not disturb output that is piped on."""
-    click.echo(f"dcp-node: {message}", err=True)
+#: Tell something on stderr, where it does not disturb output that is piped on.
+note = main.note
 
 
 def control_option(function: F) -> F:

@@ -8,10 +8,11 @@ from typing import Any
 import click
 from dcp_spec.parameters import UnknownParameterError, parameter
 
+from dcp_codec.commandline import ExpectedError
 from dcp_stack.control.client import ControlClient, ServiceError
 from dcp_stack.control.jsonrpc import METHOD_NOT_FOUND
 
-from .common import EXIT_STATUS, ExpectedError, connect, node_options, simple
+from .common import EXIT_STATUS, connect, node_options, simple
 
 
 @click.group("param", epilog=EXIT_STATUS)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .common import ExpectedError
+from dcp_codec.commandline import ExpectedError
 
 log = logging.getLogger("dcp_stack.node")
 

@@ -9,14 +9,13 @@ import click
 import msgspec
 from dcp_spec.profile_loading import ProfileError
 
+from dcp_codec.commandline import ExpectedError
 from dcp_stack.links.base import LinkError
 from dcp_stack.sim.defaults import default_scenario
 from dcp_stack.sim.loading import check, load_scenario, parse_topology
 from dcp_stack.sim.player import Simulation
 from dcp_stack.sim.report import lines
 from dcp_stack.sim.scenario import Scenario, ScenarioError
-
-from .common import ExpectedError
 
 NOT_MET = 1
 

@@ -16,12 +16,13 @@ from types import FrameType
 
 import click
 
+from dcp_codec.commandline import ExpectedError
 from dcp_stack.sim.namespaces import NamespaceError, permitted
 from dcp_stack.sim.report import lines
 from dcp_stack.sim.scenario import ScenarioError
 from dcp_stack.sim.testbed import StartError, Testbed
 
-from .common import ExpectedError, note
+from .common import note
 from .simulate import NOT_MET, scenario_of
 
 #: Set for the copy of this command that runs in a user namespace.

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
+from dcp_codec.commandline import ExpectedError
 from dcp_stack.control.client import ControlClient
 
 from .common import (
     EXIT_STATUS,
-    ExpectedError,
     columns,
     connect,
     finish,

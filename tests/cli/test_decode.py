@@ -284,6 +284,7 @@ def test_piping_into_head_is_no_failure(tmp_path, good):
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)
     assert done.stdout.startswith("Frame 1")
     assert done.stderr == ""
+    assert done.returncode == 0
 
 
 def test_standard_input_is_read(tmp_path, good):

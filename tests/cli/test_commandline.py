@@ -1,0 +1,139 @@
+"""How a command ends, whatever it does: its exit status, and one line on stderr."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+COMMAND = """
+from dcp_codec.commandline import CommandLine
+
+class Apart(Exception):
+    pass
+
+class Further(Apart):
+    pass
+
+main = CommandLine(name="trial", package="trial", commands={"end-it": "End.", "broken": "Cannot be imported."},
+    about="Try.", exit_status="0 well.", failures={Apart: 4}, fault_status=7)
+"""
+
+SUBCOMMAND = """
+import click, sys
+from dcp_codec.commandline import ExpectedError
+from trial import Further
+
+def stop(error):
+    raise error
+
+ENDS = {
+    "nothing": lambda: None,
+    "three": lambda: 3,
+    "expected": lambda: stop(ExpectedError("put the fuse in")),
+    "expected-5": lambda: stop(ExpectedError("put the fuse in", 5)),
+    "failure": lambda: stop(Further("no tester")),
+    "fault": lambda: stop(KeyError("nobody expected this")),
+    "interrupted": lambda: stop(KeyboardInterrupt()),
+    "usage": lambda: stop(click.UsageError("not so")),
+    "system": lambda: open("/nowhere/at/all"),
+}
+
+@click.command()
+@click.argument("way")
+@click.option("--lines", default=1)
+def command(way, lines):
+    for _ in range(lines):
+        sys.stdout.write("said\\n")
+    return ENDS[way]()
+"""
+
+Ends = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture
+def trial(tmp_path: Path) -> Ends:
+    """Run ``trial ARGS`` in a process of its own."""
+    package = tmp_path / "trial"
+    package.mkdir()
+    (package / "__init__.py").write_text(COMMAND)
+    (package / "end_it.py").write_text(SUBCOMMAND)
+    (package / "broken.py").write_text("raise RuntimeError('imported')\n")
+
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+
+    def run(*args: str, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", "from trial import main; main()", *args]
+        return subprocess.run(
+            command, cwd=tmp_path, env=environment, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False
+        )
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("way", "status", "message"),
+    [
+        ("nothing", 0, ""),
+        ("three", 3, ""),
+        ("expected", 2, "trial: put the fuse in\n"),
+        ("expected-5", 5, "trial: put the fuse in\n"),
+        ("failure", 4, "trial: no tester\n"),
+        ("interrupted", 130, "\n"),
+        ("system", 2, "trial: [Errno 2] No such file or directory: '/nowhere/at/all'\n"),
+    ],
+)
+def test_a_subcommand_decides_how_the_command_ends(trial: Ends, way: str, status: int, message: str):
+    done = trial("end-it", way)
+    assert done.returncode == status
+    assert done.stderr == message
+    # What could not be read is as good a place to stop as any other: what was said before is still said.
+    assert done.stdout == "said\n"
+
+
+def test_wrong_usage(trial: Ends):
+    done = trial("end-it", "usage")
+    assert done.returncode == 2
+    assert "Error: not so" in done.stderr
+    assert trial("end-it").returncode == 2
+    assert trial("end").returncode == 2
+
+
+def test_a_fault_of_the_command_has_its_own_status_and_is_told_in_full(trial: Ends):
+    done = trial("end-it", "fault")
+    assert done.returncode == 7
+    assert "Traceback" in done.stderr
+    assert "nobody expected this" in done.stderr
+
+
+def test_help_imports_no_subcommand(trial: Ends):
+    done = trial("--help")
+    assert done.returncode == 0
+    assert "broken  Cannot be imported." in done.stdout
+    assert "Exit status: 0 well. 'trial COMMAND --help' tells more." in " ".join(done.stdout.split())
+    assert trial("broken").returncode == 7
+
+
+@pytest.mark.parametrize(("lines", "status"), [(10, 3), (100_000, 0)])
+def test_a_reader_that_has_seen_enough_is_no_failure(trial: Ends, lines: int, status: int):
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = trial("end-it", "three", "--lines", str(lines), stdout=writing)
+    os.close(writing)
+    # What is left in the buffer at the end does not hide what the subcommand found.
+    assert (done.returncode, done.stderr) == (status, "")
+
+
+@pytest.mark.parametrize("lines", [10, 100_000])
+@pytest.mark.parametrize("way", ["nothing", "expected-5"])
+def test_a_full_disk_is_told_in_one_line(trial: Ends, way: str, lines: int):
+    with Path("/dev/full").open("w") as full:
+        done = trial("end-it", way, "--lines", str(lines), stdout=full.fileno())
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "trial: [Errno 28] No space left on device"
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
