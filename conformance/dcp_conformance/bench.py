@@ -416,6 +416,8 @@ class Bench:
                 self.heard.append(heard)
                 self.session.known.update(heard.known)
                 yield heard
+            else:
+                self.others.append(heard)
 
     def _take_notifications(self) -> None:
         upper = self.session.upper
