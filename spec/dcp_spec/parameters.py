@@ -13,6 +13,7 @@ from typing import Final, Literal
 
 import msgspec
 
+from dcp_spec.catalogue import UnknownEntryError
 from dcp_spec.constants import ETHERTYPE_MIN, UWB_MIN_MTU, SpecVersion
 
 _V = SpecVersion
@@ -163,12 +164,8 @@ class Violation(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.parameter} must be {self.bound}, not {self.value!r} ({self.requirement})"
 
 
-class UnknownParameterError(KeyError):
-    """No parameter has this name."""
-
-    def __str__(self) -> str:
-        # KeyError shows the repr of its argument, which would put quotes around a sentence.
-        return str(self.args[0])
+class UnknownParameterError(UnknownEntryError):
+    """No parameter has this name; the message may name some that look like it."""
 
 
 def _at_least(limit: int, since: SpecVersion = _V.V1_0) -> Bound:
@@ -392,7 +389,7 @@ def parameter(name: str) -> Parameter:
     try:
         return parameters()[name]
     except KeyError:
-        raise UnknownParameterError(f"no parameter {name!r}") from None
+        raise UnknownParameterError.among("parameter", name, parameters()) from None
 
 
 def validate(name: str, value: object, sizes: Sizes) -> Violation | None:

@@ -4,27 +4,16 @@ The entries stand in data/readings.toml. Requirements name the readings they dep
 can be defended, the entry lists both by name: a node can be configured for one, and the suite accepts each.
 """
 
-import difflib
 from collections.abc import Mapping
-from functools import cache
-from importlib import resources
-from types import MappingProxyType
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 
+from dcp_spec.catalogue import Catalogue, UnknownEntryError
 
-class UnknownReadingError(KeyError):
+
+class UnknownReadingError(UnknownEntryError):
     """No reading has this id; the message names ids that look like it."""
-
-    def __init__(self, reading_id: str, near: list[str]) -> None:
-        hint = f"; did you mean {', '.join(near)}?" if near else ""
-        self.message = f"no reading {reading_id!r}{hint}"
-        super().__init__(self.message)
-
-    def __str__(self) -> str:
-        # KeyError shows the repr of its argument, which would put quotes around a sentence.
-        return self.message
 
 
 class Alternative(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -66,23 +55,14 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         raise ValueError(f"reading {self.id} has no alternative {name!r}; it has: {names}")
 
 
-class _Readings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    reading: tuple[Reading, ...]
+_CATALOGUE: Final = Catalogue("readings.toml", "reading", Reading, UnknownReadingError)
 
 
-@cache
 def readings() -> Mapping[str, Reading]:
     """All readings by id: X01, X02, ... and then H1, H2, ..."""
-    text = resources.files("dcp_spec").joinpath("data/readings.toml").read_bytes()
-    entries = msgspec.toml.decode(text, type=_Readings)
-    return MappingProxyType({entry.id: entry for entry in entries.reading})
+    return _CATALOGUE.entries()
 
 
 def reading(reading_id: str) -> Reading:
     """The reading with this id. Raises UnknownReadingError, a KeyError that names similar ids."""
-    known = readings()
-    try:
-        return known[reading_id]
-    except KeyError:
-        near = difflib.get_close_matches(reading_id.upper(), known, n=3)
-        raise UnknownReadingError(reading_id, near) from None
+    return _CATALOGUE.entry(reading_id)

@@ -5,29 +5,17 @@ and conformance cases cite them by id; error messages show the statement. Nothin
 look-up.
 """
 
-import difflib
 from collections.abc import Mapping
-from functools import cache
-from importlib import resources
-from types import MappingProxyType
-from typing import Literal
+from typing import Final, Literal
 
 import msgspec
 
+from dcp_spec.catalogue import Catalogue, UnknownEntryError
 from dcp_spec.constants import SpecVersion
 
 
-class UnknownRequirementError(KeyError):
+class UnknownRequirementError(UnknownEntryError):
     """No requirement has this id; the message names ids that look like it."""
-
-    def __init__(self, requirement_id: str, near: list[str]) -> None:
-        hint = f"; did you mean {', '.join(near)}?" if near else ""
-        self.message = f"no requirement {requirement_id!r}{hint}"
-        super().__init__(self.message)
-
-    def __str__(self) -> str:
-        # KeyError shows the repr of its argument, which would put quotes around a sentence.
-        return self.message
 
 
 class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -71,26 +59,17 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return f"{self.id} ({self.section}{step}): {self.statement}"
 
 
-class _Catalogue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    requirement: tuple[Requirement, ...]
+_CATALOGUE: Final = Catalogue("requirements.toml", "requirement", Requirement, UnknownRequirementError)
 
 
-@cache
 def requirements() -> Mapping[str, Requirement]:
     """All requirements by id, in the order of the catalogue: DATA, UWB, BP, SRP, VD."""
-    text = resources.files("dcp_spec").joinpath("data/requirements.toml").read_bytes()
-    catalogue = msgspec.toml.decode(text, type=_Catalogue)
-    return MappingProxyType({entry.id: entry for entry in catalogue.requirement})
+    return _CATALOGUE.entries()
 
 
 def requirement(requirement_id: str) -> Requirement:
     """The requirement with this id. Raises UnknownRequirementError, a KeyError that names similar ids."""
-    known = requirements()
-    try:
-        return known[requirement_id]
-    except KeyError:
-        near = difflib.get_close_matches(requirement_id.upper(), known, n=3)
-        raise UnknownRequirementError(requirement_id, near) from None
+    return _CATALOGUE.entry(requirement_id)
 
 
 def depending_on(reading_id: str) -> tuple[Requirement, ...]:

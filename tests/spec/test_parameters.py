@@ -183,7 +183,7 @@ def test_an_unknown_parameter_is_misuse():
     with pytest.raises(UnknownParameterError) as caught:
         validate("VARDISPAR_MAX_SUMMARIE", 1, CPP)
     assert isinstance(caught.value, KeyError)
-    assert str(caught.value) == "no parameter 'VARDISPAR_MAX_SUMMARIE'"
+    assert str(caught.value).startswith("no parameter 'VARDISPAR_MAX_SUMMARIE'; did you mean VARDISPAR_MAX_SUMMARIES")
 
 
 def test_sizes_are_not_negative():

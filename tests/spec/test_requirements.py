@@ -1,3 +1,4 @@
+import pickle
 import re
 import subprocess
 import sys
@@ -172,6 +173,12 @@ def test_unknown_ids_are_answered_with_similar_ones():
     assert str(caught.value).startswith("no requirement 'bp-rx-155'")
 
 
+def test_an_error_can_travel_between_processes():
+    with pytest.raises(UnknownRequirementError) as caught:
+        requirement("bp-rx-155")
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
 def test_an_id_like_no_other_gets_no_suggestion():
     with pytest.raises(UnknownRequirementError) as caught:
         requirement("42")
@@ -193,9 +200,13 @@ def test_cite_gives_id_place_and_statement():
 
 def test_nothing_is_read_at_import():
     program = (
-        "import dcp_spec.requirements as q, dcp_spec.readings as r, dcp_spec.parameters as p; "
-        "print(q.requirements.cache_info().currsize, r.readings.cache_info().currsize, "
-        "p.parameters.cache_info().currsize)"
+        "import sys\n"
+        "sys.addaudithook(lambda event, args: event == 'open' and str(args[0]).endswith('.toml') and print(args[0]))\n"
+        "import dcp_spec.requirements, dcp_spec.readings, dcp_spec.parameters\n"
+        "print('imported')\n"
+        "dcp_spec.readings.reading('X01')\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["0", "0", "0"]
+    before, after = done.stdout.split("imported\n")
+    assert before == ""
+    assert after.endswith("data/readings.toml\n")
