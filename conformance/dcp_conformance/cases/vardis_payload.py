@@ -39,7 +39,7 @@ def stock(
     value, description = longest(bench)
     creates: list[VarCreate] = []
     octets = 0
-    while octets < 2.5 * bench.parameter(PAYLOAD_SIZE) and len(creates) < 90:
+    while octets < 2.2 * bench.parameter(PAYLOAD_SIZE) and len(creates) < 64:
         short = mixed and len(creates) % 3 == 2
         create = peer.create(
             bench.var_id(),
