@@ -1,0 +1,178 @@
+"""dcp-srp.md: Initialization, Runtime and Shutdown."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.services import report_octets, safety_data, told
+
+_LIST = Needs(ut=("BP-ListRegisteredProtocols",), entities=("srp",))
+_NAME = re.compile(r"SRP -- State Reporting Protocol V(\d+\.\d+)")
+
+
+def _registration(bench: Bench) -> dict[str, Any]:
+    rows = bench.must("BP-ListRegisteredProtocols").result.get("protocols", [])
+    found = [row for row in rows if row.get("protocolId") == int(BP_PROTID_SRP)]
+    if not found:
+        others = [row.get("protocolId") for row in rows]
+        bench.fail("SRP is registered under protocol identifier 1", f"registered are {others}", "SRP-INI-01")
+    return dict(found[0])
+
+
+@case(
+    "TC_SRP_INI_BV_01",
+    "SRP is registered with BP under its name",
+    requirements="SRP-INI-01",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="protocol 1, 'SRP -- State Reporting Protocol Vx.y' with a version from V1.0 to V2.0",
+    needs=_LIST,
+)
+def name(bench: Bench) -> None:
+    shown = str(_registration(bench).get("protocolName"))
+    match = _NAME.fullmatch(shown)
+    bench.check(
+        match is not None and "1.0" <= match[1] <= "2.0",
+        "the name 'SRP -- State Reporting Protocol Vx.y', V1.0 to V2.0",
+        repr(shown),
+    )
+    if match is not None:
+        bench.info("X31: the version in the name", f"V{match[1]}")
+
+
+@case(
+    "TC_SRP_INI_BV_02",
+    "SRP is registered with room for its record",
+    requirements="SRP-INI-02",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="a maxPayloadSize of at least the record's size",
+    needs=_LIST,
+)
+def size(bench: Bench) -> None:
+    octets, shown = report_octets(bench), _registration(bench).get("maxPayloadSize")
+    bench.check(isinstance(shown, int) and shown >= octets, f"maxPayloadSize is at least {octets}", f"it is {shown}")
+
+
+@case(
+    "TC_SRP_INI_BV_03",
+    "SRP is registered with the queueing mode of its version",
+    requirements="SRP-INI-03",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="BP_QMODE_ONCE; up to 1.2 BP_QMODE_REPEAT",
+    needs=_LIST,
+)
+def mode(bench: Bench) -> None:
+    expected, shown = bench.features.srp_queueing_mode, str(_registration(bench).get("queueMode"))
+    bench.check(shown.replace("-", "_") == expected, f"queueMode is {expected}", f"it is {shown}")
+
+
+def _fresh_start(bench: Bench, restart: bool) -> None:
+    """Give SRP something to forget, start it afresh, and see whether it has."""
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, 1))
+    for number in (1, 2):
+        bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, number))
+    bench.until(lambda heard: heard.report)
+    if restart:
+        bench.restart()
+    else:
+        bench.must("UT-Reset")
+    rows = bench.must("SRP-NeighbourTable").result.get("neighbours", [])
+    known = [row.get("nodeId") for row in rows]
+    mine = peer.node_id.hex(":")
+    bench.check(mine not in known, "the neighbour table does not have those from before", f"{mine} is in it")
+    values = safety_data(bench, 3)
+    bench.must("SRP-UpdateSafetyData", sData=values)
+    heard = bench.until(lambda heard: heard.report and told(bench, heard.report) == values and heard)
+    if not heard or heard.report is None:
+        bench.fail("a record is transmitted after the start", "none is")
+    bench.check(
+        heard.report.seqno == 0,
+        "the first record after the start has seqno 0",
+        f"seqno {heard.report.seqno}",
+        "SRP-INI-05",
+        "SRP-SEQ-01",
+        frames=[heard],
+    )
+
+
+@case(
+    "TC_SRP_INI_BV_04",
+    "After a reset the neighbour table is empty and the sequence number 0",
+    requirements="SRP-INI-05 SRP-SEQ-01",
+    stimulus="a neighbour and two hand-downs; UT-Reset; another hand-down",
+    expect="the neighbour is gone; the record has seqno 0",
+    window=8,
+    needs=Needs(ut=("UT-Reset", "SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp",)),
+)
+def after_reset(bench: Bench) -> None:
+    _fresh_start(bench, restart=False)
+
+
+@case(
+    "TC_SRP_INI_BV_05",
+    "After a restart the neighbour table is empty and the sequence number 0",
+    requirements="SRP-INI-05 SRP-SEQ-01",
+    stimulus="a neighbour and two hand-downs; restart; another hand-down",
+    expect="the neighbour is gone; the record has seqno 0",
+    window=20,
+    needs=Needs(ut=("SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp", "vardis"), restart=True),
+    destructive=True,
+)
+def after_restart(bench: Bench) -> None:
+    _fresh_start(bench, restart=True)
+
+
+def no_way_back(bench: Bench) -> str | None:
+    """Why a protocol cannot be deregistered: nothing would register it again."""
+    upper = bench.session.upper
+    if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
+        return None
+    return "there is neither UT-Reset nor a command to restart the implementation (--restart)"
+
+
+@case(
+    "TC_SRP_SRV_BO_01",
+    "SRP does not serve while it is not registered with BP",
+    requirements="SRP-SRV-01 SRP-INI-07",
+    stimulus="BP-DeregisterProtocol of protocol 1, then SRP-UpdateSafetyData",
+    expect="SRP-STATUS-INACTIVE, or no response (X10); no state report in the beacons",
+    window=6,
+    needs=Needs(
+        ut=("SRP-UpdateSafetyData", "BP-DeregisterProtocol", "BP-ListRegisteredProtocols"),
+        entities=("srp",),
+        when=no_way_back,
+    ),
+    destructive=True,
+)
+def not_registered(bench: Bench) -> None:
+    bench.must("BP-DeregisterProtocol", protId=int(BP_PROTID_SRP))
+    mark = bench.mark()
+    try:
+        try:
+            answer = bench.call("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
+        except UpperTesterError as error:
+            # Waiting for it is all that an upper tester can do.
+            bench.reading("X10", "no-response")
+            bench.check(True, "the request is not served", str(error))
+            return
+        if answer.code is not None:
+            bench.reading("X10", "no-response")
+            bench.check(answer.code == -32002, "SRP-STATUS-INACTIVE, or -32002 for no response", str(answer))
+        else:
+            bench.reading("X10", "confirm-inactive")
+            inactive = answer.status.replace("_", "-") == "SRP-STATUS-INACTIVE"
+            bench.check(inactive, "SRP-UpdateSafetyData answers SRP-STATUS-INACTIVE", str(answer))
+        bench.beacons(3, 3)
+        frames = [heard for heard in bench.heard[mark:] if heard.report is not None]
+        bench.check(not frames, "no state report is sent", f"{len(frames)} are", frames=frames)
+    finally:
+        if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
+            bench.call("UT-Reset")
+        else:
+            bench.restart()
