@@ -41,6 +41,7 @@ ALIASES: Final = {
     "vz": "velocity.z",
 }
 ROLES: Final = frozenset(ALIASES.values())
+_KINDS: Final = ("position", "velocity")
 
 
 class FieldError(ValueError):
@@ -56,6 +57,15 @@ class SafetyFields:
         self._by_role: dict[str, SafetyField] = {field.role: field for field in profile.srp.safety_data if field.role}
         self._position = self._axes("position")
         self._velocity = self._axes("velocity")
+        self._zeros: dict[str, Any] = {field.name: 0 for field in self.numbers()}
+        self._blank = self.complete(self._zeros)
+        roles = ((kind, index, f"{kind}.{axis}") for kind in _KINDS for index, axis in enumerate("xyz"))
+        # What a coordinate is divided by, and the field it then stands in.
+        self._coordinates = tuple(
+            (kind, index, field.name, self.factor(field.name))
+            for kind, index, role in roles
+            if (field := self._by_role.get(role)) is not None
+        )
 
     def _axes(self, kind: str) -> tuple[tuple[str, float] | None, ...] | None:
         axes = [self._by_role.get(f"{kind}.{axis}") for axis in "xyz"]
@@ -127,6 +137,9 @@ class SafetyFields:
         Raises :class:`FieldError` for what is no number, not finite or out of range.
         """
         field = self._fields[name]
+        if field.type == "f64" and type(value) is float:
+            # The common case: every float fits.
+            return value
         if field.type == "opaque":
             if isinstance(value, bytes) and len(value) == field.octets:
                 return value
@@ -157,6 +170,8 @@ class SafetyFields:
                     f"the field is called {self.name_of(name)!r} in profile {self.profile.name}, not {name!r}"
                 )
             found[name] = self.convert(name, value)
+        if len(found) == len(self._fields):
+            return found
         missing = [name for name, field in self._fields.items() if name not in found and field.type != "opaque"]
         if missing:
             raise FieldError(f"safety data of profile {self.profile.name} needs {', '.join(missing)}")
@@ -168,7 +183,7 @@ class SafetyFields:
         Roles that the profile has no field for are left out (velocity, for most profiles), other fields become 0.
         Raises :class:`FieldError` as :meth:`complete`.
         """
-        found: dict[str, Any] = {}
+        found: dict[str, Any] = dict(self._zeros)
         for key, value in sample.items():
             role = ALIASES.get(key, key)
             if key not in self._fields and role in ROLES:
@@ -179,7 +194,14 @@ class SafetyFields:
                 found[field.name] = value / self.factor(field.name) if number else value
             else:
                 found[self.name_of(key)] = value
-        return self.complete({**{field.name: 0 for field in self.numbers()}, **found})
+        return self.complete(found)
+
+    def from_motion(self, position: Vector, velocity: Vector) -> dict[str, Any]:
+        """As :meth:`from_sample` for a place (m) and a velocity (m/s); this is what is asked for all the time."""
+        found = dict(self._blank)
+        for kind, index, name, factor in self._coordinates:
+            found[name] = self.convert(name, (position if kind == "position" else velocity)[index] / factor)
+        return found
 
 
 def _real(field: SafetyField, value: Number) -> float:

@@ -19,7 +19,7 @@ from .geometry import Vector
 #: kind -> how it is written, for usage texts.
 SOURCES: Final = {
     "track": (
-        "track:line|circle|waypoints|walk,KEY=VALUE,... with rate (per s), speed (m/s), x, y, z (m); line: course,"
+        "track:line|circle|waypoints|walk,KEY=VALUE,... with rate (per s, 20), speed (m/s), x, y, z (m); line: course,"
         " climb, length; circle: radius, phase; waypoints: points=X/Y/Z;X/Y/Z, loop; walk: extent, turn"
     ),
     "csv": "csv:FILE[,speed=FACTOR][,loop=yes] with a header such as time,x,y,z",
@@ -158,7 +158,7 @@ def _track(request: _Request) -> PositionSource:
         case _:
             extent, turn = given.number("extent", 100.0), given.number("turn", 30.0)
             path = tracks.RandomWalk(place, speed=speed, extent=extent, turn=turn, rng=request.rng)
-    return tracks.Track(request.spec, path, request.fields, rate=given.number("rate", 10.0))
+    return tracks.Track(request.spec, path, request.fields, rate=given.number("rate", tracks.RATE))
 
 
 def _triple(key: str, text: str) -> Vector:

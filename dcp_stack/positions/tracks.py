@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import random
 from itertools import pairwise
-from typing import Protocol
+from typing import Final, Protocol
 
 from .base import Sample, Source
 from .fields import SafetyFields
 from .geometry import NS_PER_S, Vector, distance, moved
 
+RATE: Final = 20.0
+"""Samples per s where nobody says otherwise: two for each beacon at the usual 10 per s. With one, jitter decides whether
+a beacon finds a fresh one, and every few beacons go without a state report."""
 State = tuple[Vector, Vector]
 """Place (m) and velocity (m/s)."""
 
@@ -110,34 +113,37 @@ class RandomWalk:
         self.course = rng.uniform(0, math.tau)
         self.steps = 0
         self.place = start
+        self.velocity = self._velocity()
 
     def at(self, seconds: float) -> State:
         """Place and velocity."""
         while (self.steps + 1) * self.STEP <= seconds:
             self._step()
-        velocity = self._velocity()
-        return moved(self.place, velocity, seconds - self.steps * self.STEP), velocity
+        return moved(self.place, self.velocity, seconds - self.steps * self.STEP), self.velocity
 
     def _velocity(self) -> Vector:
         return (self.speed * math.sin(self.course), self.speed * math.cos(self.course), 0.0)
 
     def _step(self) -> None:
-        self.place = moved(self.place, self._velocity(), self.STEP)
+        self.place = moved(self.place, self.velocity, self.STEP)
         self.steps += 1
         self.course += self.rng.gauss(0, self.turn)
+        self.velocity = self._velocity()
         # Turn back inside where the next step would leave the square.
-        x, y, _ = moved(self.place, self._velocity(), self.STEP)
+        x, y, _ = moved(self.place, self.velocity, self.STEP)
         half = self.extent / 2
         if abs(x - self.start[0]) > half:
             self.course = -self.course
+            self.velocity = self._velocity()
         if abs(y - self.start[1]) > half:
             self.course = math.pi - self.course
+            self.velocity = self._velocity()
 
 
 class Track(Source):
     """A path, sampled ``rate`` times a second. A poll that comes late gives one sample, that of now."""
 
-    def __init__(self, name: str, path: Path, fields: SafetyFields, *, rate: float = 10.0) -> None:
+    def __init__(self, name: str, path: Path, fields: SafetyFields, *, rate: float = RATE) -> None:
         """Raises ValueError for a rate outside 0.001..1000 per second, FieldError if the fields cannot hold it."""
         super().__init__(name)
         if not 0.001 <= rate <= 1000:
@@ -156,7 +162,7 @@ class Track(Source):
         self._due += (1 + (now - self._due) // self._period) * self._period
         position, velocity = self._path.at((now - self._start) / NS_PER_S)
         try:
-            return [self._fields.from_sample(as_sample(position, velocity))]
+            return [self._fields.from_motion(position, velocity)]
         except ValueError as error:
             self.complain("out-of-range", str(error))
             return []

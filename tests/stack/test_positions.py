@@ -17,8 +17,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcp_codec.codec import get_codec
+from dcp_codec.codec import Codec, get_codec
 from dcp_codec.values import ExtendedSafetyData
+from dcp_stack.config import NodeConfig
+from dcp_stack.node import Node
 from dcp_stack.positions import FieldError, SafetyFields, SourceError, open_source
 from dcp_stack.positions.geometry import distance
 from dcp_stack.positions.jsonlines import LONGEST_LINE, JsonLines
@@ -175,6 +177,26 @@ def test_a_walk_stays_inside_and_repeats_with_its_seed(seed, extent, speed):
         assert abs(place[0] - 5) <= extent / 2 + 1e-9
         assert abs(place[1] + 5) <= extent / 2 + 1e-9
     assert walks[1].at(299 / 7) == walks[0].at(299 / 7)
+
+
+def test_every_beacon_finds_a_fresh_position_of_a_track_by_default():
+    codec = Codec("dcp-2.0")
+    source = open_source("track:circle", codec, rng=random.Random(1))
+    node = Node(NodeConfig(node_id=bytes(6), codec=codec), rng=random.Random(2), now=0, wall=0)
+    node.start(0, 0)
+    beacons = reports = 0
+    while beacons < 200:
+        sample_at, beacon_at = source.poll_timeout(), node.poll_timeout()
+        now = min(sample_at, beacon_at)
+        for sample in source.poll(now, now):
+            node.srp.update_safety_data(sample, now=now, wall=now)
+        before = node.bp.counters()
+        node.handle_timeout(now, now)
+        after = node.bp.counters()
+        # Slots without anything to send count: a beacon without a report is none here.
+        beacons += sum(after.get(name, 0) - before.get(name, 0) for name in ("beacons-sent", "beacons-without-payload"))
+        reports += after.get("payloads-sent/1", 0) - before.get("payloads-sent/1", 0)
+    assert reports == beacons
 
 
 def test_a_track_is_sampled_at_its_rate():
