@@ -93,6 +93,7 @@ class VariableServices:
             return self._confirm(VardisStatus.VARIABLE_EXISTS)
         ##= VD-CRE-10
         ##= VD-CRE-11
+        ##= VD-CRE-11 | exception: in 1.0, too, which has no such step and goes on asking for what it now produces
         ##= VD-CRE-12
         self._core.changed("created", self._core.database.insert(spec, value, 0, now=now, wall=wall))
         ##= VD-CRE-14
