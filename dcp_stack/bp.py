@@ -180,10 +180,9 @@ class BeaconingProtocol:
         ##= BP-GEN-01
         return ListConfirm(BPStatus.OK, tuple(client.registration for client in self._clients))
 
-    def registration(self, prot_id: int) -> Registration | None:
-        """What is registered under an identifier, None if nothing is; the same object as long as it stands."""
-        client = self._clients.get(prot_id)
-        return None if client is None else client.registration
+    def client(self, prot_id: int) -> Client | None:
+        """Who is registered under an identifier, None if nobody is."""
+        return self._clients.get(prot_id)
 
     # -- payloads ---------------------------------------------------------------------------------------------
 

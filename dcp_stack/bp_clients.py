@@ -42,7 +42,9 @@ class ClientList:
     def remove(self, protocol_id: int) -> None:
         """Forget a client and its payloads."""
         ##= DATA-13
-        self._order.remove(self._clients.pop(protocol_id))
+        client = self._clients.pop(protocol_id)
+        client.stands = False
+        self._order.remove(client)
 
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         """Take payloads for a beacon with ``room`` octets for blocks: at most ``most`` (protocol id, payload)."""
@@ -62,10 +64,11 @@ class ClientList:
                     continue
                 ##= BP-TX-04
                 ##= BP-FMT-02
-                if size(payload) > room:
+                taken = size(payload)
+                if taken > room:
                     # Its other payloads wait behind this one; there will be no more room in this beacon.
                     continue
-                room -= size(payload)
+                room -= taken
                 chosen.append((client.protocol_id, payload))
                 client.queue.sent()
                 served.setdefault(client.protocol_id, client)

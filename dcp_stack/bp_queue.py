@@ -113,12 +113,11 @@ class Client:
 
     def __init__(self, registration: Registration, rule: ModeRule | None, *, several: bool) -> None:
         self.registration = registration
+        self.protocol_id = registration.protocol_id
+        """The identifier it is registered under."""
+        self.stands = True
+        """Whether it is registered still."""
         ##= BP-REG-06
         self.queue = None if rule is None else PayloadQueue(rule, registration.max_entries)
         ##= BP-QM-07
         self.several = several and rule is not None and rule.several
-
-    @property
-    def protocol_id(self) -> int:
-        """The identifier it is registered under."""
-        return self.registration.protocol_id

@@ -33,12 +33,9 @@ class BeaconSchedule:
         self._jitter = jitter
         self._period = period
         self._sent_at: int | None = None
-        self.restart(now)
-
-    @property
-    def due(self) -> int:
+        self.due = 0
         """When the next beacon is to be prepared."""
-        return self._due
+        self.restart(now)
 
     def restart(self, now: int) -> None:
         """Begin anew: the first slot is one interval from ``now``."""
@@ -51,22 +48,16 @@ class BeaconSchedule:
         self._period = period
         self._place()
 
-    @property
-    def _interval(self) -> int:
-        return max(round(self._period * self._factor), 1)
-
-    @property
-    def _gap(self) -> int:
-        return max(self._interval // SPACING, 1)
-
     def _plan(self) -> None:
         ##= BP-TX-02
         self._factor = self._rng.uniform(1 - self._jitter, 1 + self._jitter)
         self._place()
 
     def _place(self) -> None:
-        self._slot = self._anchor + self._interval
-        self._due = self._slot if self._sent_at is None else max(self._slot, self._sent_at + self._gap)
+        interval = max(round(self._period * self._factor), 1)
+        self._gap = max(interval // SPACING, 1)
+        self._slot = self._anchor + interval
+        self.due = self._slot if self._sent_at is None else max(self._slot, self._sent_at + self._gap)
 
     def passed(self, now: int, *, sent: bool) -> None:
         """The beacon that was due has been prepared at ``now``, or there was nothing to send; plan the next."""
@@ -86,4 +77,4 @@ class BeaconSchedule:
         earliest = max(now, self._anchor)
         if self._sent_at is not None:
             earliest = max(earliest, self._sent_at + self._gap)
-        self._due = min(self._due, earliest)
+        self.due = min(self.due, earliest)

@@ -3,7 +3,7 @@ Format" and "Receive Path"). Client payloads stay octets."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import starmap
 
 import msgspec
 
@@ -113,7 +113,7 @@ class BPWire:
         ##= DATA-03
         ##= UWB-04
         # Everything else in a header follows from what is in the beacon; the schema of the profile has it.
-        payloads = tuple(Payload(protocol_id, payload) for protocol_id, payload in blocks)
+        payloads = tuple(starmap(Payload, blocks))
         return self._codec.encode_envelope(Beacon(header, payloads))
 
     def parse(self, octets: bytes) -> Reception:
@@ -132,7 +132,7 @@ class BPWire:
             beacon, _ = self._codec.decode_envelope(self._announcing_frame(octets) if self._frame_is_end else octets)
         except DecodeError as error:
             return self._faulty(octets, error)
-        return Reception(beacon.bp, tuple(self._blocks(beacon)))
+        return Reception(beacon.bp, self._blocks(beacon))
 
     def _faulty(self, octets: bytes, error: DecodeError) -> Reception:
         problem, beacon = error.problem, error.partial
@@ -142,7 +142,7 @@ class BPWire:
             if problem.reason == "beacon-overrun":
                 return Reception(self._header(octets), fault=fault)
             return Reception(None, fault=fault, refused=True)
-        blocks = tuple(self._blocks(beacon))
+        blocks = self._blocks(beacon)
         end = blocks[-1].offset + self.block_size(blocks[-1].payload) if blocks else self.header_size
         ##= BP-RX-12
         # The blocks are there or they are not; what the header says of their number is only counted.
@@ -151,14 +151,16 @@ class BPWire:
         ##= BP-RX-09
         return Reception(beacon.bp, blocks, fault=_fault(problem, in_header=False))
 
-    def _blocks(self, beacon: Beacon) -> Iterator[Block]:
+    def _blocks(self, beacon: Beacon) -> tuple[Block, ...]:
+        found: list[Block] = []
         offset = self.header_size
         for block in beacon.payloads:
-            payload = block.data
+            payload = block.content
             # An envelope leaves every client payload as octets.
-            assert payload is not None
-            yield Block(block.protocol_id, payload, offset)
-            offset += self.block_size(payload)
+            assert isinstance(payload, bytes)
+            found.append(Block(block.protocol_id, payload, offset))
+            offset += self.block_header_size + (self._area or len(payload))
+        return tuple(found)
 
     def _header(self, octets: bytes) -> BPHeader:
         """Sender and network of a header that is there as a whole."""

@@ -10,22 +10,21 @@ from dcp_spec.constants import QueueingMode
 from dcp_spec.status import BPStatus
 
 from .bp import BeaconingProtocol
-from .bp_services import NumberConfirm, RegisterConfirm, Registration, StatusConfirm
+from .bp_queue import Client
+from .bp_services import NumberConfirm, RegisterConfirm, StatusConfirm
 
 
 class ClientPort:
-    """The services of BP for the client protocol ``prot_id`` of the same node."""
+    """The services of BP for one client protocol of the same node."""
 
-    def __init__(self, bp: BeaconingProtocol, prot_id: int) -> None:
+    def __init__(self, bp: BeaconingProtocol) -> None:
         self._bp = bp
-        self._prot_id = prot_id
-        self._registration: Registration | None = None
+        self._client: Client | None = None
 
     @property
     def holds(self) -> bool:
         """Whether what BP has for the number belongs to the protocol behind this port."""
-        mine = self._registration
-        return mine is not None and self._bp.registration(self._prot_id) is mine
+        return self._client is not None and self._client.stands
 
     def register(
         self,
@@ -44,7 +43,7 @@ class ClientPort:
             prot_id, name, max_payload_size, queueing_mode, max_entries, allow_multiple_payloads, now=now, wall=wall
         )
         if confirm.status is BPStatus.OK:
-            self._registration = self._bp.registration(prot_id)
+            self._client = self._bp.client(prot_id)
         return confirm
 
     def deregister(self, prot_id: int) -> StatusConfirm:

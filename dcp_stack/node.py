@@ -33,8 +33,8 @@ class Node:
     def _build(self, now: int, wall: int) -> None:
         config, emit = self.config, self._pending.append
         self.bp = BeaconingProtocol(config, rng=self._rng, emit=emit, now=now, wall=wall)
-        self._srp_port = srp = ClientPort(self.bp, BP_PROTID_SRP)
-        self._vardis_port = vardis = ClientPort(self.bp, BP_PROTID_VARDIS)
+        self._srp_port = srp = ClientPort(self.bp)
+        self._vardis_port = vardis = ClientPort(self.bp)
         self.srp = StateReporting(config, srp, emit=emit, now=now, wall=wall) if config.srp else None
         self.vardis = Vardis(config, vardis, emit=emit, now=now, wall=wall) if config.vardis else None
 

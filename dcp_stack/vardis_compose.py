@@ -31,7 +31,7 @@ class Composer:
         self._parameters = core.parameters
         self._sizes = core.sizes
         ##= VD-PAY-01
-        self._order = config.features.container_order
+        self._order = tuple((kind, self._queue(kind)) for kind in config.features.container_order)
         ##= VD-IC-02
         numbers = config.profile.vardis.container_types.by_name()
         self._numbers = {kind: numbers[kind.label] for kind in ICType}
@@ -50,8 +50,10 @@ class Composer:
             self._database.purge()
         largest = room - self._sizes.ic_header
         containers: list[Container] = []
-        for kind in self._order:
-            chosen, used = self._fitting(kind, room, largest)
+        for kind, queue in self._order:
+            if not queue:
+                continue
+            chosen, used = self._fitting(kind, queue, room, largest)
             room -= used
             # Records are made before the next container is considered: what is chosen has left its queue.
             records = [self._take(kind, var_id) for var_id in chosen]
@@ -74,7 +76,7 @@ class Composer:
             ICType.REQUEST_VARUPDATES: database.req_upd_q,
         }[kind]
 
-    def _fitting(self, kind: ICType, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         """``numberFittingRecords``: the identifiers whose records fit into ``room`` octets, and how many these take.
 
         The queue is looked at once, from its head, until a record does not fit, so no variable comes twice into a
@@ -84,7 +86,7 @@ class Composer:
         ##= VD-PAY-03
         ##= VD-PAY-06
         ##= VD-IC-05
-        candidates: Iterable[int] = self._queue(kind)
+        candidates: Iterable[int] = queue
         if kind is ICType.SUMMARIES:
             ##= VD-CMP-01
             ##= VD-CMP-02

@@ -29,6 +29,9 @@ class State(IntEnum):
 class Event(Enum):
     """Names are the request (APP), or the record received and how it compares with the entry (RX)."""
 
+    # The hash of an Enum is a function in Python, and each record looks its row up.
+    __hash__ = object.__hash__
+
     APP_CREATE = "RTDB-Create"
     APP_UPDATE = "RTDB-Update"
     APP_DELETE = "RTDB-Delete"

@@ -84,6 +84,8 @@ class RecordSizes:
         return self.var_id if kind in _BARE else self.var_summ
 
 
+#: Going through an enumeration takes longer than through a tuple.
+_KINDS: Final = tuple(ICType)
 _BARE: Final = frozenset({ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES})
 
 
@@ -115,7 +117,7 @@ class Extractor:
         ##= VD-RX-02
         ##= VD-RX-03
         ##= VD-RX-04
-        records: dict[ICType, list[tuple[int, Any]]] = {kind: [] for kind in ICType}
+        records: dict[ICType, list[tuple[int, Any]]] = {kind: [] for kind in _KINDS}
         try:
             containers = self._codec.decode_containers(payload)
         except DecodeError as error:

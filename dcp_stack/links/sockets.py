@@ -30,6 +30,8 @@ _TIMESPEC = struct.Struct("@ll")
 
 #: ns between attempts to come back, when the system does not tell that something changed.
 _FIRST_RETRY, _LAST_RETRY = 100_000_000, 2_000_000_000
+#: ns between looks at the watch while frames come in, which no interface that is away brings.
+_LOOK_INTERVAL = 1_000_000_000
 
 #: What sockets say of an interface or an address that is away.
 AWAY = frozenset(
@@ -64,6 +66,7 @@ class SocketLink:
         self._closed = False
         self._retry_at = 0
         self._backoff = _FIRST_RETRY
+        self._look_at = 0
         self._watch: InterfaceWatch | None = None
         self._selector = selectors.DefaultSelector()
         try:
@@ -148,6 +151,9 @@ class SocketLink:
         except OSError as error:
             # Whatever it is: a socket that cannot be read is no use, and would wake the node again and again.
             self._lose(error)
+        if not receptions:
+            # It may have been the watch that woke the node.
+            self._look()
         self._counters.received += len(receptions)
         return receptions
 
@@ -182,13 +188,19 @@ class SocketLink:
         """The socket to use now; None during an outage."""
         if self._closed:
             return None
+        if self._down or time.monotonic_ns() >= self._look_at:
+            self._look()
+        return None if self._down else self._socket
+
+    def _look(self) -> None:
+        """See whether the interface is away, or back."""
+        self._look_at = time.monotonic_ns() + _LOOK_INTERVAL
         if self._watch is not None and self._watch.changed():
             self._retry_at = 0
             if not self._down and self._socket is not None and not self._attached(self._socket):
                 self._lose(OSError(errno.ENODEV, "the interface was removed"))
         if self._down:
             self._recover()
-        return None if self._down else self._socket
 
     def _lose(self, error: OSError) -> None:
         """The interface is away: from now on look for its return."""

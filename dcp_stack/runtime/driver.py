@@ -39,8 +39,11 @@ Nothing is lost by it. What VarDis and positions hand down goes on the air with 
 that wait in the kernel, with their time of arrival, are processed before it is made. Nobody sees the difference: before
 a request is answered the frames are taken, too, and while somebody is to be told of them they are taken at once.
 """
+PATIENCE: Final = 5 * MS
+"""How long a beacon waits for the processing of frames that waited for it."""
 FLOOD: Final = 64
 """Frames at once after which the link is not left alone until the next beacon."""
+_NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
 #: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -145,20 +148,30 @@ class Driver:
 
     def _patience(self) -> float | None:
         """How long to wait in s."""
-        if any(channel.busy for control in self._controls for channel in control.channels):
+        if self._busy():
             return 0
-        due = [self._housekeeping]
-        if self._wake is not None:
-            due.append(self._wake)
+        due = self._wake
+        # Housekeeping is in no hurry either.
+        if due is None or due > self._housekeeping + SLACK:
+            due = self._housekeeping
         if self._timed is not None and (when := self._timed.poll_timeout()) is not None:
-            due.append(when)
+            due = min(due, when)
         if self._neighbour_file is not None:
-            due.append(self._published + PUBLISH_INTERVAL if self._dirty else self._heartbeat + HEARTBEAT_INTERVAL)
-        return max(min(due) - time.monotonic_ns(), 0) / 1e9
+            due = min(due, self._published + PUBLISH_INTERVAL if self._dirty else self._heartbeat + HEARTBEAT_INTERVAL)
+        return max(due - time.monotonic_ns(), 0) / 1e9
+
+    def _busy(self) -> bool:
+        """Whether a client is to be answered."""
+        for control in self._controls:
+            for channel in control.channels:
+                if channel.busy:
+                    return True
+        return False
 
     def _after_turn(self, now: int, wall: int) -> None:
         """What any input may have set off."""
-        if self._lazy and any(channel.busy for control in self._controls for channel in control.channels):
+        if self._lazy and self._busy():
+            self._plan()
             self._on_link()
             now, wall = _times()
         self._serve(now, wall)
@@ -181,6 +194,8 @@ class Driver:
 
     def _on_link(self, _events: int = 0) -> None:
         """Take what has arrived, and keep the node's time while doing so."""
+        # Frames that were left to wait for a beacon belong before it, and the beacon can wait for them a little.
+        patience = PATIENCE if self._lazy else 0
         node = self.node
         receptions = self.link.receive()
         self._flooded = len(receptions) > FLOOD
@@ -188,8 +203,10 @@ class Driver:
         offset = time.time_ns() - time.monotonic_ns()
         for reception in receptions:
             now = time.monotonic_ns()
-            if self._wake is not None and now >= self._wake:
+            if self._wake is not None and now >= self._wake + patience:
                 self._timeout(now, time.time_ns())
+                self._plan()
+                patience = 0
             # For the node time goes forward, whatever the clocks do.
             arrived = self._node_time = min(max(reception.wall - offset, self._node_time), now)
             node.handle_frame(reception.octets, now=arrived, wall=reception.wall)
@@ -208,7 +225,6 @@ class Driver:
             self._poll_positions()
         self.node.handle_timeout(now, wall)
         self._carry_out(self.node.take_effects(), now, wall)
-        self._plan()
 
     def _plan(self) -> None:
         """When to wake the node or the positions next, and whether frames can wait until then."""
@@ -237,7 +253,7 @@ class Driver:
         for effect in effects:
             if isinstance(effect, SendBeacon):
                 self.link.send(effect.octets)
-            elif isinstance(effect, NeighbourSeen | NeighbourExpired):
+            elif isinstance(effect, _NEIGHBOURS):
                 self._dirty = True
         self.server.indicate(effects, now=now, wall=wall)
 

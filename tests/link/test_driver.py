@@ -1,0 +1,66 @@
+"""The loop around a node, on a link that is no more than a list."""
+
+from __future__ import annotations
+
+import random
+import time
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.codec import get_codec
+from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarReqCreate, VarSumm
+from dcp_stack.config import NodeConfig
+from dcp_stack.links.base import LinkCounters, Reception
+from dcp_stack.node import Node
+from dcp_stack.runtime.driver import Driver
+
+CODEC = get_codec("dcp-2.0")
+SUMMARIES = CODEC.profile.vardis.container_types.by_name()[ICType.SUMMARIES.label]
+
+
+class ListedLink:
+    """Has what is in ``waiting`` when it is asked, and keeps what is sent."""
+
+    name = "list"
+    max_packet_size = 1000
+    source = b""
+
+    def __init__(self, waiting: list[Reception]) -> None:
+        self.waiting = waiting
+        self.sent: list[bytes] = []
+        self.counters = LinkCounters()
+        self.driver: Driver | None = None
+
+    def fileno(self) -> int:
+        return -1
+
+    def receive(self) -> list[Reception]:
+        found, self.waiting = self.waiting, []
+        return found
+
+    def send(self, octets: bytes) -> bool:
+        self.sent.append(octets)
+        assert self.driver is not None
+        self.driver.stop()
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+def test_what_waited_for_a_beacon_is_processed_before_it():
+    """What the node has to say to it goes out with the beacon, as if the node had been woken for the frame."""
+    summary = (Container(SUMMARIES, (VarSumm(9, 0),)),)
+    header = BPHeader(bytes.fromhex("020000000002"), 0, CODEC.profile.bp.network_id)
+    octets = CODEC.encode(Beacon(header, (Payload(2, summary),)))
+    now, wall = time.monotonic_ns(), time.time_ns()
+    link = ListedLink([Reception(octets, wall)])
+    config = NodeConfig(node_id=bytes.fromhex("020000000001"), codec=CODEC)
+    node = Node(config, rng=random.Random(1), now=now, wall=wall)
+    vardis = node.vardis
+    assert vardis is not None
+    driver = link.driver = Driver(node, link)
+    driver.run(lambda: vardis.create(1, None, 1, b"own", b"v", 0, now=now, wall=wall))
+    first = CODEC.decode(link.sent[0])
+    records = [record for payload in first.payloads for each in payload.vardis or () for record in each.records]
+    assert VarReqCreate(9) in records
