@@ -1,0 +1,194 @@
+"""dcp-vardis.md: Runtime."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+
+from .vardis_summaries import SUMMARIES, summarises
+
+CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
+_CREATE = ICType.CREATE_VARIABLES
+
+
+@case(
+    "TC_VD_RUN_BV_01",
+    "While something is to be repeated, every beacon carries it",
+    requirements="VD-RUN-01",
+    stimulus="a variable with many repetitions is created",
+    expect="its VarCreate in consecutive beacons",
+    window=20,
+    needs=Needs(when=lambda bench: None if bench.rep_cnt(10) >= 3 else "it accepts no repetition count of 3"),
+)
+def no_beacon_without(bench: Bench) -> None:
+    peer, name, mark = bench.peer(), bench.var_id(), bench.mark()
+    count = bench.rep_cnt(10)
+    peer.send(peer.create(name, rep_cnt=count))
+    having = bench.until_quiet(lambda heard: heard.about(_CREATE, name), since=mark)
+    bench.require(having, "the VarCreate is passed on", "it is not")
+    first, last = bench.heard.index(having[0]), bench.heard.index(having[-1])
+    idle = [each for each in bench.heard[first : last + 1] if not each.has_vardis]
+    text = f"{len(idle)} of {last + 1 - first} beacons have none"
+    bench.check(not idle, "a VarDis block in every beacon while something is pending", text, frames=idle[:4])
+    without = last + 1 - first - len(having)
+    text = f"{without} beacons in between do not have it"
+    bench.check(not without, f"the VarCreate in {count} consecutive beacons", text, frames=having[:1])
+
+
+@case(
+    "TC_VD_RUN_BV_02",
+    "While a variable is known, every beacon carries a VarDis block with summaries",
+    requirements="VD-RUN-01",
+    stimulus="a variable is created; then silence",
+    expect="ten consecutive beacons with a VarDis block",
+    window=14,
+    needs=Needs(when=summarises),
+)
+def summaries_in_every_beacon(bench: Bench) -> None:
+    peer, name = bench.peer(), bench.var_id()
+    bench.learn(peer, peer.create(name))
+    frames = bench.beacons(10)
+    bench.check(len(frames) == 10, "ten beacons", f"{len(frames)}")
+    idle = [each for each in frames if not each.has_vardis]
+    bench.check(not idle, "a VarDis block in every beacon", f"{len(idle)} without", frames=idle[:4])
+
+
+@case(
+    "TC_VD_RUN_BV_03",
+    "Composing goes on for as long as there is something to say, payload after payload",
+    requirements="VD-RUN-01",
+    stimulus="one unknown variable after the other is summarised, each as soon as the one before was requested",
+    expect="a request for each of them, none later than the implementation's reaction time",
+    window=40,
+)
+def one_after_the_other(bench: Bench) -> None:
+    peer = bench.peer()
+    for number in range(8):
+        unknown = bench.unknown_id()
+        peer.send(peer.summary(unknown, 1))
+        found = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
+        bench.require(found, f"a request for unknown variable {number + 1} of 8", "none")
+
+
+@case(
+    "TC_VD_RUN_TI_01",
+    "After idling, a payload is composed within the buffer check period",
+    requirements="VD-RUN-02",
+    stimulus="silence until no beacon has a VarDis block; then a summary of an unknown variable",
+    expect="the request within VARDISPAR_BUFFER_CHECK_PERIOD plus a beacon period",
+    window=8,
+)
+def after_idling(bench: Bench) -> None:
+    bench.wait(2.5)
+    _check_wake_up(bench, bench.parameter(CHECK_PERIOD))
+
+
+@case(
+    "TC_VD_RUN_TI_02",
+    "After idling, a payload is composed within the buffer check period when that is {variant} ms",
+    requirements="VD-RUN-02",
+    stimulus="the period is set; silence until no beacon has a VarDis block; then a summary of an unknown variable",
+    expect="the request within {variant} ms plus a beacon period; again after the next idling",
+    window=30,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
+    variants={"10": 10, "400": 400},
+)
+def after_idling_with_period(bench: Bench, period_ms: int) -> None:
+    bench.must("VD-SetParameter", name=CHECK_PERIOD, value=period_ms)
+    for _ in range(2):
+        bench.wait(2.5)
+        _check_wake_up(bench, period_ms)
+
+
+def _check_wake_up(bench: Bench, period_ms: int) -> None:
+    """Whether VarDis speaks in time although nothing was handed to BP before."""
+    if any(each.has_vardis for each in bench.wait(1.5)):
+        bench.inconclusive("beacons without a VarDis block", "variables from elsewhere are being summarised")
+    unknown, peer = bench.unknown_id(), bench.peer()
+    started = bench.now()
+    peer.send(peer.summary(unknown, 1))
+    # Intervals between beacons vary (jitter), and the tester is not to fail a machine for being slow.
+    scale = bench.session.timing_scale
+    allowed = round((period_ms + bench.pixit.timer_tolerance_ms) * MS * scale) + round(1.5 * bench.period)
+    found = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown, 3 * allowed / bench.period)
+    took = bench.now() - started
+    bench.require(found, f"a request after at most {allowed / MS:.0f} ms", f"none in {3 * allowed / MS:.0f} ms")
+    what = f"the payload is composed within {period_ms} ms, and in a beacon after at most {allowed / MS:.0f} ms"
+    bench.check(took <= allowed, what, f"{took / MS:.0f} ms", frames=bench.heard[-1:])
+
+
+@case(
+    "TC_VD_RUN_BO_01",
+    "An inactive VarDis generates no payloads, and goes on where it was when it is activated",
+    requirements="VD-RUN-03",
+    stimulus="while a VarCreate is being repeated, VarDis is deactivated; later it is activated",
+    expect="no VarDis block while inactive, but for one that BP had already; the rest of the repetitions afterwards",
+    window=40,
+    needs=Needs(since=SpecVersion.V1_2, ut=("VD-MGMT-Activate", "VD-MGMT-Deactivate")),
+)
+def only_while_active(bench: Bench) -> None:
+    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(15)
+    peer.send(peer.create(name, rep_cnt=count))
+    bench.require(bench.until_instruction(_CREATE, name), "the VarCreate is passed on", "it is not")
+    bench.must("VD-MGMT-Deactivate")
+    try:
+        bench.wait(2)
+        mark = bench.mark()
+        peer.send(peer.summary(bench.unknown_id(), 1))
+        bench.wait(6)
+        found = [each for each in bench.heard[mark:] if each.has_vardis]
+        bench.check(not found, "no VarDis block while inactive", f"{len(found)}", frames=found[:4])
+    finally:
+        bench.must("VD-MGMT-Activate")
+    bench.check(bench.probe(), "VarDis takes part again after its activation", "no answer to a probe")
+    if count > 6:
+        bench.repeated(_CREATE, name, 0)
+        total = len(bench.instructions(_CREATE, name))
+        kept = f"all {count} repetitions" if total == count else f"{total} of {count} repetitions"
+        bench.info("what becomes of pending instructions while VarDis is inactive", f"{kept} were sent")
+
+
+@case(
+    "TC_VD_RUN_BV_04",
+    "Payloads are composed with what is known then: a change before the next beacon shows in it",
+    requirements="VD-RUN-01 VD-CMP-09",
+    stimulus="a variable is updated ten times, faster than beacons go out",
+    expect="the last VarUpdate is sent, exactly repCnt times; numbers never go back",
+    window=16,
+)
+def newest_only(bench: Bench) -> None:
+    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    bench.learn(peer, peer.create(name, rep_cnt=count))
+    mark = bench.mark()
+    for number in range(1, 11):
+        peer.send(peer.update(name, number, bytes((number,))))
+        bench.wait(0.2)
+    found = bench.repeated(ICType.UPDATES, name, mark)
+    numbers = [each.record.seqno for each in found]
+    bench.check(numbers == sorted(numbers), "numbers that never go back", f"{numbers}", "VD-RUN-01", frames=found)
+    last = numbers.count(10)
+    text = f"{last} of {numbers}"
+    bench.check(last == count, f"the last VarUpdate in {count} beacons", text, "VD-CMP-09", frames=found[-4:])
+
+
+@case(
+    "TC_VD_RUN_BV_05",
+    "A change of VARDISPAR_MAX_SUMMARIES shows in later payloads",
+    requirements="VD-PAR-01",
+    stimulus="four variables are known; the parameter is set to 1, and to 4",
+    expect="payloads with one summary, then with four",
+    window=14,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
+)
+def parameter_takes_effect(bench: Bench) -> None:
+    peer, names = bench.peer(), bench.var_ids(4)
+    bench.learn(peer, *(peer.create(each) for each in names))
+    for most in (1, 4):
+        bench.must("VD-SetParameter", name=SUMMARIES, value=most)
+        # The payload that was composed before may still leave.
+        bench.beacons(2)
+        frames = bench.beacons(2)
+        counts = [len(each.instructions(ICType.SUMMARIES)) for each in frames]
+        bench.check(counts == [most] * 2, f"{most} summaries in a payload", f"{counts}", frames=frames)
