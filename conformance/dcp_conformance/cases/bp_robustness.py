@@ -1,0 +1,230 @@
+"""dcp-bp.md: Receive Path, octets that are no beacon.
+
+Whatever arrives, the entity goes on; frames of other versions of the specification are among what arrives.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+from dcp_spec.constants import BP_MAGIC_NO, BP_VERSION, ICType
+
+from dcp_codec import Codec
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.clients import block_header_octets, header_octets, unused_protocol_id
+from dcp_conformance.forge import Block, Forge
+
+#: The layouts that versions of the specification have given to the header.
+_LAYOUTS = {"1.0": "dcp-1.0", "1.1": "dcp-1.1", "1.2-and-1.3": "dcp-1.3", "2.0": "dcp-2.0"}
+
+_CHECKED = {
+    "bp.version": "BP-RX-01",
+    "bp.magicNo": "BP-RX-02",
+    "bp.length": "BP-RX-03",
+    "bp.numPayloads": "BP-RX-04",
+    "bp.networkId": "BP-RX-05",
+}
+
+
+def broken_rule(bench: Bench, octets: bytes) -> str:
+    """The requirement by which these octets have to be dropped for their header; empty if there is none."""
+    root = bench.codec.dissect(octets).root
+    network = bench.parameter("BPPAR_NETWORK_ID")
+    says = {
+        path: field.value for path in _CHECKED if (field := root.find(path)) is not None and field.value is not None
+    }
+    for path, value in says.items():
+        right = {
+            "bp.version": value == BP_VERSION,
+            "bp.magicNo": value == BP_MAGIC_NO,
+            "bp.networkId": value == network,
+        }
+        if not right.get(path, value != 0):
+            return _CHECKED[path]
+    return ""
+
+
+def _other_layout(name: str) -> Needs:
+    def when(bench: Bench) -> str | None:
+        if not bench.profile.bp.header:
+            return f"the profile {bench.profile.name} has no beacon header"
+        if Codec(name).profile.bp.header == bench.profile.bp.header:
+            return "that is the layout of the profile itself"
+        return None
+
+    return Needs(when=when)
+
+
+def foreign_layout(bench: Bench, name: str) -> None:
+    """Send beacons of another version's layout, short and long; they must be dropped where the header says so."""
+    codec, peer = Codec(name), bench.peer()
+    forge = Forge(codec)
+    sent = []
+    for number, filler in enumerate((0, 300)):
+        var_id = bench.unknown_id()
+        blocks = [Block(0x7777, bytes(filler))] * (filler > 0) + [forge.vardis(peer.summary(var_id, 1))]
+        network = bench.parameter("BPPAR_NETWORK_ID") if codec.profile.has_header_field("networkId") else None
+        octets = forge.beacon(peer.node_id, 258 + number, blocks, network_id=network)
+        peer.send_octets(octets)
+        sent.append((var_id, octets, f"a beacon of {len(octets)} octets in the layout of {codec.profile.spec_version}"))
+    bench.require_alive("beacons in another layout")
+    for var_id, octets, what in sent:
+        found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
+        if rule := broken_rule(bench, octets):
+            bench.check(not found, f"{what} is dropped ({rule})", "its variable is requested", rule, frames=found)
+        else:
+            bench.info(f"What becomes of {what}?", "processed" if found else "not processed")
+
+
+@case(
+    "TC_BP_RX_BI_20",
+    "Beacons in the layout of version 1.0 are survived, and dropped if the header says so",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 1.0 with summaries of unknown variables; then an honest one",
+    expect="a request for the variable of the honest one only",
+    needs=_other_layout("dcp-1.0"),
+)
+def layout_of_1_0(bench: Bench) -> None:
+    foreign_layout(bench, "dcp-1.0")
+
+
+@case(
+    "TC_BP_RX_BI_21",
+    "Beacons in the layout of version 1.1 are survived, and dropped if the header says so",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 1.1 with summaries of unknown variables; then an honest one",
+    expect="a request for the variable of the honest one only",
+    needs=_other_layout("dcp-1.1"),
+)
+def layout_of_1_1(bench: Bench) -> None:
+    foreign_layout(bench, "dcp-1.1")
+
+
+@case(
+    "TC_BP_RX_BI_22",
+    "Beacons in the layout of versions 1.2 and 1.3 are survived, and dropped if the header says so",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 1.2 with summaries of unknown variables; then an honest one",
+    expect="a request for the variable of the honest one only",
+    needs=_other_layout("dcp-1.3"),
+)
+def layout_of_1_2(bench: Bench) -> None:
+    foreign_layout(bench, "dcp-1.3")
+
+
+@case(
+    "TC_BP_RX_BI_23",
+    "Beacons in the layout of version 2.0 are survived, and dropped if the header says so",
+    requirements="BP-RX-16",
+    stimulus="two beacons in the layout of 2.0 with summaries of unknown variables; then an honest one",
+    expect="a request for the variable of the honest one only",
+    needs=_other_layout("dcp-2.0"),
+    # A length of 4369 octets where the frame has fewer: what X02 is about.
+    destructive=True,
+)
+def layout_of_2_0(bench: Bench) -> None:
+    foreign_layout(bench, "dcp-2.0")
+
+
+@case(
+    "TC_BP_RX_BI_24",
+    "Beacons that end within their header are survived",
+    requirements="BP-RX-16",
+    stimulus="an honest beacon cut off behind each octet of its header and of its first payload header, from none on",
+    expect="none of them is processed; a request for the variable of an honest beacon",
+    needs=Needs(header=("senderId",)),
+    destructive=True,
+)
+def cut_headers(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.unknown_id()
+    for octets in range(header_octets(bench) + block_header_octets(bench) + 1):
+        peer.send(peer.summary(var_id, 1), cut=octets)
+    bench.require_alive("beacons that are cut off within their headers")
+    found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
+    bench.check(not found, "nothing of them is processed", "a variable is requested", frames=found)
+
+
+@case(
+    "TC_BP_RX_BI_25",
+    "Beacons that end within a block are survived",
+    requirements="BP-RX-16",
+    stimulus="a beacon with two VarDis blocks cut off behind each octet of its blocks; then an honest one",
+    expect="a request for the variable of the honest one",
+    destructive=True,
+    robustness=True,
+)
+def cut_blocks(bench: Bench) -> None:
+    peer, (first, second) = bench.peer(), bench.unknown_ids(2)
+    blocks = [bench.forge.vardis(peer.summary(each, 1)) for each in (first, second)]
+    whole = peer.beacon(*blocks)
+    begin, area = header_octets(bench), bench.profile.bp.payload_area
+    # Where blocks are of fixed size most of their octets mean nothing.
+    for octets in range(begin, len(whole), 97 if area else 1):
+        peer.send_octets(whole[:octets])
+    bench.require_alive("beacons that are cut off within their blocks")
+
+
+def _arbitrary(seed: int) -> Iterator[bytes]:
+    rng = random.Random(seed)  # noqa: S311 - the same octets every time, no secret
+    for _ in range(40):
+        yield rng.randbytes(rng.choice((0, 1, 2, 14, 17, 18, 19, 46, 100, 500)))
+
+
+@case(
+    "TC_BP_RX_BI_26",
+    "Arbitrary octets are survived (series {variant})",
+    requirements="BP-RX-16",
+    stimulus="40 frames of arbitrary octets, 0 to 500 of them; then an honest beacon",
+    expect="a request for the variable of the honest beacon",
+    variants={"1": 1, "2": 2},
+    destructive=True,
+)
+def arbitrary_octets(bench: Bench, seed: int) -> None:
+    peer = bench.peer()
+    for octets in _arbitrary(seed):
+        peer.send_octets(octets)
+    bench.require_alive("frames of arbitrary octets")
+
+
+@case(
+    "TC_BP_RX_BI_27",
+    "Arbitrary octets behind a good header are survived (series {variant})",
+    requirements="BP-RX-16",
+    stimulus="40 beacons whose header is right but for length and numPayloads, followed by arbitrary octets; then an "
+    "honest one",
+    expect="a request for the variable of the honest beacon",
+    needs=Needs(header=("numPayloads",)),
+    variants={"1": 1, "2": 2},
+    destructive=True,
+    robustness=True,
+)
+def arbitrary_blocks(bench: Bench, seed: int) -> None:
+    peer, rng = bench.peer(), random.Random(seed)  # noqa: S311 - as above
+    for octets in _arbitrary(seed):
+        lies: dict[str, int | bytes] = {"bp.numPayloads": rng.randint(1, 255)}
+        if bench.profile.has_header_field("length"):
+            # Mostly what fits, so that the blocks are looked at.
+            lies["bp.length"] = max(1, len(octets) + rng.choice((0, 0, 0, -1, 1, 5000)))
+        header = peer.beacon(Block(unused_protocol_id(bench), b""), lies=lies)[: header_octets(bench)]
+        peer.send_octets(header + octets)
+    bench.require_alive("beacons of arbitrary octets")
+
+
+@case(
+    "TC_BP_RX_BI_28",
+    "Every possible length of a single block is survived around its true one",
+    requirements="BP-RX-16",
+    stimulus="beacons with a VarDis block whose length field says 0, 1, ... up to eight more than the truth",
+    expect="a request for the variable of an honest beacon",
+    needs=Needs(header=("numPayloads",)),
+    destructive=True,
+    robustness=True,
+)
+def block_lengths(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.unknown_id()
+    block = bench.forge.vardis(peer.summary(var_id, 1), peer.update(var_id, 2))
+    for length in range(len(block.octets) + 9):
+        peer.send(block, lies={"payloads[0].length": length})
+    bench.require_alive("beacons with wrong lengths of blocks")
