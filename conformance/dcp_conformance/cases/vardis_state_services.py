@@ -1,0 +1,301 @@
+"""dcp-vardis.md: Variable States, Services and Scrubbing.
+
+The rest of the table of states: what applications ask for, and variables that time out, in every state. The variants
+are named ``state.event`` as in the cases of received records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.heard import Instruction
+from dcp_conformance.services import (
+    EXISTS,
+    NOT_PRODUCER,
+    OK,
+    UNKNOWN,
+    create_request,
+    deleted_status,
+    expect_any,
+    same_status,
+)
+from dcp_conformance.variables import INSTRUCTIONS, ask, named, stepped, traces
+
+METHODS = ("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-Read")
+STATES = {
+    "unknown": "an unknown variable",
+    "alive-producer": "an own variable",
+    "alive-consumer": "a variable of another node",
+    "deleted-producer": "an own deleted variable",
+    "deleted-consumer": "a deleted variable of another node",
+}
+#: So many repetitions keep a deleted variable for long enough to be met, up to 1.3.
+_LASTING = 4
+_VALUE = b"fresh"
+
+
+@dataclass
+class Place:
+    """A variable in a state."""
+
+    var_id: int
+    state: str
+    stored: VarCreate | None
+    rep_cnt: int = 1
+    fleeting: bool = False
+    """It may have left the database by now."""
+
+
+def _sent(bench: Bench, var_id: int) -> VarCreate:
+    record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    if not isinstance(record, VarCreate):
+        bench.inconclusive("the implementation sends the variable, which this case needs", "it does not")
+    return record
+
+
+def place(bench: Bench, state: str, *, timeout: int = 0) -> Place:
+    """Bring a variable into a state."""
+    var_id, own = bench.var_id(), state.endswith("producer")
+    if state == "unknown":
+        return Place(bench.unknown_id(), state, None)
+    removed = bench.features.removed_after_deletion
+    rep_cnt = bench.rep_cnt(_LASTING) if state.startswith("deleted") and removed else 1
+    peer, since = bench.peer(), bench.mark()
+    if own:
+        bench.must("RTDB-Create", **create_request(bench, var_id, rep_cnt=rep_cnt, timeout=timeout))
+    else:
+        peer.send(peer.create(var_id, rep_cnt=rep_cnt, seqno=5, timeout=timeout))
+    stored = _sent(bench, var_id)
+    found = Place(var_id, state, stored, rep_cnt)
+    if rep_cnt > 1:
+        bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id), since=since)
+    if state.startswith("deleted"):
+        if own:
+            bench.must("RTDB-Delete", varId=var_id)
+        else:
+            peer.send(peer.delete(var_id))
+        if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
+            bench.inconclusive("the variable is deleted, which this case needs", "there is no VarDelete")
+        # The next payload may be composed already, and this one was heard.
+        found.fleeting = removed and rep_cnt < _LASTING
+    return found
+
+
+def _statuses(bench: Bench, method: str, where: Place) -> list[str]:
+    """The statuses that the specification leaves for a request in a state; the usual one first."""
+    state, old = where.state, bench.profile.spec_version < SpecVersion.V2_0
+    if method == "RTDB-Create":
+        free = state == "unknown" or (state.endswith("producer") and not old)
+        found = [OK] if free else [EXISTS]
+        if where.fleeting:
+            found.append(OK)
+    else:
+        if state == "unknown":
+            found = [UNKNOWN]
+        elif method != "RTDB-Read" and state.endswith("consumer"):
+            found = [NOT_PRODUCER]
+        else:
+            found = [deleted_status(bench) if state.startswith("deleted") else OK]
+        if where.fleeting:
+            found.append(UNKNOWN)
+    return found
+
+
+def _disputed(bench: Bench, where: Place) -> str:
+    """The other status that RTDB-Create may have by the reading ``by-description`` of X20, or nothing."""
+    if bench.profile.spec_version < SpecVersion.V2_0:
+        return ""
+    return {"alive-producer": EXISTS, "deleted-consumer": OK}.get(where.state, "")
+
+
+def _only(bench: Bench, where: Place, kind: ICType, since: int) -> Instruction | None:
+    found = bench.check_repeated(kind, where.var_id, 1, since)
+    wanted = [each for each in INSTRUCTIONS if each is not kind]
+    if where.state == "deleted-producer" and kind is ICType.CREATE_VARIABLES:
+        wanted.remove(ICType.DELETE_VARIABLES)
+    others = traces(bench, where.var_id, since, wanted)
+    bench.check(not others, f"nothing but {kind.label} records is sent", f"{named(others)} came", frames=others)
+    return found[-1] if found else None
+
+
+def _created(bench: Bench, where: Place, since: int) -> None:
+    found = _only(bench, where, ICType.CREATE_VARIABLES, since)
+    if found is None:
+        return
+    spec, upd = found.record.spec, found.record.upd
+    bench.check(
+        (spec.prod_id, upd.seqno, upd.value) == (bench.sut_id, 0, _VALUE),
+        "the VarCreate has the own node as producer, sequence number 0 and the given value",
+        f"producer {spec.prod_id.hex(':')}, number {upd.seqno}, value {upd.value.hex()}",
+        frames=[found],
+    )
+    before = where.stored.spec.creation_time if where.stored is not None else None
+    if spec.creation_time is not None and before is not None:
+        later = f"{spec.creation_time} after {before}"
+        bench.check(spec.creation_time > before, "its creationTime is later than the one before", later, frames=[found])
+
+
+def _updated(bench: Bench, where: Place, since: int) -> None:
+    found = _only(bench, where, ICType.UPDATES, since)
+    if found is None or where.stored is None:
+        return
+    expected = (stepped(bench, where.stored.upd.seqno, 1), _VALUE)
+    came = (found.record.seqno, found.record.value)
+    bench.check(came == expected, f"number and value are {expected}", f"{came}", frames=[found])
+
+
+def _deleted(bench: Bench, where: Place, since: int) -> None:
+    _only(bench, where, ICType.DELETE_VARIABLES, since)
+    after = "unknown" if bench.features.removed_after_deletion else "deleted"
+    held = ask(bench, where.var_id)
+    bench.check(held.state == after, f"the variable is {after}", str(held))
+
+
+def _unchanged(bench: Bench, where: Place, since: int) -> None:
+    """A refused request, or one to read, changes nothing."""
+    deleting = where.state.startswith("deleted") and bench.features.removed_after_deletion
+    if deleting:
+        return
+    bench.require_alive("the request")
+    found = traces(bench, where.var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
+    bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found)
+    held = ask(bench, where.var_id)
+    expected = where.state.partition("-")[0]
+    bench.check(held.state == expected, f"the variable is {expected} as before", str(held))
+    if expected == "alive":
+        bench.check(held.record == where.stored, "what is stored has not changed", str(held))
+
+
+_EFFECTS = {"RTDB-Create": _created, "RTDB-Update": _updated, "RTDB-Delete": _deleted, "RTDB-Read": _unchanged}
+
+_DECIDED = {
+    "unknown.RTDB-Create": "VD-CRE-10 VD-CRE-12",
+    "alive-producer.RTDB-Create": "VD-CRE-03",
+    "alive-consumer.RTDB-Create": "VD-CRE-02",
+    "deleted-producer.RTDB-Create": "VD-CRE-03",
+    "deleted-consumer.RTDB-Create": "VD-CRE-02",
+    "unknown.RTDB-Update": "VD-UPD-02",
+    "alive-producer.RTDB-Update": "VD-UPD-07",
+    "alive-consumer.RTDB-Update": "VD-UPD-03",
+    "deleted-producer.RTDB-Update": "VD-UPD-04",
+    "deleted-consumer.RTDB-Update": "VD-UPD-03",
+    "unknown.RTDB-Delete": "VD-DEL-02",
+    "alive-producer.RTDB-Delete": "VD-DEL-05",
+    "alive-consumer.RTDB-Delete": "VD-DEL-03",
+    "deleted-producer.RTDB-Delete": "VD-DEL-04",
+    "deleted-consumer.RTDB-Delete": "VD-DEL-03",
+    "unknown.RTDB-Read": "VD-REA-02",
+    "alive-producer.RTDB-Read": "VD-REA-04",
+    "alive-consumer.RTDB-Read": "VD-REA-04",
+    "deleted-producer.RTDB-Read": "VD-REA-03",
+    "deleted-consumer.RTDB-Read": "VD-REA-03",
+}
+
+
+def _services(methods: tuple[str, ...]) -> Iterator[tuple[str, Variant]]:
+    for method in methods:
+        for state, words in STATES.items():
+            event = method.removeprefix("RTDB-").lower()
+            yield (
+                f"{state}.app-{event}",
+                Variant(
+                    (state, method),
+                    purpose=f"{method} of {words}",
+                    requirements=_DECIDED[f"{state}.{method}"],
+                    stimulus=f"{method} of {words}",
+                    expect=f"the status and the effect that {method} has for {words}",
+                ),
+            )
+
+
+@case(
+    "TC_VD_STATE_BV_03",
+    "{variant}",
+    requirements="VD-CRE-10",
+    stimulus="{variant}",
+    expect="the status and the effect that the specification has for this cell",
+    needs=Needs(ut=METHODS),
+    variants=dict(_services(METHODS)),
+)
+def service(bench: Bench, cell: tuple[str, str]) -> None:
+    state, method = cell
+    where = place(bench, state)
+    since = bench.mark()
+    params = {
+        "RTDB-Create": create_request(bench, where.var_id, value=_VALUE),
+        "RTDB-Update": {"varId": where.var_id, "value": _VALUE.hex()},
+    }.get(method, {"varId": where.var_id})
+    usual, disputed = _statuses(bench, method, where), _disputed(bench, where) if method == "RTDB-Create" else ""
+    answer = expect_any(bench, [*usual, disputed] if disputed else usual, method, **params)
+    if disputed:
+        bench.reading("X20", "by-description" if same_status(answer, disputed) else "by-steps")
+    if method == "RTDB-Read" and same_status(answer, OK) and where.stored is not None:
+        value = answer.result.get("value")
+        bench.check(value == where.stored.upd.value.hex(), f"the value is {where.stored.upd.value.hex()}", f"{value}")
+    if not answer.ok:
+        _unchanged(bench, where, since)
+    elif not where.fleeting:
+        _EFFECTS[method](bench, where, since)
+
+
+# -- scrubbing ---------------------------------------------------------------------------------------------------------
+
+
+def _scrubs() -> Iterator[tuple[str, Variant]]:
+    for state, words in STATES.items():
+        if state == "unknown":
+            continue
+        own = state.endswith("producer")
+        yield (
+            f"{state}.timeout",
+            Variant(
+                state,
+                purpose=f"A timeout of {words}",
+                requirements="VD-SCR-02" if state.startswith("deleted") else "VD-SCR-04" if own else "VD-SCR-05",
+                needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete") if own else ()),
+            ),
+        )
+
+
+@case(
+    "TC_VD_STATE_TI_01",
+    "{variant}",
+    requirements="VD-SCR-04",
+    stimulus="a variable with a timeout of two beacon periods that is not updated",
+    expect="it is deleted after its timeout, at most a scrubbing period late; nothing happens to one that is deleted",
+    window=20,
+    variants=dict(_scrubs()),
+)
+def timeout(bench: Bench, state: str) -> None:
+    lapse = max(1, 2 * bench.period // MS)
+    begun = bench.now()
+    where = place(bench, state, timeout=lapse)
+    var_id, since = where.var_id, bench.mark()
+    scrubbing = bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
+    window = (lapse + scrubbing + bench.pixit.timer_tolerance_ms) * MS / bench.period + bench.reaction
+    if state.startswith("deleted"):
+        bench.wait(window)
+        found = traces(bench, var_id, since)
+        bench.check(not found, "nothing happens to a variable that is deleted", f"{named(found)} came", frames=found)
+        return
+    came = bench.until(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, var_id), window) or []
+    if not came and state.endswith("consumer"):
+        held = ask(bench, var_id)
+        bench.check(held.state == "alive", "a variable that is not scrubbed is alive", str(held))
+        bench.reading("X26", "producer-only")
+        return
+    late = f"within {lapse} ms and a scrubbing period of {scrubbing} ms"
+    bench.require(came, f"it is deleted {late}", "there is no VarDelete")
+    passed = (came[0].heard.time - begun) // MS if came else 0
+    bench.check(passed >= lapse, f"not before {lapse} ms have passed", f"{passed} ms after its creation", frames=came)
+    bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
+    if state.endswith("consumer"):
+        bench.reading("X26", "every-node")
+    held = ask(bench, var_id)
+    bench.check(held.state == "deleted", "it is deleted", str(held))
