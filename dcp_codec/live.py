@@ -23,16 +23,16 @@ from typing import Any, Self
 
 from dcp_spec.profile import Link
 
+from . import interfaces
 from .capture.frame import MAX_FRAME_LENGTH, CaptureProblem, Frame
 
-# Of <linux/if_packet.h>, <linux/if_ether.h>, <asm-generic/socket.h>, <linux/sockios.h> and <linux/if_arp.h>; the
-# socket module has none of them in Python 3.11.
+# Of <linux/if_packet.h>, <linux/if_ether.h>, <asm-generic/socket.h> and <linux/if_arp.h>; the socket module
+# has none of them in Python 3.11.
 _SOL_PACKET, _PACKET_STATISTICS, _PACKET_AUXDATA = 263, 6, 8
 _TP_STATUS_VLAN_VALID, _TP_STATUS_VLAN_TPID_VALID = 1 << 4, 1 << 6
 _ETH_P_ALL, _ETH_P_8021Q = 0x0003, 0x8100
 _SO_ATTACH_FILTER, _SO_RCVBUFFORCE = 26, 33
 _SO_TIMESTAMPNS = (35, 64)
-_SIOCGIFFLAGS, _IFF_UP = 0x8913, 0x1
 _ARPHRD_ETHER, _ARPHRD_LOOPBACK = 1, 772
 _PACKET_OUTGOING = 4
 
@@ -66,10 +66,10 @@ def open_live(interface: str, link: Link | None, *, promiscuous: bool = True) ->
     """
     if not hasattr(socket, "AF_PACKET"):
         raise LiveError(f"{interface}: live capture needs the packet sockets of Linux, and this is {sys.platform}")
-    names = [name for _, name in socket.if_nameindex()]
-    if interface not in names:
-        raise LiveError(f"{interface}: there is no such interface; there are {', '.join(names)}")
-    if not is_up(interface):
+    if interface not in interfaces.names():
+        there_are = ", ".join(interfaces.names())
+        raise LiveError(f"{interface}: there is no such interface; there are {there_are}")
+    if not interfaces.is_up(interface):
         raise LiveError(f"{interface}: this interface is down; bring it up first: ip link set {interface} up")
     return LiveReader(interface, link, promiscuous=promiscuous)
 
@@ -272,16 +272,6 @@ def _listen(interface: str, program: _Program, *, promiscuous: bool) -> Any:
             opened.ins.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
     _attach(opened.ins, program)
     return opened
-
-
-def is_up(interface: str) -> bool:
-    """Whether the interface is switched on (it may still have no carrier). Raises ``OSError`` if there is none."""
-    import fcntl  # not on every system, while people may ask for help on any
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        answer = fcntl.ioctl(asking, _SIOCGIFFLAGS, struct.pack("16sh14x", interface.encode(), 0))
-    flags: int = struct.unpack("16sh14x", answer)[1]
-    return bool(flags & _IFF_UP)
 
 
 def _ether_types(link: Link | None) -> tuple[int, ...] | None:

@@ -13,7 +13,7 @@ import struct
 import sys
 from typing import Any
 
-from dcp_stack.links import interfaces
+from dcp_codec import interfaces
 from dcp_stack.links.base import LinkError, Reception
 from dcp_stack.links.sockets import ANCILLARY, LONGEST, PORTION, SocketLink, arrival, enlarge_receive_buffer
 

@@ -135,7 +135,7 @@ def _address_of(interface: str | None) -> bytes | None:
     """The address of an interface, which is what a node is called if nobody says otherwise."""
     if interface is None:
         return None
-    from dcp_stack.links.interfaces import hardware_address
+    from dcp_codec.interfaces import hardware_address
 
     try:
         return hardware_address(interface)[1]

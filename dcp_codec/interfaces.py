@@ -1,0 +1,52 @@
+"""What the system says of network interfaces: which there are, whether they are up, and what they carry. Linux only.
+
+Can be imported anywhere, so that ``--help`` works anywhere.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+
+# Of <linux/sockios.h> and <linux/if.h>; the socket module has none of them.
+_SIOCGIFFLAGS, _SIOCGIFMTU, _SIOCGIFHWADDR = 0x8913, 0x8921, 0x8927
+_IFF_UP = 0x1
+
+
+def names() -> list[str]:
+    """The interfaces there are."""
+    return [name for _, name in socket.if_nameindex()]
+
+
+def is_up(interface: str) -> bool:
+    """Whether the interface is there and switched on (it may still have no carrier)."""
+    try:
+        flags: int = struct.unpack("H", _ask(interface, _SIOCGIFFLAGS, 2))[0]
+    except OSError:
+        return False
+    return bool(flags & _IFF_UP)
+
+
+def mtu(interface: str) -> int:
+    """The longest payload of a frame in octets; raises ``OSError`` if there is no such interface."""
+    found: int = struct.unpack("i", _ask(interface, _SIOCGIFMTU, 4))[0]
+    return found
+
+
+def hardware_address(interface: str) -> tuple[int, bytes]:
+    """Hardware type (``ARPHRD_*``) and the first six octets of the address, zeros where there is none.
+
+    Raises ``OSError`` if there is no such interface.
+    """
+    answer = _ask(interface, _SIOCGIFHWADDR, 8)
+    kind: int = struct.unpack("H", answer[:2])[0]
+    return kind, answer[2:8]
+
+
+def _ask(interface: str, request: int, length: int) -> bytes:
+    """The answer of the interface to an ioctl, the octets behind its name."""
+    import fcntl  # not on every system
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        answer = fcntl.ioctl(asking, request, struct.pack("16s24x", interface.encode()))
+    return answer[16 : 16 + length]
