@@ -43,9 +43,7 @@ class Vardis(VariableServices):
     ) -> None:
         """Raises ValueError if ``config`` has no VarDis, or parameters that are out of bounds."""
         core = Core(config, emit)
-        super().__init__(core)
-        self.registered = False
-        self._bp = bp
+        super().__init__(core, bp)
         self._parameters = core.parameters
         self._database = core.database
         self._composer = Composer(core)

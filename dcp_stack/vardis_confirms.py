@@ -8,6 +8,10 @@ from dcp_spec.status import VardisStatus
 from dcp_codec.values import VarSpec
 
 
+class NoResponseError(RuntimeError):
+    """There is no confirm: the request is not answered in this state (reading X30 ``no-response``)."""
+
+
 class Confirm(msgspec.Struct, frozen=True):
     """Of RTDB-Create, RTDB-Update, RTDB-Delete and the management services: a status and nothing else."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarSpec
@@ -11,19 +12,28 @@ from .vardis_confirms import (
     DescribeDatabaseConfirm,
     DescribedVariable,
     DescribeVariableConfirm,
+    NoResponseError,
     ReadConfirm,
     VariableEntry,
 )
 from .vardis_core import Core
 from .vardis_db import DBEntry
+from .vardis_port import BPPort
 from .vardis_table import Action, Event
 
 
 class VariableServices:
-    """Create, update, delete, read and describe variables: one method for each request, which returns its confirm."""
+    """Create, update, delete, read and describe variables: one method for each request, which returns its confirm.
 
-    def __init__(self, core: Core) -> None:
+    Under reading X30 ``no-response`` each raises :class:`NoResponseError` while VarDis is not registered with BP.
+    """
+
+    def __init__(self, core: Core, bp: BPPort) -> None:
         self._core = core
+        self._bp = bp
+        self.registered = False
+        """Whether VarDis is registered with BP, as far as it knows."""
+        self._silent = core.config.reading("X30") == "no-response"
         self._refuses_empty_description = core.config.reading("X21") == "refuse-locally"
 
     ##= VD-SRV-01
@@ -54,7 +64,7 @@ class VariableServices:
         ##= VD-CRE-13
         ##= VD-MGT-04
         ##= DATA-11
-        if not self._core.active:
+        if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         cell = self._core.cell(Event.APP_CREATE, entry)
@@ -102,7 +112,7 @@ class VariableServices:
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         """``RTDB-Update``."""
         ##= VD-UPD-01
-        if not self._core.active:
+        if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         cell = self._core.cell(Event.APP_UPDATE, entry)
@@ -121,7 +131,7 @@ class VariableServices:
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:  # noqa: ARG002 - every service takes the time
         """``RTDB-Delete``."""
         ##= VD-DEL-01
-        if not self._core.active:
+        if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         cell = self._core.cell(Event.APP_DELETE, entry)
@@ -135,7 +145,7 @@ class VariableServices:
     def read(self, var_id: int) -> ReadConfirm:
         """``RTDB-Read``."""
         ##= VD-REA-01
-        if not self._core.active:
+        if not self._serving():
             return ReadConfirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         cell = self._core.cell(Event.APP_READ, entry)
@@ -147,7 +157,7 @@ class VariableServices:
     def describe_database(self) -> DescribeDatabaseConfirm:
         """``RTDB-DescribeDatabase``: all variables, deleted ones included."""
         ##= VD-DDB-01
-        if not self._core.active:
+        if not self._serving():
             return DescribeDatabaseConfirm(VardisStatus.INACTIVE)
         ##= VD-DDB-02
         ##= VD-DDB-03
@@ -158,7 +168,7 @@ class VariableServices:
     def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
         """``RTDB-DescribeVariable``: the whole entry, also of a deleted variable."""
         ##= VD-DVA-01
-        if not self._core.active:
+        if not self._serving():
             return DescribeVariableConfirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         ##= VD-DVA-02
@@ -167,6 +177,18 @@ class VariableServices:
         ##= VD-DVA-03
         shown = {name: getattr(entry, name) for name in VariableEntry.__struct_fields__}
         return DescribeVariableConfirm(VardisStatus.OK, VariableEntry(**shown))
+
+    def _serving(self) -> bool:
+        """Whether requests are carried out; otherwise they are confirmed with INACTIVE.
+
+        Raises NoResponseError while VarDis is not registered, under reading X30 ``no-response``.
+        """
+        # BP is asked: somebody else may have deregistered VarDis.
+        if self.registered and self._bp.query_number_buffered(BP_PROTID_VARDIS).status.is_ok:
+            return self._core.active
+        if self._silent:
+            raise NoResponseError("VarDis does not answer while it is not registered with BP (reading X30)")
+        return False
 
     def _confirm(self, status: VardisStatus) -> Confirm:
         """With the code that the version has for it: two were renamed."""

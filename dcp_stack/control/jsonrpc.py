@@ -23,7 +23,7 @@ TOO_MUCH: Final = -32000
 REFUSED: Final = -32001
 """A parameter cannot have the value; ``data`` says which bound it violates."""
 NO_ANSWER: Final = -32002
-"""The service does not answer in this state (reading X10 ``no-response``)."""
+"""The service does not answer in this state (readings X10 and X30 ``no-response``)."""
 
 MAX_LINE: Final = 1 << 20
 """Octets of a line, without its end."""

@@ -19,6 +19,7 @@ from dcp_stack.node import Node
 from dcp_stack.positions.geometry import Motion, distance
 from dcp_stack.srp import NotInitializedError, StateReporting
 from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_confirms import NoResponseError
 
 from . import messages as m
 from .jsonrpc import INVALID_PARAMS, METHOD_NOT_FOUND, NO_ANSWER, REFUSED, RpcError
@@ -36,6 +37,8 @@ def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
     """Carry out ``method`` with ``params``, which are of its type. Raises RpcError, and nothing else for bad values."""
     try:
         return _HANDLERS[method](node, params, times)
+    except NoResponseError as error:
+        raise RpcError(NO_ANSWER, str(error)) from None
     except UnknownServiceError as error:
         raise RpcError(METHOD_NOT_FOUND, str(error)) from None
     except UnknownParameterError as error:

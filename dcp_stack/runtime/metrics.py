@@ -82,7 +82,7 @@ class NodeCollector:
             yield GaugeMetricFamily("dcp_srp_neighbours", "Neighbour table.", value=len(node.srp.neighbours))
         if node.vardis is not None:
             yield GaugeMetricFamily("dcp_vardis_active", "Whether VarDis is active.", value=int(node.vardis.active))
-            known = node.vardis.describe_database().variables
+            known = node.vardis.describe_database().variables if node.vardis.active else ()
             kinds = GaugeMetricFamily("dcp_vardis_variables", "Variables by state.", labels=["state"])
             deleted = sum(each.is_deleted for each in known)
             kinds.add_metric(["alive"], len(known) - deleted)

@@ -359,3 +359,25 @@ def test_status_counts_what_is_ignored(rig):
     assert sum(status["drops"].values()) == 2
     assert status["runtime"] == {"sessions": 1}
     assert status["nodeId"] == "02:00:00:00:00:01"
+
+
+@pytest.mark.req("VD-SRV-01")
+@pytest.mark.parametrize("reading", ["answer-inactive", "no-response"])
+def test_vardis_without_a_registration(reading):
+    client = Rig(readings={"X30": reading}).client()
+    assert client.call("BP-DeregisterProtocol", protId=2)["status"] == "BP-STATUS-OK"
+    requests = {
+        "RTDB-Create": {"varId": 7, "repCnt": 1, "descr": "d", "value": "01"},
+        "RTDB-Update": {"varId": 7, "value": "01"},
+        "RTDB-Delete": {"varId": 7},
+        "RTDB-Read": {"varId": 7},
+        "RTDB-DescribeVariable": {"varId": 7},
+        "RTDB-DescribeDatabase": {},
+    }
+    for method, params in requests.items():
+        if reading == "no-response":
+            error = client.error(method, **params)
+            assert error["code"] == -32002
+            assert "X30" in error["message"]
+        else:
+            assert client.call(method, **params)["status"] == "VARDIS-STATUS-INACTIVE"

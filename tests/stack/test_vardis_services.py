@@ -2,17 +2,65 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 import pytest
+from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.parameters import UnknownParameterError
 from dcp_spec.status import VardisStatus
 
 from dcp_codec import Codec, get_codec
 from dcp_stack.effects import VariableChanged
+from dcp_stack.vardis_confirms import NoResponseError
 
 from .vardis_rig import ME, MS, OTHER, VERSIONS, WALL, Rig, VarCreate, VarDelete, VarSumm, VarUpdate
 
 S = VardisStatus
+
+
+# -- not registered ----------------------------------------------------------------------------------------------
+
+
+def every_service(rig: Rig) -> list[Callable[[], object]]:
+    vardis = rig.vardis
+    return [
+        rig.create,
+        rig.update,
+        rig.delete,
+        lambda: vardis.read(7).status,
+        lambda: vardis.describe_variable(7).status,
+        lambda: vardis.describe_database().status,
+    ]
+
+
+@pytest.mark.req("VD-SRV-01")
+def test_without_a_registration_services_are_refused() -> None:
+    rig = Rig()
+    assert rig.create() is S.OK
+    # Somebody else deregistered VarDis: it is not told.
+    rig.bp.deregister(BP_PROTID_VARDIS)
+    rig.effects.clear()
+    assert [service() for service in every_service(rig)] == [S.INACTIVE] * 6
+    assert rig.effects == []
+
+
+@pytest.mark.req("VD-SRV-01")
+def test_under_the_other_reading_services_do_not_answer_without_a_registration() -> None:
+    rig = Rig(readings={"X30": "no-response"})
+    assert rig.create() is S.OK
+    # Being deactivated is another matter.
+    rig.vardis.deactivate()
+    assert [service() for service in every_service(rig)] == [S.INACTIVE] * 6
+    rig.vardis.activate()
+    rig.bp.deregister(BP_PROTID_VARDIS)
+    rig.effects.clear()
+    for service in every_service(rig):
+        with pytest.raises(NoResponseError, match="X30"):
+            service()
+    assert rig.effects == []
+    rig.vardis.start(rig.now, rig.wall)
+    assert rig.create() is S.OK
 
 
 # -- create -----------------------------------------------------------------------------------------------------
