@@ -1,7 +1,7 @@
 """Ethernet frames of one EtherType on an interface, through scapy's layer-2 sockets.
 
-Scapy opens the socket and sends. Octets are read from the socket directly: scapy's own way of receiving builds a
-packet from each (65 us a frame where this takes 4) and turns the kernel's nanoseconds into a float. Linux only.
+Scapy opens the socket. Octets go through it directly: scapy's own way of receiving builds a packet from each (65 us a
+frame where this takes 4) and turns the kernel's nanoseconds into a float, its way of sending expects one. Linux only.
 """
 
 from __future__ import annotations
@@ -125,7 +125,14 @@ class EthernetLink(SocketLink):
             receptions.append(Reception(frame[HEADER:], arrival(ancillary), sender))
 
     def _transmit(self, octets: bytes) -> None:
-        self._layer2.send(self._header + octets)
+        frame = self._header + octets
+        try:
+            self._layer2.outs.send(frame)
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            # Some drivers refuse short frames; scapy pads them.
+            self._layer2.send(frame)
 
     def _lost_by_kernel(self, source: socket.socket) -> int:
         # Reading it sets it back to zero.
