@@ -13,6 +13,7 @@ from .rig import OTHER_PROFILES, PROFILES, ids_of
 MODULES = (
     "vardis_states",
     "vardis_state_services",
+    "vardis_split",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
 WIRE_PROFILES = ("dcp-1.2", "cpp-2.0")
