@@ -1,4 +1,4 @@
-"""What nodes do to each other by following the specification to the letter (H1 to H4 of A.7, and one more).
+"""What nodes do to each other by following the specification to the letter (H1 to H4 and H7 to H9 of the readings).
 
 These are no faults of a node. They are written down so that a change which removes one does not go unnoticed.
 """
@@ -86,7 +86,7 @@ def test_a_producer_can_be_replaced() -> None:
 @pytest.mark.req("VD-CRE-03")
 @pytest.mark.parametrize("deleted", [False, True])
 def test_a_creation_anew_that_is_missed_goes_unnoticed(deleted: bool) -> None:
-    """Only a VarCreate has a creation time; who knows the variable from before has no reason to ask for another."""
+    """H7. Only a VarCreate has a creation time; who knows the variable from before has no reason to ask for another."""
     one, other = Rig(), Rig(node_id=OTHER)
     one.create(value=b"before")
     for _ in range(9):
@@ -106,7 +106,7 @@ def test_a_creation_anew_that_is_missed_goes_unnoticed(deleted: bool) -> None:
 
 @pytest.mark.req("VD-PU-07")
 def test_a_value_of_an_earlier_creation_can_pass_for_a_newer_one() -> None:
-    """An update that was composed before its sender heard of the new creation."""
+    """H8. An update that was composed before its sender heard of the new creation."""
     rig = Rig()
     rig.receive(rig.vc(value=b"anew", seqno=0, created=WALL + 1))
     rig.receive(VarUpdate(7, 9, b"before"))
@@ -115,3 +115,24 @@ def test_a_value_of_an_earlier_creation_can_pass_for_a_newer_one() -> None:
     assert rig.records(VarUpdate) == [VarUpdate(7, 9, b"before")]
     assert rig.records(VarReqUpdate) == []
     assert rig.entry().spec.prod_id == OTHER != ME
+
+
+@pytest.mark.req("VD-PU-06", "VD-PS-03", "VD-PU-03")
+def test_a_consumer_far_behind_starves_until_the_distance_leaves_half_the_range() -> None:
+    """H9."""
+    one, other = Rig(), Rig(node_id=OTHER)
+    one.create(value=b"first")
+    exchange(one, other, 3)
+    for number in range(129):
+        one.update(value=b"%d" % number)
+    exchange(one, other, 5)
+    assert (one.read(), other.read()) == (b"128", b"first")
+    assert "update-own" in one.drops()  # taught in vain
+    for number in range(129, 256):
+        one.update(value=b"%d" % number)
+        exchange(one, other, 2)
+        assert other.read() == b"first"
+    # The number is that of the first value again; the next one is newer.
+    one.update(value=b"caught up")
+    exchange(one, other, 2)
+    assert other.read() == b"caught up"
