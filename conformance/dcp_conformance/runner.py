@@ -93,6 +93,8 @@ class Runner:
             self._reset()
             bench.mark()
             bench.heard.clear()
+            # What was lost, or looked at late, before the case is no excuse in it.
+            self.session.lower.health()
             case.run(bench)
         except StopCase:
             pass

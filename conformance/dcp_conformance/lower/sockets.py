@@ -1,0 +1,244 @@
+"""What lower testers over sockets share: waiting, the kernel's time stamps, and what they hold against themselves."""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import time
+from collections import Counter, deque
+from collections.abc import Sequence
+from typing import Self
+
+from dcp_conformance.errors import LowerTesterError
+
+from .base import Arrival, LinkHealth
+
+#: Octets that may wait in the kernel: some thousand beacons, and more where the system allows it.
+RECEIVE_BUFFER = 16 * 1024 * 1024
+#: The longest datagram or frame that is read, in octets.
+LONGEST = 65_600
+#: Room for the ancillary data of one datagram.
+ANCILLARY = 256
+#: ns that a send may wait for room in the interface's queue.
+_PATIENCE = 1_000_000_000
+
+# Of <asm-generic/socket.h>; the socket module has neither in Python 3.11.
+_SO_TIMESTAMPNS = (35, 64)
+_SO_RCVBUFFORCE = 33
+_TIMESPEC = struct.Struct("qq")
+
+Raw = tuple[bytes, list[tuple[int, int, bytes]], int, tuple[object, ...]]
+
+
+class SocketLowerTester:
+    """A lower tester over one socket. Subclasses open it (:meth:`_open`), read (:meth:`_read`) and write.
+
+    The clock is ``time.monotonic_ns``. Arrivals have the kernel's stamp, carried over to that clock when they are read,
+    so that a tester that is late still knows when they came. What comes after ``until`` is kept for the next call.
+    """
+
+    def __init__(self, name: str) -> None:
+        """Raises ``LowerTesterError`` or ``UsageError``."""
+        self.name = name
+        self._socket: socket.socket | None = None
+        self._closed = False
+        self._held: Arrival | None = None
+        self._late = 0
+        self._dropped = 0
+        self._last = 0
+        self._socket = self._open()
+
+    # -- what subclasses say -----------------------------------------------------------------------------------
+
+    def _open(self) -> socket.socket:
+        """The socket to read from, not blocking."""
+        raise NotImplementedError
+
+    def _read(self, source: socket.socket) -> tuple[bytes, bytes, bytes, int] | None:
+        """Payload, frame, source and stamp (ns since 1970, 0 if there is none) of the next datagram.
+
+        None: one that is to be ignored. Raises ``OSError``.
+        """
+        raise NotImplementedError
+
+    def _kernel_drops(self, source: socket.socket) -> int:
+        """What the kernel dropped since the last call. Raises ``OSError``."""
+        raise NotImplementedError
+
+    def _gone(self, error: OSError) -> LowerTesterError:
+        """What it means that the socket cannot be used."""
+        raise NotImplementedError
+
+    # -- the contract of a lower tester ------------------------------------------------------------------------
+
+    def now(self) -> int:
+        """Monotonic ns."""
+        return time.monotonic_ns()
+
+    def wall(self) -> int:
+        """ns since 1970."""
+        return time.time_ns()
+
+    def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
+        """The next frame before ``until``; None then, or when a descriptor of ``also`` is readable."""
+        source = self._ready()
+        while True:
+            arrival, self._held = self._held or self._next(source), None
+            if arrival is not None:
+                if arrival.time >= until:
+                    self._held = arrival
+                    return None
+                return arrival
+            left = until - time.monotonic_ns()
+            if left <= 0:
+                return None
+            waiting = select.poll()
+            for descriptor in (source.fileno(), *also):
+                waiting.register(descriptor, select.POLLIN)
+            found = waiting.poll(max(1, -(-left // 1_000_000)))
+            if found and all(descriptor != source.fileno() for descriptor, _ in found):
+                return None
+
+    def health(self) -> LinkHealth:
+        """Drops of the kernel, and how late frames were read, since the last call."""
+        self._count_drops()
+        found = LinkHealth(self._dropped, self._late)
+        self._dropped = self._late = 0
+        return found
+
+    def close(self) -> None:
+        """Give the socket back."""
+        self._closed = True
+        self._discard()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- beneath it --------------------------------------------------------------------------------------------
+
+    def _ready(self) -> socket.socket:
+        """The socket; after it was lost a new one, if the interface is back. Raises ``LowerTesterError``."""
+        if self._closed:
+            raise LowerTesterError(f"{self.name}: it has been closed")
+        if self._socket is None:
+            self._socket = self._open()
+        return self._socket
+
+    def _next(self, source: socket.socket) -> Arrival | None:
+        """The next frame that has arrived already."""
+        while True:
+            try:
+                found = self._read(source)
+            except BlockingIOError:
+                return None
+            except InterruptedError:
+                continue
+            except OSError as error:
+                self._discard()
+                raise self._gone(error) from None
+            if found is not None:
+                octets, frame, sender, stamp = found
+                wall, now = time.time_ns(), time.monotonic_ns()
+                wall_of_arrival = stamp or wall
+                # Never after now, and never before another that was read earlier, whatever the clocks do.
+                when = min(max(wall_of_arrival - wall + now, self._last), now)
+                self._last = when
+                self._late = max(self._late, now - when)
+                return Arrival(when, wall_of_arrival, octets, frame, sender)
+
+    def _push(self, to: socket.socket, octets: bytes, address: tuple[str, int] | None = None) -> None:
+        """Send, and wait a little for room. Raises ``OSError``."""
+        deadline = time.monotonic_ns() + _PATIENCE
+        while True:
+            try:
+                if address is None:
+                    to.send(octets)
+                else:
+                    to.sendto(octets, address)
+            except BlockingIOError:
+                if time.monotonic_ns() > deadline:
+                    raise
+                waiting = select.poll()
+                waiting.register(to.fileno(), select.POLLOUT)
+                waiting.poll(100)
+            else:
+                return
+
+    def _count_drops(self) -> None:
+        if self._socket is not None:
+            try:
+                self._dropped += self._kernel_drops(self._socket)
+            except OSError:
+                # The interface is going away; the next attempt to use it says so.
+                return
+
+    def _discard(self) -> None:
+        self._count_drops()
+        old, self._socket = self._socket, None
+        if old is not None:
+            self._release(old)
+
+    def _release(self, old: socket.socket) -> None:
+        """Close what was opened."""
+        old.close()
+
+
+class Echoes:
+    """Tells own datagrams that come back from those of others, where nothing but their octets does.
+
+    What was sent is remembered for two seconds and recognised once.
+    """
+
+    _HORIZON, _MOST = 2_000_000_000, 4096
+
+    def __init__(self) -> None:
+        self._order: deque[tuple[int, bytes]] = deque()
+        self._count: Counter[bytes] = Counter()
+
+    def sent(self, octets: bytes, now: int) -> None:
+        """Remember what was sent."""
+        self._order.append((now, octets))
+        self._count[octets] += 1
+        while self._order and (len(self._order) > self._MOST or self._order[0][0] < now - self._HORIZON):
+            self._forget(self._order.popleft()[1])
+
+    def is_one(self, octets: bytes, now: int) -> bool:
+        """Whether this is the echo of something sent; the next time it is not."""
+        while self._order and self._order[0][0] < now - self._HORIZON:
+            self._forget(self._order.popleft()[1])
+        if not self._count[octets]:
+            del self._count[octets]
+            return False
+        self._forget(octets)
+        return True
+
+    def _forget(self, octets: bytes) -> None:
+        self._count[octets] -= 1
+        if self._count[octets] <= 0:
+            del self._count[octets]
+
+
+def stamp_of(ancillary: list[tuple[int, int, bytes]]) -> int:
+    """The kernel's time stamp in ns since 1970; 0 if there is none."""
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind in _SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(data)
+            return int(seconds * 1_000_000_000 + nanoseconds)
+    return 0
+
+
+def prepare(receiver: socket.socket) -> None:
+    """Make a socket non-blocking, with the kernel's stamps and as large a buffer as the system allows."""
+    receiver.setblocking(False)
+    receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS[0], 1)
+    for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
+        try:
+            receiver.setsockopt(socket.SOL_SOCKET, option, RECEIVE_BUFFER)
+        except OSError:
+            # Only root may have more than the system's limit.
+            continue
+        return
