@@ -1,0 +1,61 @@
+"""Upper testers as people name them on a command line."""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+
+from dcp_conformance.errors import UsageError
+
+from .base import UpperTester
+from .channels import ProcessChannel, SocketChannel
+from .stream import StreamUpperTester
+
+#: What :func:`open_upper` understands, for help texts.
+FORMS = {
+    "unix:PATH": "JSON-RPC lines over a Unix socket",
+    "tcp:HOST:PORT": "the same over TCP",
+    "exec:COMMAND": "the same over standard input and output of a program that is started",
+    "commands:FILE.toml": "command lines instead of methods; built in: commands:cpp-tools",
+}
+#: Octets that the address of a Unix socket has room for.
+_LONGEST_PATH = 107
+
+
+def open_upper(spec: str, patience: float = 5.0) -> UpperTester:
+    """Open the upper tester that ``spec`` names (:data:`FORMS`); ``patience``: s that anything may take.
+
+    The returned object has ``reconnect()``, for after a restart of the implementation.
+
+    Raises ``UsageError`` for a text that names none, ``UpperTesterError`` if it cannot be reached or does not keep to
+    the contract.
+    """
+    kind, colon, rest = spec.partition(":")
+    if not colon or kind not in ("unix", "tcp", "exec", "commands") or not rest.strip():
+        forms = "\n".join(f"  {form}  {about}" for form, about in FORMS.items())
+        raise UsageError(f"{spec!r} is no upper tester; there are\n{forms}")
+    if kind == "commands":
+        from .commands import open_commands
+
+        return open_commands(rest, patience)
+    if kind == "exec":
+        # The patience is for answers: a program is there at once, or it is not.
+        return StreamUpperTester(spec, lambda _: ProcessChannel(spec, rest), patience, several=False)
+    address = _tcp_address(spec, rest) if kind == "tcp" else _path(spec, rest)
+    return StreamUpperTester(spec, functools.partial(SocketChannel, spec, address), patience)
+
+
+def _path(spec: str, path: str) -> str:
+    if len(path.encode()) > _LONGEST_PATH:
+        raise UsageError(f"{spec}: a Unix socket has at most {_LONGEST_PATH} octets in its path; use a shorter one")
+    if not Path(path).parent.is_dir():
+        raise UsageError(f"{spec}: there is no directory {Path(path).parent}")
+    return path
+
+
+def _tcp_address(spec: str, text: str) -> tuple[str, int]:
+    match = re.fullmatch(r"(?:\[([^\]]+)\]|([^:]+)):(\d{1,5})", text)
+    if match is None or not 1 <= int(match[3]) <= 0xFFFF:
+        raise UsageError(f"{spec}: that is no HOST:PORT, as in tcp:127.0.0.1:4711 or tcp:[::1]:4711")
+    return match[1] or match[2], int(match[3])

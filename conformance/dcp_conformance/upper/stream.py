@@ -1,0 +1,241 @@
+"""Upper testers that speak the contract themselves (conformance/UPPER-TESTER.md): JSON-RPC lines over a channel.
+
+An upper tester is believed only after it has refused a method that does not exist. What it says is checked: that
+answers belong to requests, have a status, and one that the specification knows.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
+
+from dcp_conformance.errors import UpperTesterError
+
+from .base import Answer, Notification
+from .channels import Channel, printable
+from .jsonrpc import answer_of, notification_of, request_line
+
+#: Notifications that wait to be taken; beyond that the oldest are dropped.
+MOST_NOTIFICATIONS = 10_000
+#: A notification of the tester's own, in the place of dropped ones: ``{"number": how many}``.
+DROPPED = "TESTER-NotificationsDropped"
+METHOD_NOT_FOUND = -32601
+#: Seconds that taking notifications may last.
+_POLL = 0.5
+#: What UT-Hello must tell beside its status.
+_HELLO = {"name": str, "version": str, "specVersion": str, "methods": list}
+
+
+class StreamUpperTester:
+    """One connection. A call that fails leaves it usable, if the other side is still there.
+
+    When the other side has ended, the call or :meth:`poll` that notices raises; the next call connects again.
+    """
+
+    def __init__(
+        self, name: str, connect: Callable[[float], Channel], patience: float, *, several: bool = True
+    ) -> None:
+        """``connect`` opens a channel within so many s; ``several``: there can be more than one at a time.
+
+        Raises ``UpperTesterError`` and ``UsageError``.
+        """
+        self.name = name
+        self.about: dict[str, Any] = {}
+        self.methods: frozenset[str] = frozenset()
+        self._connect = connect
+        self._patience = patience
+        self._several = several
+        self._channel: Channel | None = None
+        self._last_id = 0
+        self._given_up: set[int] = set()
+        self._notifications: deque[Notification] = deque()
+        self._dropped = 0
+        self._closed = False
+        self.reconnect()
+
+    # -- the contract of an upper tester -----------------------------------------------------------------------
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        """Call a method, and wait for its answer as long as the patience lasts."""
+        if self._closed:
+            raise UpperTesterError(f"{self.name}: it has been closed")
+        if self._channel is None:
+            self.reconnect()
+        return self._call(method, params)
+
+    def poll(self) -> list[Notification]:
+        """The notifications that have come, in order; in front the number of those that were dropped, if any were."""
+        if self._channel is not None:
+            # Not for ever, even if it talks without end.
+            deadline = time.monotonic() + _POLL
+            while (message := self._message(self._channel, 0)) is not None:
+                self._stray(message)
+                if self._channel is None or time.monotonic() > deadline:
+                    break
+        taken = list(self._notifications)
+        self._notifications.clear()
+        if self._dropped:
+            taken.insert(0, Notification(DROPPED, {"number": self._dropped}, taken[0].time if taken else 0))
+            self._dropped = 0
+        return taken
+
+    def filenos(self) -> tuple[int, ...]:
+        """The descriptors of the channel, as long as it is open."""
+        return self._channel.filenos() if self._channel is not None else ()
+
+    def another(self) -> StreamUpperTester | None:
+        """A second connection; None for standard streams."""
+        return StreamUpperTester(self.name, self._connect, self._patience) if self._several else None
+
+    def close(self) -> None:
+        """End the connection."""
+        self._closed = True
+        self._drop()
+
+    # -- connecting --------------------------------------------------------------------------------------------
+
+    def reconnect(self) -> None:
+        """Open the channel, again after the implementation was restarted, and see who is there.
+
+        Raises ``UpperTesterError`` and ``UsageError``.
+        """
+        self._drop()
+        self._channel = self._connect(self._patience)
+        try:
+            self._ask_nonsense()
+            self._greet()
+        except UpperTesterError:
+            self._drop()
+            raise
+
+    def _ask_nonsense(self) -> None:
+        """Who answers anything with OK says nothing about methods that exist."""
+        method = f"UT-NoSuchMethod-{secrets.token_hex(4)}"
+        answer = self._call(method, {})
+        if answer.code != METHOD_NOT_FOUND:
+            raise UpperTesterError(
+                f"{self.name}: the method {method}, which does not exist, is answered with {answer} instead of error "
+                f"{METHOD_NOT_FOUND}; nothing that it says can be believed. See conformance/UPPER-TESTER.md, Errors"
+            )
+
+    def _greet(self) -> None:
+        answer = self._call("UT-Hello", {})
+        if not answer.ok:
+            raise UpperTesterError(f"{self.name}: UT-Hello is answered with {answer}; it must always succeed")
+        for member, kind in _HELLO.items():
+            if not isinstance(answer.result.get(member), kind):
+                what = "text" if kind is str else "a list of names"
+                raise UpperTesterError(f"{self.name}: the answer to UT-Hello has no {member}, which must be {what}")
+        methods = answer.result["methods"]
+        if not all(isinstance(each, str) for each in methods):
+            raise UpperTesterError(f"{self.name}: the answer to UT-Hello lists a method that is no text")
+        self.about = answer.result
+        self.methods = frozenset(methods)
+
+    def _drop(self) -> None:
+        old, self._channel = self._channel, None
+        self._given_up.clear()
+        if old is not None:
+            old.close()
+
+    # -- messages ----------------------------------------------------------------------------------------------
+
+    def _call(self, method: str, params: dict[str, Any]) -> Answer:
+        channel = self._channel
+        assert channel is not None
+        self._last_id += 1
+        deadline = time.monotonic() + self._patience
+        try:
+            channel.send(request_line(self._last_id, method, params), deadline)
+        except UpperTesterError:
+            self._drop()
+            raise
+        while True:
+            # Who talks without end does not get more time by that.
+            message = self._message(channel, deadline) if time.monotonic() < deadline else None
+            if message is None:
+                self._given_up.add(self._last_id)
+                raise UpperTesterError(
+                    f"{self.name}: {method} was not answered within {self._patience:g} s; does the implementation hang?"
+                )
+            if message.get("id") != self._last_id or "method" in message:
+                self._stray(message)
+                continue
+            try:
+                answer = answer_of(message)
+                _check_status(answer)
+            except UpperTesterError as error:
+                raise UpperTesterError(f"{self.name}: {method}: {error}") from None
+            return answer
+
+    def _message(self, channel: Channel, deadline: float) -> dict[str, Any] | None:
+        """The next message; None at the deadline. Raises ``UpperTesterError`` for what is none."""
+        try:
+            line = channel.line(deadline)
+        except UpperTesterError:
+            # Ended, or out of step for good.
+            self._drop()
+            raise
+        if line is None:
+            return None
+        try:
+            message = msgspec.json.decode(line)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            shown = printable(line[:200].decode(errors="replace"))
+            raise UpperTesterError(
+                f"{self.name}: sends a line that is not JSON ({error}): {shown}; only messages may stand on its output"
+            ) from None
+        if not isinstance(message, dict):
+            raise UpperTesterError(f"{self.name}: sends JSON that is no message: {_shown(message)}")
+        return message
+
+    def _stray(self, message: dict[str, Any]) -> None:
+        """Anything but the answer that is waited for: a notification, or the answer to what was given up."""
+        if "method" not in message:
+            number = message.get("id")
+            if isinstance(number, int) and number in self._given_up:
+                self._given_up.discard(number)
+                return
+            raise UpperTesterError(
+                f"{self.name}: answers with the id {_shown(number)}, which no request that waits has: {_shown(message)}"
+            )
+        try:
+            notification = notification_of(message, time.monotonic_ns())
+        except UpperTesterError as error:
+            raise UpperTesterError(f"{self.name}: {error}") from None
+        if len(self._notifications) >= MOST_NOTIFICATIONS:
+            self._notifications.popleft()
+            self._dropped += 1
+        self._notifications.append(notification)
+
+
+def _check_status(answer: Answer) -> None:
+    if answer.code is None and not known_status(answer.status):
+        raise UpperTesterError(
+            f"answers with the status {answer.status!r}, which the specification does not have; "
+            "see conformance/UPPER-TESTER.md, Values"
+        )
+
+
+def known_status(status: str) -> bool:
+    """Whether a status is spelt as in the specification, or with underscores instead of hyphens."""
+    if status.replace("_", "-") == "UT-STATUS-OK":
+        return True
+    for kind in (BPStatus, SRPStatus, VardisStatus):
+        try:
+            kind.parse(status)
+        except ValueError:
+            continue
+        return True
+    return False
+
+
+def _shown(value: Any) -> str:
+    text = msgspec.json.encode(value).decode()
+    return text if len(text) <= 200 else f"{text[:200]}..."
