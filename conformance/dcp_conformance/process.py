@@ -1,0 +1,253 @@
+"""The implementation as a process: started and restarted by commands, watched, and ended with all that it started."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import IO
+
+from .errors import ConformanceError, UsageError
+from .upper.channels import LastLines, end_group, ending, split
+
+#: Seconds that commands which stop or restart something may take.
+PATIENCE = 30.0
+#: Seconds in which a start command may end by itself if it only launches something.
+SETTLE = 0.5
+#: Seconds that a process has to end after SIGTERM.
+END_PATIENCE = 3.0
+#: Octets of output that are kept on disk; when there is more, it begins anew.
+_MOST_OUTPUT = 1024 * 1024
+_PR_SET_PDEATHSIG = 1
+
+
+class ProcessControl:
+    """Handles the implementation with what was given; all of it is optional.
+
+    * ``start``: a command that is the implementation, or launches it and ends with status 0 within ``SETTLE`` s.
+    * ``stop``: a command that stops it; without one the process of ``start`` gets SIGTERM, and SIGKILL after 3 s.
+    * ``restart``: a command that restarts it and ends; without one it is stopped and started.
+    * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a number used again is no mistake; the
+      file is read again after a restart.
+
+    Commands are run without a shell unless they use one (pipes, variables, ``&&``). Nothing is started here before
+    :meth:`start` is called.
+    """
+
+    def __init__(
+        self,
+        start: str | list[str] | None = None,
+        stop: str | None = None,
+        restart: str | None = None,
+        pid: int | None = None,
+        pidfile: str | Path | None = None,
+        *,
+        around: Callable[[], AbstractContextManager[object]] = contextlib.nullcontext,
+        ends_with_tester: bool = False,
+        settle: float = SETTLE,
+    ) -> None:
+        """``around`` is entered while a process is made; ``ends_with_tester``: not even SIGKILL leaves it behind.
+
+        Raises ``UsageError`` for commands that cannot be read and for a process that is not there.
+        """
+        self._start = split("--start", start) if isinstance(start, str) else start
+        self._stop = None if stop is None else split("--stop", stop)
+        self._restart = None if restart is None else split("--restart", restart)
+        self._pidfile = None if pidfile is None else Path(pidfile)
+        self._around = around
+        self._ends_with_tester = ends_with_tester
+        self._settle = settle
+        self.can_restart = self._restart is not None or self._start is not None
+        self.after_restart: list[Callable[[], None]] = []
+        """What is called after each restart: reconnecting of upper testers."""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._launched = False
+        self._output: IO[bytes] | None = None
+        self._watched: tuple[int, int] | None = None
+        self._why = ""
+        if pid is not None:
+            started = started_at(pid)
+            if started is None:
+                raise UsageError(f"--pid {pid}: there is no such process")
+            self._watched = (pid, started)
+        elif self._pidfile is not None and self._start is None:
+            self._watch_pidfile(0)
+            if self._watched is None:
+                raise UsageError(f"--pidfile {pidfile}: it names no process that runs")
+
+    # -- SutControl --------------------------------------------------------------------------------------------
+
+    def alive(self) -> bool | None:
+        """Whether the process runs; None if there is none to look at."""
+        if self._watched is not None:
+            pid, started = self._watched
+            if started_at(pid) != started:
+                self._why = self._why or f"process {pid} is gone"
+                return False
+            return True
+        if self._process is None or self._launched:
+            return None
+        self._trim()
+        status = self._process.poll()
+        if status is None:
+            return True
+        self._why = self._why or f"it ended with {ending(status)}{self._last_words()}"
+        return False
+
+    def why_dead(self) -> str:
+        """How the process ended, and the last lines that it said."""
+        return "" if self.alive() is not False else self._why
+
+    def restart(self) -> None:
+        """Restart it. Raises ``ConformanceError``: no command, or one that fails."""
+        if self._restart is not None:
+            self._run("--restart", self._restart)
+            self._watched = None
+        elif self._start is not None:
+            self._end()
+            self.start()
+        else:
+            raise ConformanceError("there is no command to restart the implementation (--restart, or --start)")
+        self._watch_pidfile(PATIENCE)
+        for each in self.after_restart:
+            each()
+
+    def close(self) -> None:
+        """End what was started here."""
+        if self._process is not None:
+            with contextlib.suppress(ConformanceError):
+                self._end()
+        if self._output is not None:
+            self._output.close()
+            self._output = None
+
+    # -- starting and ending -----------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start it for the first time, if there is a command to.
+
+        Raises ``UsageError`` if the command cannot be started, ``ConformanceError`` if it fails at once.
+        """
+        if self._start is None:
+            return
+        self._why, self._launched = "", False
+        if self._output is None:
+            self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
+        self._output.truncate(0)
+        # At its end, wherever that is after it was cut.
+        appending = os.open(f"/proc/self/fd/{self._output.fileno()}", os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
+        try:
+            with self._around():
+                self._process = subprocess.Popen(  # noqa: S603 - the command is the user's own
+                    self._start,
+                    stdin=subprocess.DEVNULL,
+                    stdout=appending,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                    preexec_fn=_ending_with_parent() if self._ends_with_tester else None,
+                )
+        except OSError as error:
+            raise UsageError(f"--start: {self._start[0]} cannot be started: {error.strerror or error}") from None
+        finally:
+            os.close(appending)
+        try:
+            status = self._process.wait(self._settle)
+        except subprocess.TimeoutExpired:
+            pass
+        else:
+            if status:
+                raise ConformanceError(f"--start: the command ended at once with {ending(status)}{self._last_words()}")
+            self._launched = True
+        self._watch_pidfile(PATIENCE)
+
+    def _end(self) -> None:
+        if self._stop is not None:
+            self._run("--stop", self._stop)
+        if self._process is not None:
+            end_group(self._process, patience=END_PATIENCE)
+            self._process = None
+        self._watched = None
+
+    def _run(self, name: str, words: list[str]) -> None:
+        """Run a command to its end. Raises ``ConformanceError`` if it fails or hangs."""
+        with tempfile.TemporaryFile() as output:
+            try:
+                with self._around():
+                    process = subprocess.Popen(  # noqa: S603 - the command is the user's own
+                        words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+                    )
+            except OSError as error:
+                raise UsageError(f"{name}: {words[0]} cannot be started: {error.strerror or error}") from None
+            try:
+                status = process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                raise ConformanceError(f"{name}: the command did not end within {PATIENCE:g} s") from None
+            finally:
+                # What it has started goes on; the command itself does not.
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+            if status:
+                raise ConformanceError(f"{name}: the command ended with {ending(status)}{_end_of(output)}")
+
+    # -- watching ----------------------------------------------------------------------------------------------
+
+    def _watch_pidfile(self, patience: float) -> None:
+        """Watch the process that the file names, as soon as it names one that runs."""
+        if self._pidfile is None:
+            return
+        deadline = time.monotonic() + patience
+        while True:
+            with contextlib.suppress(OSError, ValueError):
+                pid = int(self._pidfile.read_text().split()[0])
+                started = started_at(pid)
+                if started is not None:
+                    self._watched = (pid, started)
+                    return
+            if time.monotonic() >= deadline:
+                if patience:
+                    raise ConformanceError(
+                        f"--pidfile {self._pidfile}: it names no process that runs, after {patience:g} s"
+                    )
+                return
+            time.sleep(0.02)
+
+    def _last_words(self) -> str:
+        return "" if self._output is None else _end_of(self._output)
+
+    def _trim(self) -> None:
+        if self._output is not None and os.fstat(self._output.fileno()).st_size > _MOST_OUTPUT:
+            self._output.truncate(0)
+
+
+def started_at(pid: int) -> int | None:
+    """When a process began, in ticks since the machine did; None if there is none, or only what is left of it."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except (OSError, UnicodeDecodeError):
+        return None
+    # The name of the program, in parentheses, may hold anything.
+    fields = re.split(r"\s+", stat.rpartition(")")[2].strip())
+    return None if fields[0] in ("Z", "X") else int(fields[19])
+
+
+def _end_of(output: IO[bytes]) -> str:
+    """The last lines of a file as the end of a message."""
+    size = os.fstat(output.fileno()).st_size
+    lines = LastLines()
+    lines.take(os.pread(output.fileno(), 8192, max(0, size - 8192)))
+    return lines.shown()
+
+
+def _ending_with_parent() -> Callable[[], None]:
+    """For a new process: has the kernel end it when the tester ends, however that happens."""
+    libc = ctypes.CDLL(None)
+    return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,0 +1,182 @@
+"""Our node as a process of its own: on a virtual Ethernet where that is possible, otherwise over UDP multicast."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Literal
+
+from dcp_codec.codec import Codec
+from dcp_conformance.control import SutControl
+from dcp_conformance.errors import ConformanceError, LowerTesterError
+from dcp_conformance.lower import LowerTester, open_ethernet, open_udp
+from dcp_conformance.lower.udp import DEFAULT_GROUP
+from dcp_conformance.process import ProcessControl
+from dcp_conformance.upper import UpperTester, open_upper
+
+from .namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
+
+LinkKind = Literal["auto", "ethernet", "udp"]
+NODE_ID = b"\x02\x00\x00\x00\x00\x01"
+#: For profiles that name no EtherType: of the range that is for local experiments (IEEE 802).
+EXPERIMENTAL = 0x88B5
+#: Seconds that the node may take until it answers: Python on a busy machine.
+PATIENCE = 30.0
+
+
+class ReferenceProcess:
+    """A running node, with all that a session needs."""
+
+    def __init__(self, lower: LowerTester, upper: UpperTester, control: SutControl, about: str) -> None:
+        self.lower = lower
+        self.upper = upper
+        self.control = control
+        self.about = about
+        """Over what the tester and the node talk, and why, in one line for people."""
+
+
+@contextlib.contextmanager
+def reference_process(
+    codec: Codec,
+    *,
+    beacon_period_ms: float = 100,
+    link: LinkKind = "auto",
+    profile: str | None = None,
+    options: Sequence[str] = (),
+    patience: float = 5.0,
+) -> Iterator[ReferenceProcess]:
+    """Start our node, and end it with all that was made for it: also on Ctrl-C and SIGTERM.
+
+    ``link``: ``auto`` is Ethernet, with a fall-back to UDP whose reason stands in ``about``. ``profile`` is the name or
+    path of the profile, by default the name in ``codec``. ``options`` are further ones of ``dcp-node run``.
+    ``patience`` is what the upper tester has, in s.
+
+    Raises ``ConformanceError``: the node does not start (with its last words), or ``link="ethernet"`` is impossible.
+    """
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_ended_by_sigterm())
+        directory = Path(tempfile.mkdtemp(prefix="dcp-conformance-"))
+        stack.callback(shutil.rmtree, directory, ignore_errors=True)
+        lower, link_options, namespace, about = _open_link(codec, link, stack)
+        stack.callback(lower.close)
+        path = directory / "node.sock"
+        representation = codec.profile.types.node_id.representation
+        command = [
+            *(sys.executable, "-m", "dcp_stack.cli", "run", *link_options, "--control", str(path)),
+            *("--profile", profile or codec.profile.name, "--beacon-period", f"{beacon_period_ms:g}"),
+            *("--node-id", NODE_ID.hex(":") if representation != "hex" else NODE_ID.hex(), "--log-level", "warning"),
+            *options,
+        ]
+        control = _NodeControl(command, path, namespace)
+        stack.callback(control.close)
+        control.start()
+        upper = _first_contact(control, path, patience)
+        stack.callback(upper.close)
+        control.upper = upper
+        yield ReferenceProcess(lower, upper, control, about)
+
+
+class _NodeControl(ProcessControl):
+    """As for any process; a restart is over when the node answers again."""
+
+    def __init__(self, command: list[str], path: Path, namespace: Namespace | None) -> None:
+        around = contextlib.nullcontext if namespace is None else namespace.entered
+        super().__init__(start=command, around=around, ends_with_tester=True, settle=0)
+        self._path = path
+        self.upper: UpperTester | None = None
+        self.after_restart.append(self._reconnect)
+
+    def start(self) -> None:
+        """Start the node; a socket that is still there from a life before must not answer for the dead."""
+        self._path.unlink(missing_ok=True)
+        super().start()
+
+    def _reconnect(self) -> None:
+        wait_for(self, self._path)
+        reconnect = getattr(self.upper, "reconnect", None)
+        if reconnect is not None:
+            reconnect()
+
+
+def _first_contact(control: ProcessControl, path: Path, patience: float) -> UpperTester:
+    wait_for(control, path)
+    return open_upper(f"unix:{path}", patience)
+
+
+def wait_for(control: ProcessControl, path: Path) -> None:
+    """Wait until somebody listens on a Unix socket. Raises ``ConformanceError`` if the process ends before."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial, contextlib.suppress(OSError):
+            trial.connect(os.fspath(path))
+            return
+        if control.alive() is False:
+            raise ConformanceError(f"our node does not run: {control.why_dead()}")
+        if time.monotonic() > deadline:
+            raise ConformanceError(f"our node does not answer within {PATIENCE:g} s: is the machine that busy?")
+        time.sleep(0.01)
+
+
+def _open_link(
+    codec: Codec, kind: LinkKind, stack: contextlib.ExitStack
+) -> tuple[LowerTester, list[str], Namespace | None, str]:
+    """The tester's end, the node's options for the other end, where that is, and what to tell people."""
+    link = codec.profile.link
+    why = "as asked for"
+    if kind == "auto" and link.transport == "udp":
+        why = f"the profile {codec.profile.name} has no frames of its own on Ethernet"
+    elif kind != "udp":
+        try:
+            namespace = Namespace(NODE_ID)
+            stack.callback(namespace.close)
+            ether_type = link.ether_type or EXPERIMENTAL
+            with namespace.entered():
+                lower: LowerTester = open_ethernet(TESTER_INTERFACE, link, ether_type=ether_type)
+        except (NamespaceError, LowerTesterError) as error:
+            if kind == "ethernet":
+                raise ConformanceError(f"no virtual Ethernet for our node: {error}") from None
+            why = str(error)
+        else:
+            about = "virtual Ethernet, in a network namespace of its own"
+            return lower, ["--link", f"eth:{SUT_INTERFACE},type={ether_type:#06x}"], namespace, about
+    port = link.udp_port if link.transport == "udp" and link.udp_port else _free_port()
+    about = f"UDP multicast over the loopback interface ({why})"
+    return open_udp(DEFAULT_GROUP, port, link=link), ["--link", f"udp:{DEFAULT_GROUP}:{port}"], None, about
+
+
+def _free_port() -> int:
+    """A port that nobody has, so that runs beside this one are not heard."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        trial.bind(("127.0.0.1", 0))
+        port: int = trial.getsockname()[1]
+        return port
+
+
+@contextlib.contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM unwind the stack, unless somebody else takes care of it."""
+    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    if ours:
+        signal.signal(signal.SIGTERM, _terminated)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _terminated(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
+    raise SystemExit(128 + number)
+
+
+__all__ = ["LinkKind", "ReferenceProcess", "reference_process", "wait_for"]
