@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
 import selectors
 import socket
 import struct
@@ -11,7 +9,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
@@ -53,18 +50,6 @@ class Ear:
     def close(self) -> None:
         self._selector.close()
         self.link.close()
-
-
-@pytest.fixture
-def inside(namespace) -> Iterator:
-    """This thread is inside of the namespace."""
-    setns = ctypes.CDLL(None, use_errno=True).setns
-    with Path("/proc/thread-self/ns/net").open() as home, Path(f"/run/netns/{namespace.name}").open() as there:
-        assert setns(there.fileno(), 0) == 0, os.strerror(ctypes.get_errno())
-        try:
-            yield namespace
-        finally:
-            assert setns(home.fileno(), 0) == 0
 
 
 @pytest.fixture
@@ -348,3 +333,26 @@ except LinkError as error:
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     # Of this Python, with links resolved as far as that user may.
     assert "sudo setcap cap_net_raw+ep /" in said
+
+
+def test_two_links_on_one_interface_do_not_hear_each_other_but_a_third_hears_both(ear):
+    """Linux shows what goes out to sockets for all EtherTypes only; for nodes on one host there is macvlan."""
+    first, second = ear("near"), ear("near", source=bytes.fromhex("0200000000ff"))
+    other = ear("far")
+    assert first.link.send(b"of the first")
+    assert second.link.send(b"of the second")
+    assert sorted(other.hear(2)) == [b"of the first", b"of the second"]
+    assert first.hears_nothing()
+    assert second.hears_nothing()
+    assert (first.link.counters.ignored, second.link.counters.ignored) == (0, 0)
+
+
+def test_nodes_on_one_host_hear_each_other_over_macvlan_interfaces(ear, inside):
+    for name in ("one", "two"):
+        inside.ip("link", "add", name, "link", "near", "type", "macvlan", "mode", "bridge")
+        inside.ip("link", "set", name, "up")
+    first, second, other = ear("one"), ear("two"), ear("far")
+    assert first.link.send(b"hello")
+    assert second.hear() == [b"hello"]
+    assert other.hear() == [b"hello"]
+    assert first.hears_nothing()
