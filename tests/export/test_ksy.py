@@ -6,18 +6,16 @@ import fcntl
 import json
 import os
 import re
-import runpy
 import struct
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import pytest
 import yaml
-from dcp_spec.profile_loading import BUILTIN_PROFILES
 
 from dcp_codec import Codec, DecodeError, Field, get_codec, strategies
 from dcp_codec.capture import open_capture
@@ -25,9 +23,10 @@ from dcp_codec.export.ksy import kaitai_name, kaitai_struct
 from dcp_codec.frames import DissectedFrame, FrameDissector
 from dcp_codec.plan import Many, Text
 
+from .beacons import RECORDINGS, drawn, everything, malformed
+
 ROOT = Path(__file__).parent.parent.parent
 COMPILER = ROOT / "node_modules" / "kaitai-struct-compiler"
-harness = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("test_lua.py"))))
 
 #: Reads a .ksy as JSON, writes {file name: source}; the YAML itself is read by PyYAML.
 COMPILE = """
@@ -73,15 +72,6 @@ def compiled(codec: Codec, compiler: Path) -> Any:
     sys.modules[module.__name__] = module
     exec(compile(source, name, "exec"), module.__dict__)
     return getattr(module, "".join(word.capitalize() for word in module.__name__.split("_")))
-
-
-@pytest.fixture(scope="module", params=[*BUILTIN_PROFILES, *harness.ODD_PROFILES])
-def codec(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Codec:
-    if request.param not in harness.ODD_PROFILES:
-        return get_codec(request.param)
-    path = tmp_path_factory.mktemp("profiles") / f"{request.param}.toml"
-    path.write_text(harness.ODD_PROFILES[request.param], encoding="utf-8")
-    return Codec(path)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +142,7 @@ def refusal(codec: Codec, octets: bytes) -> str | None:
 
 
 @pytest.mark.tool("node", "npm")
-@pytest.mark.parametrize("recording", harness.RECORDINGS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.stem)
 def test_every_field_of_the_recordings_agrees(recording: Path, compiler: Path) -> None:
     codec = get_codec("cpp-1.3" if "v1.3" in recording.stem else "cpp-2.0")
     root_type, dissector, compared = compiled(codec, compiler), FrameDissector(codec), 0
@@ -168,8 +158,8 @@ def test_every_field_of_the_recordings_agrees(recording: Path, compiler: Path) -
 
 @pytest.mark.tool("node", "npm")
 def test_every_field_of_every_layout_agrees(codec: Codec, root_type: Any) -> None:
-    octets = codec.encode(harness.everything(codec))
-    for beacon in [octets, *harness.drawn(strategies.beacons(codec).map(codec.encode), 100)]:
+    octets = codec.encode(everything(codec))
+    for beacon in [octets, *drawn(strategies.beacons(codec).map(codec.encode), 100)]:
         root = root_type.from_bytes(beacon)
         assert compare(codec.dissect(beacon).root, root) >= len(codec.profile.bp.header)
 
@@ -177,8 +167,8 @@ def test_every_field_of_every_layout_agrees(codec: Codec, root_type: Any) -> Non
 @pytest.mark.tool("node", "npm")
 def test_octets_that_the_codec_refuses_are_refused(codec: Codec, root_type: Any) -> None:
     beacons = strategies.beacons(codec).map(codec.encode)
-    octets = codec.encode(harness.everything(codec))
-    wrong = [*harness.malformed(codec, octets), *harness.drawn(strategies.mutations(beacons, codec.dissect), 150)]
+    octets = codec.encode(everything(codec))
+    wrong = [*malformed(codec, octets), *drawn(strategies.mutations(beacons, codec.dissect), 150)]
     refused = 0
     for candidate in wrong:
         reason = refusal(codec, candidate)

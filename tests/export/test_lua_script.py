@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import runpy
 from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -14,15 +12,16 @@ from dcp_codec import Codec, get_codec
 from dcp_codec.export.lua import filter_name, wireshark_dissector
 from dcp_codec.export.lua_text import literal, quoted
 
-harness = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("test_lua.py"))))
+from .beacons import everything
+from .wireshark import compare, tshark, write
+
 needs_tshark = pytest.mark.tool("tshark")
 
 
 def show(codec: Codec, payload: bytes, tmp_path: Path, *arguments: str, link: Link | None = None) -> str:
     """What tshark prints about one beacon."""
-    capture = harness.write(tmp_path / "c.pcap", link or codec.profile.link, [payload])
-    output: str = harness.tshark(wireshark_dissector(codec), capture, *arguments)
-    return output
+    capture = write(tmp_path / "c.pcap", link or codec.profile.link, [payload])
+    return tshark(wireshark_dissector(codec), capture, *arguments)
 
 
 @pytest.fixture
@@ -32,7 +31,7 @@ def codec() -> Codec:
 
 @pytest.fixture
 def beacon(codec: Codec) -> bytes:
-    return codec.encode(harness.everything(codec))
+    return codec.encode(everything(codec))
 
 
 @needs_tshark
@@ -52,9 +51,9 @@ def test_the_comparison_notices_what_is_wrong_by_one(
     script = wireshark_dissector(codec)
     assert line in script
     payloads = [beacon + bytes(9), beacon[:-1]]
-    capture = harness.write(tmp_path / "c.pcap", codec.profile.link, payloads)
-    assert harness.compare(codec, script, capture)[1] == []
-    assert harness.compare(codec, script.replace(line, wrong), capture)[1] != []
+    capture = write(tmp_path / "c.pcap", codec.profile.link, payloads)
+    assert compare(codec, script, capture)[1] == []
+    assert compare(codec, script.replace(line, wrong), capture)[1] != []
 
 
 @needs_tshark
@@ -132,7 +131,7 @@ def test_beacons_in_datagrams_are_decoded_as_dcp(codec: Codec, beacon: bytes, tm
 @needs_tshark
 def test_the_destination_port_makes_a_datagram_a_beacon(tmp_path: Path) -> None:
     codec = get_codec("student-2024")
-    beacon = codec.encode(harness.everything(codec))
+    beacon = codec.encode(everything(codec))
     assert "VarDis [CREATE-VARIABLES 2" in show(codec, beacon, tmp_path)
     # The harness sends from port 5950.
     assert "DCP" not in show(codec, beacon, tmp_path, link=Link(transport="udp", udp_port=6000))
@@ -147,9 +146,7 @@ def test_names_and_titles_of_a_profile_are_no_lua(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     codec = Codec(path)
-    tree = show(
-        codec, codec.encode(harness.everything(codec)), tmp_path, "-V", "-Y", "dcp.payloads.srp.sData.local == 1"
-    )
+    tree = show(codec, codec.encode(everything(codec)), tmp_path, "-V", "-Y", "dcp.payloads.srp.sData.local == 1")
     assert "end: 0 µm" in tree
 
 
