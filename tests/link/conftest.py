@@ -6,6 +6,7 @@ where all tools are promised (DCP_REQUIRE_TOOLS=1).
 
 from __future__ import annotations
 
+import ctypes
 import itertools
 import os
 import queue
@@ -14,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -136,3 +138,15 @@ def namespace() -> Iterator[Namespace]:
         yield made
     finally:
         made.end()
+
+
+@pytest.fixture
+def inside(namespace: Namespace) -> Iterator[Namespace]:
+    """This thread is inside of the namespace."""
+    setns = ctypes.CDLL(None, use_errno=True).setns
+    with Path("/proc/thread-self/ns/net").open() as home, Path(f"/run/netns/{namespace.name}").open() as there:
+        assert setns(there.fileno(), 0) == 0, os.strerror(ctypes.get_errno())
+        try:
+            yield namespace
+        finally:
+            assert setns(home.fileno(), 0) == 0

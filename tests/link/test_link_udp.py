@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import select
 import socket
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
@@ -124,20 +122,14 @@ def test_a_port_that_somebody_has_for_himself(udp):
 
 
 @pytest.fixture
-def inside(namespace) -> Iterator:
+def addressed(inside):
     """This thread is inside of the namespace, where ``near`` has an address."""
-    setns = ctypes.CDLL(None, use_errno=True).setns
-    with Path("/proc/thread-self/ns/net").open() as home, Path(f"/run/netns/{namespace.name}").open() as there:
-        assert setns(there.fileno(), 0) == 0, os.strerror(ctypes.get_errno())
-        try:
-            namespace.ip("address", "add", "192.0.2.1/24", "dev", "near")
-            yield namespace
-        finally:
-            assert setns(home.fileno(), 0) == 0
+    inside.ip("address", "add", "192.0.2.1/24", "dev", "near")
+    return inside
 
 
 @pytest.mark.tool("ip")
-def test_addresses_are_not_for_any_interface(inside, udp):
+def test_addresses_are_not_for_any_interface(addressed, udp):
     near = udp(GROUP, PORT, "192.0.2.1")
     assert near.max_packet_size == 1472
     with pytest.raises(LinkError, match=r"no interface has the address 192\.0\.2\.9"):
@@ -146,7 +138,7 @@ def test_addresses_are_not_for_any_interface(inside, udp):
 
 @pytest.mark.tool("ip")
 @pytest.mark.parametrize("what", ["interface", "address", "switch"])
-def test_an_interface_that_went_away_is_heard_again(inside, udp, what):
+def test_an_interface_that_went_away_is_heard_again(addressed, udp, what):
     one, two = udp(GROUP, PORT, "192.0.2.1"), udp(GROUP, PORT, "192.0.2.1")
     descriptors = one.fileno(), two.fileno()
     one.send(b"before")
@@ -156,17 +148,17 @@ def test_an_interface_that_went_away_is_heard_again(inside, udp, what):
         "address": ("address", "delete", "192.0.2.1/24", "dev", "near"),
         "switch": ("link", "set", "near", "down"),
     }[what]
-    inside.ip(*gone)
+    addressed.ip(*gone)
     assert hear(one, 1, 0.1) == hear(two, 1, 0.1) == []
     assert not one.send(b"to nobody")
     assert not two.send(b"to nobody")
     if what == "interface":
-        inside.cable()
+        addressed.cable()
     if what == "switch":
-        inside.ip("link", "set", "near", "up")
-        inside.wait_for_carrier()
+        addressed.ip("link", "set", "near", "up")
+        addressed.wait_for_carrier()
     else:
-        inside.ip("address", "add", "192.0.2.1/24", "dev", "near")
+        addressed.ip("address", "add", "192.0.2.1/24", "dev", "near")
     # Woken by their descriptors alone.
     hear(one, 1, 0.2)
     hear(two, 1, 0.2)
