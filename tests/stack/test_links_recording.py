@@ -116,6 +116,27 @@ def test_what_was_seen_can_be_read_after_a_second_without_an_end(tmp_path, codec
     recorder.close()
 
 
+def test_a_long_recording_has_fewer_chunks_than_seconds(tmp_path, codec, beacons):
+    """The index of chunks stays in memory until the end."""
+    now = 0
+    recorder = Recorder(tmp_path / "a.mcap", codec, decoded=False, clock=lambda: now)
+    chunks: list[int] = []
+    for _ in range(4):
+        before, size = 0, (tmp_path / "a.mcap").stat().st_size
+        for _ in range(3600):
+            now += FLUSH_INTERVAL
+            recorder.saw(beacons[0], now, outgoing=True, source=MAC)
+            recorder.tick()
+            before, size = before + ((tmp_path / "a.mcap").stat().st_size != size), (tmp_path / "a.mcap").stat().st_size
+        chunks.append(before)
+    recorder.close()
+    # Each second for half an hour, and at the end of the fourth hour every eighth.
+    assert 1800 <= chunks[0] < 3600
+    assert chunks[1] < 1800
+    assert 3600 / 9 <= chunks[3] < 3600 / 5
+    assert len(frames_of(tmp_path / "a.mcap")) == 4 * 3600
+
+
 def test_the_link_flushes_by_being_used(tmp_path, codec, beacons):
     now = 0
     medium = Medium(1)

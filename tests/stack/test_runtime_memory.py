@@ -1,0 +1,23 @@
+"""What a node does about its memory."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+
+
+def test_what_lives_is_left_alone_and_goes_on_living():
+    """In a process of its own: the collector is frozen, and pages move."""
+    program = (
+        "import gc, random\n"
+        "from dcp_stack.runtime.memory import settle\n"
+        "kept = [random.Random(n).randbytes(100) for n in range(60000)]\n"
+        "settle()\n"
+        "assert gc.get_freeze_count() > 1000\n"
+        "assert kept == [random.Random(n).randbytes(100) for n in range(60000)]\n"
+        "print('well')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("well\n", "")
+    assert gc.get_freeze_count() == 0
