@@ -1,0 +1,180 @@
+"""Networks: several hops, with the implementation in the middle.
+
+One peer speaks, another one only hears what the implementation passes on, or echoes it.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarDelete, VardisRecord, VarUpdate
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import case
+from dcp_conformance.heard import Instruction
+
+_CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
+
+
+def _check_unchanged(bench: Bench, found: list[Instruction], wanted: VardisRecord, *requirements: str) -> None:
+    """Whether records are, octet by octet, as they were sent."""
+    octets = bench.forge.container(wanted)
+    wrong = [each for each in found if bench.forge.container(each.record) != octets]
+    text = f"{wrong[0].record}" if wrong else ""
+    bench.check(not wrong, f"the octets of {wanted}", text, *requirements, frames=wrong[:4])
+
+
+@case(
+    "TC_NET_HOP_BV_01",
+    "A create, an update and a delete pass through unchanged, in as many beacons as the repCnt says ({variant})",
+    requirements="VD-SCP-02 VD-TYP-06 VD-PC-10 VD-PU-07 VD-PD-04",
+    stimulus="a peer creates a variable with repetition count {variant}, updates and deletes it",
+    expect="each of the three in exactly repCnt distinct beacons, octet by octet as it was sent",
+    window=60,
+    variants={"1": 1, "2": 2, "5": 5, "max": 255},
+)
+def passes_through(bench: Bench, wanted: int) -> None:
+    count = bench.rep_cnt(wanted)
+    peer, producer, name = bench.peer(), bench.node_id(), bench.var_id()
+    create = peer.create(name, rep_cnt=count, producer=producer, descr=b"a far one", value=b"\x00\xff\x80", seqno=200)
+    steps = (
+        (_CREATE, create, ("VD-TYP-06", "VD-PC-10")),
+        (_UPDATE, VarUpdate(name, 201, b"another length"), ("VD-PU-07",)),
+        (_DELETE, VarDelete(name), ("VD-PD-04",)),
+    )
+    for kind, record, requirements in steps:
+        mark = bench.mark()
+        peer.send(record)
+        found = bench.check_repeated(kind, name, count, mark, "VD-SCP-02")
+        _check_unchanged(bench, found, record, *requirements)
+
+
+@case(
+    "TC_NET_HOP_BV_02",
+    "What comes back from the next hop is not passed on again",
+    requirements="VD-SCP-03",
+    stimulus="a peer creates, updates and deletes a variable; another echoes each record as often as it is passed on",
+    expect="each of the three in exactly repCnt beacons, however often it is echoed",
+    window=60,
+)
+def no_echo(bench: Bench) -> None:
+    source, echo = bench.peer(), bench.peer()
+    name, count = bench.var_id(), bench.rep_cnt(2)
+    for kind, record in (
+        (_CREATE, source.create(name, rep_cnt=count)),
+        (_UPDATE, source.update(name, 1)),
+        (_DELETE, source.delete(name)),
+    ):
+        mark = bench.mark()
+        source.send(record)
+        for _ in range(count):
+            if bench.until_instruction(kind, name) is None:
+                break
+            echo.send(record)
+        echo.send(record, record)
+        echo.send(record)
+        bench.check_repeated(kind, name, count, mark)
+
+
+@case(
+    "TC_NET_HOP_BV_03",
+    "The producer's own repetitions do not restart those of the implementation",
+    requirements="VD-SCP-03 VD-SCP-02",
+    stimulus="a peer sends VarCreate and VarUpdate in as many beacons as the repCnt says, one per beacon period",
+    expect="both in exactly repCnt beacons of the implementation",
+    window=40,
+)
+def repetitions_of_the_producer(bench: Bench) -> None:
+    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(4)
+    for kind, record in ((_CREATE, source.create(name, rep_cnt=count)), (_UPDATE, source.update(name, 1))):
+        mark = bench.mark()
+        for _ in range(count):
+            source.send(record)
+            bench.wait(1)
+        bench.check_repeated(kind, name, count, mark)
+
+
+@case(
+    "TC_NET_HOP_BI_01",
+    "Nothing of single-hop scope passes through: a {variant}",
+    requirements="VD-SCP-01",
+    stimulus="a {variant} about a variable that the implementation knows, with the number that it has",
+    expect="no such record in its beacons but what it says on its own account",
+    window=10,
+    variants={
+        "summary": ICType.SUMMARIES,
+        "request-for-update": ICType.REQUEST_VARUPDATES,
+        "request-for-create": ICType.REQUEST_VARCREATES,
+    },
+)
+def single_hop(bench: Bench, kind: ICType) -> None:
+    peer, name = bench.peer(), bench.var_id()
+    bench.learn(peer, peer.create(name, seqno=4))
+    mark = bench.mark()
+    if kind is ICType.SUMMARIES:
+        # A summary of its own has number 4, too: one with an older number would be a copy.
+        peer.send(peer.summary(name, 3))
+    elif kind is ICType.REQUEST_VARUPDATES:
+        peer.send(peer.request_update(name, 4))
+    else:
+        peer.send(peer.request_create(name))
+    bench.require_alive("it")
+    bench.beacons(3)
+    found = bench.instructions(kind, name, mark)
+    if kind is ICType.SUMMARIES:
+        found = [each for each in found if each.record.seqno != 4]
+    bench.check(not found, "no copy of it", f"{len(found)}", frames=found[:4])
+
+
+@case(
+    "TC_NET_HOP_BV_04",
+    "A chain of updates passes through in order, however they arrive in beacons ({variant})",
+    requirements="VD-PU-07 VD-RX-09",
+    stimulus="VarUpdates 1 to 6 of a variable: {variant}",
+    expect="numbers that never go back, and number 6 in exactly repCnt beacons",
+    window=30,
+    variants={"one-payload": "one", "six-beacons": "burst", "one-per-period": "paced"},
+)
+def chain(bench: Bench, how: str) -> None:
+    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    bench.learn(peer, peer.create(name, rep_cnt=count))
+    mark = bench.mark()
+    updates = [peer.update(name, number, bytes((number,))) for number in range(1, 7)]
+    if how == "one":
+        peer.send(*updates)
+    for each in updates if how != "one" else ():
+        peer.send(each)
+        bench.wait(1 if how == "paced" else 0)
+    found = bench.repeated(_UPDATE, name, mark)
+    numbers = [each.record.seqno for each in found]
+    bench.check(numbers == sorted(numbers), "numbers that never go back", f"{numbers}", "VD-RX-09", frames=found)
+    last = numbers.count(6)
+    bench.check(last == count, f"number 6 in exactly {count} beacons", f"{numbers}", "VD-PU-07", frames=found[-4:])
+    wrong = [each for each in found if each.record.value != bytes((each.record.seqno,))]
+    bench.check(not wrong, "each number with its own value", f"{len(wrong)} with another", "VD-PU-07", frames=wrong)
+
+
+@case(
+    "TC_NET_HOP_BV_05",
+    "A life of a variable passes through: created, updated, deleted, created again",
+    requirements="VD-PC-09 VD-PU-07 VD-PD-04 VD-PC-10",
+    stimulus="a peer creates a variable, updates it, deletes it and creates it anew, each when the step before is done",
+    expect="each of the four in exactly repCnt beacons, unchanged",
+    window=60,
+    smoke=True,
+)
+def whole_life(bench: Bench) -> None:
+    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    steps = (
+        (_CREATE, lambda: peer.create(name, value=b"first", rep_cnt=count), "VD-PC-09"),
+        (_UPDATE, lambda: peer.update(name, 1, b"second"), "VD-PU-07"),
+        (_DELETE, lambda: peer.delete(name), "VD-PD-04"),
+        # The second life begins with number 0 again.
+        (_CREATE, lambda: peer.create(name, value=b"third", rep_cnt=count), "VD-PC-10"),
+        (_UPDATE, lambda: peer.update(name, 1, b"fourth"), "VD-PU-07"),
+    )
+    for kind, make, requirement in steps:
+        record = make()
+        mark = bench.mark()
+        peer.send(record)
+        found = bench.check_repeated(kind, name, count, mark, requirement)
+        _check_unchanged(bench, found, record, requirement)

@@ -1,0 +1,265 @@
+"""Networks: joining late, and teaching those who did.
+
+Peers behave as nodes would: they ask for what they hear of and do not know, and answer what they are asked.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate, VarUpdate
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.heard import Heard
+from dcp_conformance.peers import Peer
+
+from .vardis_summaries import summarises
+
+_CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
+_ASK_UPDATE, _ASK_CREATE = ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
+_SUMMARIES = Needs(when=summarises)
+
+
+@case(
+    "TC_NET_JOIN_BV_01",
+    "A late joiner learns of a variable by a {variant}, asks for it, and knows it after the answer",
+    requirements="VD-PS-01 VD-PU-01 VD-CMP-12 VD-PC-07 VD-PC-09",
+    stimulus="a {variant} of an unknown variable; the request is answered with its VarCreate",
+    expect="one request; then the VarCreate in exactly repCnt beacons, and summaries with the number of the answer",
+    window=16,
+    variants={"summary": _SUMMARY, "update": _UPDATE},
+    smoke=True,
+)
+def learns(bench: Bench, by: ICType) -> None:
+    peer, name, count = bench.peer(), bench.unknown_id(), bench.rep_cnt(2)
+    mark = bench.mark()
+    peer.send(peer.summary(name, 6) if by is _SUMMARY else peer.update(name, 6))
+    asked = bench.until_instruction(_ASK_CREATE, name)
+    requirement = "VD-PS-01" if by is _SUMMARY else "VD-PU-01"
+    bench.require(asked, "a request for the unknown variable", "none", requirement)
+    create = peer.create(name, seqno=6, value=b"six", rep_cnt=count)
+    peer.send(create)
+    found = bench.check_repeated(_CREATE, name, count, mark, "VD-PC-09")
+    _check_content(bench, [each.record for each in found], create)
+    bench.check_repeated(_ASK_CREATE, name, 1, mark, "VD-CMP-12")
+    _check_summarised(bench, name, 6)
+
+
+def _check_content(bench: Bench, records: list[VarCreate], create: VarCreate) -> None:
+    other = next((each for each in records if each != create), None)
+    bench.check(other is None, f"the VarCreate as it was sent: {create}", f"{other}", "VD-PC-07")
+
+
+def _check_summarised(bench: Bench, name: int, number: int) -> None:
+    if summarises(bench):
+        return
+    found = bench.until_instruction(_SUMMARY, name, 12)
+    bench.check(found is not None, f"summaries of variable {name}", "none in 12 periods", "VD-PC-09")
+    if found is not None:
+        bench.check(found.seqno == number, f"a summary with number {number}", f"{found.seqno}", "VD-PC-07")
+
+
+@case(
+    "TC_NET_JOIN_BV_02",
+    "Who has missed updates learns of them by a summary, asks with what it has, and catches up",
+    requirements="VD-PS-04 VD-CMP-11 VD-PU-07",
+    stimulus="a variable is known with number 2; a summary says 7; the request is answered with VarUpdate 7",
+    expect="one request with number 2, then VarUpdate 7 in exactly repCnt beacons",
+    window=16,
+)
+def catches_up(bench: Bench) -> None:
+    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    bench.learn(peer, peer.create(name, seqno=2, rep_cnt=count))
+    mark = bench.mark()
+    peer.send(peer.summary(name, 7))
+    asked = bench.until_instruction(_ASK_UPDATE, name)
+    if asked is None:
+        bench.fail("a request for the newer value", "none", "VD-PS-04")
+    bench.check(asked.seqno == 2, "the number that it has, 2", f"{asked.seqno}", "VD-CMP-11")
+    peer.send(peer.update(name, 7, b"seven"))
+    found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
+    wrong = [each for each in found if each.record != VarUpdate(name, 7, b"seven")]
+    text = f"{wrong[0].record}" if wrong else ""
+    bench.check(not wrong, "the VarUpdate as it was sent", text, "VD-PU-07", frames=wrong)
+    bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
+
+
+@case(
+    "TC_NET_JOIN_BV_03",
+    "A late joiner that asks for a variable is taught, by a consumer too",
+    requirements="VD-RC-03 VD-CMP-07",
+    stimulus="a variable is learnt from its producer and updated; another peer requests its VarCreate",
+    expect="the VarCreate with current value and number in exactly repCnt beacons",
+    window=20,
+    smoke=True,
+)
+def teaches_create(bench: Bench) -> None:
+    producer, joiner = bench.peer(), bench.peer()
+    name, count = bench.var_id(), bench.rep_cnt(3)
+    create = producer.create(name, value=b"old", seqno=1, rep_cnt=count)
+    bench.learn(producer, create)
+    mark = bench.mark()
+    producer.send(producer.update(name, 2, b"new"))
+    bench.repeated(_UPDATE, name, mark)
+    mark = bench.mark()
+    joiner.send(joiner.request_create(name))
+    found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
+    wanted = VarCreate(create.spec, VarUpdate(name, 2, b"new"))
+    wrong = [each for each in found if each.record != wanted]
+    text = f"{wrong[0].record}" if wrong else ""
+    bench.check(not wrong, f"{wanted}", text, "VD-CMP-07", frames=wrong)
+
+
+@case(
+    "TC_NET_JOIN_BV_04",
+    "Who asks for a newer value gets it, from a consumer too",
+    requirements="VD-RU-04",
+    stimulus="a variable is learnt with number 5; a peer requests an update and says it has 4",
+    expect="VarUpdate 5 in exactly repCnt beacons",
+    window=12,
+)
+def teaches_update(bench: Bench) -> None:
+    producer, stale = bench.peer(), bench.peer()
+    name, count = bench.var_id(), bench.rep_cnt(3)
+    bench.learn(producer, producer.create(name, value=b"five", seqno=5, rep_cnt=count))
+    mark = bench.mark()
+    stale.send(stale.request_update(name, 4))
+    found = bench.check_repeated(_UPDATE, name, count, mark)
+    wrong = [each for each in found if each.record != VarUpdate(name, 5, b"five")]
+    text = f"{wrong[0].record}" if wrong else ""
+    bench.check(not wrong, "the value that it has, with number 5", text, frames=wrong)
+
+
+@case(
+    "TC_NET_JOIN_BV_05",
+    "A stale peer is taught when it shows itself by a {variant}",
+    requirements="VD-PS-03 VD-PU-06",
+    stimulus="a variable is learnt with number 9; another peer sends a {variant} with number 8, then a summary with 9",
+    expect="VarUpdate 9 in exactly repCnt beacons, and nothing more once the peer has caught up",
+    window=20,
+    variants={"summary": _SUMMARY, "update": _UPDATE},
+)
+def teaches_stale(bench: Bench, by: ICType) -> None:
+    requirement = "VD-PS-03" if by is _SUMMARY else "VD-PU-06"
+    producer, stale = bench.peer(), bench.peer()
+    name, count = bench.var_id(), bench.rep_cnt(3)
+    bench.learn(producer, producer.create(name, value=b"nine", seqno=9, rep_cnt=count))
+    mark = bench.mark()
+    stale.send(stale.summary(name, 8) if by is _SUMMARY else stale.update(name, 8, b"eight"))
+    found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
+    wrong = [each for each in found if each.record != VarUpdate(name, 9, b"nine")]
+    text = f"{wrong[0].record}" if wrong else ""
+    bench.check(not wrong, "the newer value with number 9", text, requirement, frames=wrong)
+    mark = bench.mark()
+    stale.send(stale.summary(name, 9))
+    bench.require_alive("a summary with the stored number", requirement)
+    late = bench.instructions(_UPDATE, name, mark)
+    bench.check(not late, "silence once the peer has caught up", f"{len(late)} VarUpdates", requirement, frames=late)
+
+
+class _Joiner:
+    """A station that knows nothing and asks for what it hears of, as a node would."""
+
+    def __init__(self, peer: Peer, names: list[int]) -> None:
+        self.peer = peer
+        self.names = set(names)
+        self.values: dict[int, tuple[int, bytes]] = {}
+
+    def react(self, heard: Heard) -> None:
+        """Take in what a beacon says, and ask for what is missing."""
+        for each in heard.instructions(_CREATE):
+            if each.var_id in self.names:
+                self.values[each.var_id] = (each.record.upd.seqno, each.record.upd.value)
+        for each in heard.instructions(_UPDATE):
+            if each.var_id in self.values:
+                self.values[each.var_id] = (each.record.seqno, each.record.value)
+        summaries = [each.record for each in heard.instructions(_SUMMARY) if each.var_id in self.names]
+        unknown = [each.var_id for each in summaries if each.var_id not in self.values]
+        stale = [each for each in summaries if each.var_id in self.values and self.values[each.var_id][0] != each.seqno]
+        asks = [self.peer.request_create(each) for each in unknown]
+        updates = [self.peer.request_update(each.var_id, self.values[each.var_id][0]) for each in stale]
+        if asks or updates:
+            self.peer.send(*asks, *updates)
+
+
+@case(
+    "TC_NET_JOIN_BV_06",
+    "A late joiner that follows the protocol ends up with all variables and their current values",
+    requirements="VD-RC-03 VD-RU-04 VD-CMP-03 VD-CMP-04",
+    stimulus="eight variables, some updated, are known; then a peer joins that asks for what the summaries name;"
+    " later some are updated again while it does not listen",
+    expect="the joiner has all eight with current values; after the second round of updates again",
+    window=60,
+    needs=_SUMMARIES,
+)
+def converges(bench: Bench) -> None:
+    producer, names = bench.peer(), bench.var_ids(8)
+    bench.learn(producer, *(producer.create(each, value=b"0") for each in names))
+    truth = dict.fromkeys(names, (0, b"0"))
+    joiner = _Joiner(bench.peer(), names)
+
+    def caught_up(heard: Heard) -> bool:
+        joiner.react(heard)
+        return joiner.values == truth
+
+    for turn in (1, 2):
+        mark = bench.mark()
+        for name in names[turn::2]:
+            truth[name] = (turn, b"turn %d" % turn)
+            producer.send(producer.update(name, *truth[name]))
+        bench.repeated(_UPDATE, names[turn], mark)
+        converged = bench.until(caught_up, 60)
+        wrong = sorted(each for each in names if joiner.values.get(each) != truth[each])
+        bench.require(converged, "the joiner knows all that the node knows", f"after 60 periods not {wrong}")
+
+
+@case(
+    "TC_NET_JOIN_BO_01",
+    "An unanswered request is made again when the variable is named again ({variant})",
+    requirements="VD-PS-01 VD-PS-04 VD-CMP-11 VD-CMP-12",
+    stimulus="the same summary three times, each when the request for the one before has been heard and not answered",
+    expect="one request for each summary, none in between",
+    window=20,
+    variants={"unknown": _ASK_CREATE, "outdated": _ASK_UPDATE},
+)
+def asks_again(bench: Bench, kind: ICType) -> None:
+    peer = bench.peer()
+    rule, once = ("VD-PS-01", "VD-CMP-12") if kind is _ASK_CREATE else ("VD-PS-04", "VD-CMP-11")
+    name = bench.unknown_id() if kind is _ASK_CREATE else bench.var_id()
+    if kind is _ASK_UPDATE:
+        bench.learn(peer, peer.create(name))
+    for _ in range(3):
+        mark = bench.mark()
+        peer.send(peer.summary(name, 1))
+        bench.require(bench.until_instruction(kind, name), "a request", "none", rule)
+        bench.check_repeated(kind, name, 1, mark, once)
+
+
+@case(
+    "TC_NET_JOIN_BV_07",
+    "A joiner is taught by the producer itself",
+    requirements="VD-RC-03 VD-RU-04 VD-CMP-07",
+    stimulus="the application creates a variable and updates it; a peer requests its VarCreate, another an update",
+    expect="VarCreate and VarUpdate with the current value and number in exactly repCnt beacons each",
+    window=24,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
+)
+def taught_by_producer(bench: Bench) -> None:
+    name, count, own = bench.var_id(), bench.rep_cnt(3), bench.sut_id.hex(":")
+    extra = {"timeout": 0} if bench.features.creation_time else {}
+    bench.must("RTDB-Create", varId=name, repCnt=count, descr="own", value="00", prodId=own, **extra)
+    bench.until_instruction(_CREATE, name)
+    bench.repeated(_CREATE, name, 0)
+    mark = bench.mark()
+    bench.must("RTDB-Update", varId=name, value="0102")
+    bench.repeated(_UPDATE, name, mark)
+    joiner, stale = bench.peer(), bench.peer()
+    mark = bench.mark()
+    joiner.send(joiner.request_create(name))
+    found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
+    wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, b"\x01\x02")]
+    text = f"{wrong[0].record.upd}" if wrong else ""
+    bench.check(not wrong, "the current value with number 1", text, "VD-CMP-07", frames=wrong)
+    mark = bench.mark()
+    stale.send(stale.request_update(name, 0))
+    bench.check_repeated(_UPDATE, name, count, mark, "VD-RU-04")
