@@ -1,0 +1,250 @@
+"""Networks: many neighbours, storms of requests, beacons twice or out of order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VardisRecord
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import case
+from dcp_conformance.peers import Peer
+
+from .network_conflicts import held
+from .vardis_summaries import summarises
+
+_CREATE, _UPDATE, _DELETE, _SUMMARY = (
+    ICType.CREATE_VARIABLES,
+    ICType.UPDATES,
+    ICType.DELETE_VARIABLES,
+    ICType.SUMMARIES,
+)
+
+
+@case(
+    "TC_NET_CROWD_BV_01",
+    "Thirty neighbours with three variables each: every variable is passed on, and all are summarised",
+    requirements="VD-PC-09 VD-CMP-03 VD-SCP-02",
+    stimulus="30 peers create three variables each, and summarise them, within one beacon period",
+    expect="a VarCreate of each of the 90 in exactly one beacon; every one of them in the summaries in turn",
+    window=30,
+)
+def many_variables(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(30)]
+    names = {peer: bench.var_ids(3) for peer in peers}
+    everything = {each for mine in names.values() for each in mine}
+    mark = bench.mark()
+    for peer, mine in names.items():
+        creates = [peer.create(each, value=b"%d" % each, descr=b"crowd") for each in mine]
+        peer.send(*creates, *(peer.summary(each, 0) for each in mine))
+    bench.until_quiet(lambda heard: heard.instructions(_CREATE), since=mark)
+    found = [each for each in bench.instructions(_CREATE, since=mark) if each.var_id in everything]
+    passed = [each.var_id for each in found]
+    missing = sorted(everything - set(passed))
+    bench.check(not missing, f"all {len(everything)} variables are passed on", f"not {missing[:8]}", "VD-PC-09")
+    twice = sorted({each for each in passed if passed.count(each) > 1})
+    bench.check(not twice, "each in exactly one beacon", f"more of {twice[:8]}", "VD-SCP-02")
+    wrong = [each for each in found if each.record.upd.value != b"%d" % each.var_id]
+    bench.check(not wrong, "each with its own value", f"{len(wrong)} with another", "VD-PC-09", frames=wrong[:4])
+    if summarises(bench):
+        return
+    start = bench.mark()
+    most = bench.parameter("VARDISPAR_MAX_SUMMARIES")
+
+    def complete(_: object) -> bool:
+        return {each.var_id for each in bench.instructions(_SUMMARY, since=start)} >= everything
+
+    bench.until(complete, 4 + 2 * len(everything) / most)
+    left = sorted(everything - {each.var_id for each in bench.instructions(_SUMMARY, since=start)})
+    bench.check(not left, "all of them are summarised in turn", f"not {left[:8]}", "VD-CMP-03")
+
+
+@case(
+    "TC_NET_CROWD_BV_02",
+    "Thirty neighbours that update their variables in every period are kept up with",
+    requirements="VD-PU-07 VD-SCP-02",
+    stimulus="30 peers with a variable each send a VarUpdate in each of five beacon periods",
+    expect="the last number of each variable is passed on, numbers never go back, and no VarUpdate 5 is missing",
+    window=40,
+)
+def many_updates(bench: Bench) -> None:
+    peers = {peer: bench.var_id() for peer in [bench.peer() for _ in range(30)]}
+    for peer, name in peers.items():
+        peer.send(peer.create(name, value=b"v"))
+    bench.until_quiet(lambda heard: heard.instructions(_CREATE), since=0)
+    mark = bench.mark()
+    for number in range(1, 6):
+        for peer, name in peers.items():
+            peer.send(peer.update(name, number, b"%d" % number))
+        bench.wait(1)
+    bench.until_quiet(lambda heard: heard.instructions(_UPDATE), since=mark)
+    behind, back, twice = [], [], []
+    for name in peers.values():
+        numbers = [each.record.seqno for each in bench.instructions(_UPDATE, name, mark)]
+        if not numbers or numbers[-1] != 5:
+            behind.append(name)
+        if numbers != sorted(numbers):
+            back.append(name)
+        if len(numbers) != len(set(numbers)):
+            twice.append(name)
+    bench.check(not behind, "the last VarUpdate of each variable", f"not of {behind[:8]}", "VD-PU-07")
+    bench.check(not back, "numbers that never go back", f"they do for {back[:8]}", "VD-PU-07")
+    bench.check(not twice, "each number in one beacon (repCnt 1)", f"more for {twice[:8]}", "VD-SCP-02")
+
+
+def _ask_create(peer: Peer, name: int) -> VardisRecord:
+    return peer.request_create(name)
+
+
+def _ask_update(peer: Peer, name: int) -> VardisRecord:
+    return peer.request_update(name, 4)
+
+
+def _old_summary(peer: Peer, name: int) -> VardisRecord:
+    return peer.summary(name, 4)
+
+
+def _old_update(peer: Peer, name: int) -> VardisRecord:
+    return peer.update(name, 4, b"old")
+
+
+@case(
+    "TC_NET_STORM_BV_01",
+    "The same {variant} from ten neighbours at once is answered repCnt times, not ten times as often",
+    requirements="VD-RC-03 VD-RU-04 VD-PS-03 VD-PU-06",
+    stimulus="ten peers send the same {variant} within one beacon period",
+    expect="the answer in exactly repCnt beacons; in one more if a payload was composed in the middle of it",
+    window=24,
+    variants={
+        "request-for-create": (_ask_create, _CREATE, "VD-RC-03"),
+        "request-for-update": (_ask_update, _UPDATE, "VD-RU-04"),
+        "old-summary": (_old_summary, _UPDATE, "VD-PS-03"),
+        "old-update": (_old_update, _UPDATE, "VD-PU-06"),
+    },
+)
+def storm(bench: Bench, variant: tuple[Callable[[Peer, int], VardisRecord], ICType, str]) -> None:
+    make, kind, rule = variant
+    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    bench.learn(source, source.create(name, seqno=5, rep_cnt=count))
+    peers = [bench.peer() for _ in range(10)]
+    bench.beacons(1)
+    mark = bench.mark()
+    for peer in peers:
+        peer.send(make(peer, name))
+    found = bench.repeated(kind, name, mark)
+    text = f"{len(found)}"
+    bench.check(count <= len(found) <= count + 1, f"{count} answers", text, rule, frames=found[:16])
+    beacons = {id(each.heard) for each in found}
+    bench.check(len(beacons) == len(found), "each in a beacon of its own", f"{len(beacons)} beacons", rule)
+
+
+@case(
+    "TC_NET_STORM_BV_02",
+    "Ten neighbours that {variant} cause one request",
+    requirements="VD-PS-01 VD-PS-04 VD-PU-01 VD-RC-01",
+    stimulus="ten peers {variant} within one beacon period",
+    expect="one request; a second one only if a payload was composed in the middle of it",
+    window=12,
+    variants={
+        "summarise-an-unknown-variable": ("summary", ICType.REQUEST_VARCREATES, "VD-PS-01"),
+        "update-an-unknown-variable": ("update", ICType.REQUEST_VARCREATES, "VD-PU-01"),
+        "summarise-a-newer-value": ("newer", ICType.REQUEST_VARUPDATES, "VD-PS-04"),
+        "request-an-unknown-variable": ("request", ICType.REQUEST_VARCREATES, "VD-RC-01"),
+    },
+)
+def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
+    what, kind, rule = variant
+    name = bench.var_id() if what == "newer" else bench.unknown_id()
+    if what == "newer":
+        source = bench.peer()
+        bench.learn(source, source.create(name))
+    peers = [bench.peer() for _ in range(10)]
+    bench.beacons(1, 1.5)
+    mark = bench.mark()
+    for peer in peers:
+        record: VardisRecord = peer.summary(name, 3)
+        if what == "update":
+            record = peer.update(name, 3)
+        elif what == "request":
+            record = peer.request_create(name)
+        peer.send(record)
+    if what == "request" and not bench.features.rerequest_unknown:
+        bench.require_alive("requests for an unknown variable", rule)
+        found = bench.instructions(kind, name, mark)
+        bench.check(not found, "no request: 1.0 ignores requests for unknown variables", f"{len(found)}", rule)
+        return
+    bench.require(bench.until_instruction(kind, name), "a request", "none", rule)
+    found = bench.repeated(kind, name, mark)
+    bench.check(len(found) <= 2, "one request", f"{len(found)}", rule, frames=found[:12])
+
+
+@case(
+    "TC_NET_STORM_BV_03",
+    "Requests in every period keep the answers going, and these end with them",
+    requirements="VD-RC-03",
+    stimulus="for six beacon periods peers request a VarCreate in each; then silence",
+    expect="at most repCnt more answers than beacons passed meanwhile, and then none",
+    window=40,
+)
+def lasting_storm(bench: Bench) -> None:
+    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    bench.learn(source, source.create(name, rep_cnt=count))
+    mark = bench.mark()
+    asking = bench.peer()
+    for _ in range(6):
+        asking.send(asking.request_create(name))
+        bench.wait(1)
+    passed = len(bench.heard) - mark
+    found = bench.repeated(_CREATE, name, mark)
+    # Two for payloads that were composed before the last request and had not left.
+    most = passed + count + 2
+    bench.check(count <= len(found) <= most, f"{count} to {most} answers", f"{len(found)}", frames=found[-1:])
+
+
+@case(
+    "TC_NET_DUP_BV_01",
+    "Beacons that arrive twice have the effect of one",
+    requirements="VD-SCP-03 VD-SCP-02",
+    stimulus="each of the beacons that create, update and delete a variable is sent three times, octet by octet",
+    expect="each record in exactly repCnt beacons",
+    window=40,
+)
+def duplicates(bench: Bench) -> None:
+    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    for kind, record in (
+        (_CREATE, peer.create(name, rep_cnt=count)),
+        (_UPDATE, peer.update(name, 1)),
+        (_DELETE, peer.delete(name)),
+    ):
+        octets, mark = peer.beacon(record), bench.mark()
+        for _ in range(3):
+            peer.send_octets(octets)
+        bench.check_repeated(kind, name, count, mark)
+
+
+@case(
+    "TC_NET_ORDER_BV_01",
+    "Beacons out of order leave the newest behind ({variant})",
+    requirements="VD-PU-06 VD-PU-07 VD-PU-01",
+    stimulus="a creation and VarUpdates 1 and 2 in three beacons that arrive in the order {variant}",
+    expect="number 2 and its value in the end",
+    window=30,
+    variants={"create-2-1": (0, 2, 1), "1-create-2": (1, 0, 2), "create-1-2-1": (0, 1, 2, 1)},
+)
+def out_of_order(bench: Bench, order: tuple[int, ...]) -> None:
+    peer = bench.peer()
+    name = bench.unknown_id() if order[0] else bench.var_id()
+    records: list[VardisRecord] = [peer.create(name), peer.update(name, 1, b"1"), peer.update(name, 2, b"2")]
+    beacons = [peer.beacon(each) for each in records]
+    mark = bench.mark()
+    for place in order:
+        peer.send_octets(beacons[place])
+    bench.until_instruction(_UPDATE, name)
+    numbers = [each.record.seqno for each in bench.repeated(_UPDATE, name, mark)]
+    bench.check(numbers == sorted(numbers), "numbers that never go back", f"{numbers}", "VD-PU-06")
+    record = held(bench, name)
+    if record is None and order[0]:
+        bench.fail("the variable is known, although an update came first", "it is not", "VD-PU-01")
+    state = None if record is None else (record.upd.seqno, record.upd.value)
+    bench.check(state == (2, b"2"), "number 2 with its value", f"{state}", "VD-PU-07")

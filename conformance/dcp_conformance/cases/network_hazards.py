@@ -1,0 +1,184 @@
+"""Networks: hazards of the specification itself.
+
+A node that follows the steps shows them. Checked is what the steps say; what comes of it is reported.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+
+from .network_conflicts import check_deleted, held
+
+_CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
+_ASK_CREATE = ICType.REQUEST_VARCREATES
+
+
+@case(
+    "TC_NET_HAZARD_BV_01",
+    "Two nodes that lack a variable request it from each other (H1)",
+    requirements="VD-RC-01",
+    stimulus="a request for an unknown variable; each request of the implementation is answered by the same request",
+    expect="a request for each request (1.0: none); how long that goes on is reported",
+    window=30,
+)
+def mutual_requests(bench: Bench) -> None:
+    peer, name = bench.peer(), bench.unknown_id()
+    mark = bench.mark()
+    peer.send(peer.request_create(name))
+    if not bench.features.rerequest_unknown:
+        bench.require_alive("a request for an unknown variable")
+        found = bench.instructions(_ASK_CREATE, name, mark)
+        bench.check(not found, "no request: 1.0 ignores it", f"{len(found)}", frames=found[:4])
+        bench.reading("H1", "does not arise in 1.0")
+        return
+    rounds = 0
+    while rounds < 6 and bench.until_instruction(_ASK_CREATE, name) is not None:
+        rounds += 1
+        peer.send(peer.request_create(name))
+    bench.check(rounds, "a request for the variable that it is asked for", "none")
+    lasting = "without end" if rounds == 6 else f"for {rounds} rounds"
+    bench.reading("H1", f"two nodes request the variable from each other {lasting} (6 were tried)")
+
+
+@case(
+    "TC_NET_HAZARD_BO_01",
+    "A producer that has forgotten its variable requests it in vain (H2)",
+    requirements="VD-PS-01 VD-PC-03",
+    stimulus="a summary of an unknown variable; its request is answered by a VarCreate with its own identifier; again",
+    expect="a request for each summary, and no VarCreate passed on; what comes of it is reported",
+    window=30,
+)
+def forgotten_variable(bench: Bench) -> None:
+    peer, name = bench.peer(), bench.unknown_id()
+    rounds = 0
+    mark = bench.mark()
+    for _ in range(3):
+        peer.send(peer.summary(name, 7))
+        if bench.until_instruction(_ASK_CREATE, name) is None:
+            break
+        rounds += 1
+        peer.send(peer.create(name, seqno=7, producer=bench.sut_id))
+    bench.check(rounds == 3, "a request for each summary", f"{rounds} of 3", "VD-PS-01")
+    bench.require_alive("a VarCreate with its own identifier", "VD-PC-03")
+    found = bench.instructions(_CREATE, name, mark)
+    bench.check(not found, "a VarCreate with the own identifier is ignored", f"{len(found)} passed on", "VD-PC-03")
+    again = "again with each summary" if rounds == 3 else f"{rounds} times"
+    bench.reading("H2", f"a forgotten variable is requested {again}, and what comes is ignored")
+
+
+@case(
+    "TC_NET_HAZARD_BO_02",
+    "A deletion by somebody else splits a variable from its producer (H3)",
+    requirements="VD-PD-04 VD-PU-02 VD-PS-02",
+    stimulus="a peer that is not the producer deletes a variable; the producer goes on updating and summarising it",
+    expect="the variable is deleted, and what the producer says of it is ignored; what can end that is reported",
+    window=40,
+)
+def split(bench: Bench) -> None:
+    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    create = source.create(name, rep_cnt=count)
+    bench.learn(source, create)
+    mark = bench.mark()
+    other.send(other.delete(name))
+    bench.check_repeated(_DELETE, name, count, mark, "VD-PD-04")
+    mark = bench.mark()
+    source.send(source.update(name, 1))
+    if bench.features.removed_after_deletion:
+        # The entry is gone: the producer's next word brings a request, and its VarCreate the variable.
+        asked = bench.until_instruction(_ASK_CREATE, name)
+        bench.check(asked, "a request: the variable is unknown again", "none", "VD-PD-04")
+        source.send(source.create(name, seqno=1, rep_cnt=count))
+        healed = bench.until_instruction(_CREATE, name)
+        bench.reading("H3", "heals by itself" if healed else "the producer's variable stays away")
+        return
+    bench.require_alive("an update of a deleted variable", "VD-PU-02")
+    source.send(source.summary(name, 2))
+    bench.require_alive("a summary of a deleted variable", "VD-PS-02")
+    trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, name)]
+    bench.check(not trace, "no reaction to what the producer says", f"{len(trace)} records", frames=trace[:4])
+    source.send(create)
+    check_deleted(bench, name, "VD-PD-04")
+    source.send(source.create(name, rep_cnt=count))
+    healed = bench.until_instruction(_CREATE, name)
+    bench.reading("H3", "lasts until it is created anew" if healed else "not even a new creation ends it")
+
+
+@case(
+    "TC_NET_HAZARD_BO_03",
+    "A VarCreate of another node takes an own variable over (H4)",
+    requirements="VD-PC-02",
+    stimulus="the application creates a variable; a VarCreate with a later creationTime of another producer comes",
+    expect="the foreign variable replaces the own one; the application is told that it is not the producer",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
+)
+def taken_over(bench: Bench) -> None:
+    peer, name, own = bench.peer(), bench.var_id(), bench.sut_id.hex(":")
+    bench.must("RTDB-Create", varId=name, repCnt=1, descr="own", value="00", timeout=0, prodId=own)
+    bench.until_instruction(_CREATE, name)
+    mine = bench.instructions(_CREATE, name)
+    if not mine:
+        bench.inconclusive("the own variable's VarCreate", "none came")
+    later = max(bench.creation_time(), mine[0].record.spec.creation_time + 1)
+    bench.session.creation_time = later
+    create = peer.create(name, value=b"foreign", creation_time=later)
+    mark = bench.mark()
+    peer.send(create)
+    bench.until(lambda heard: heard.about(_CREATE, name) == create, 8)
+    passed = any(each.record == create for each in bench.instructions(_CREATE, name, mark))
+    bench.check(passed, "the later creation replaces the own one and is passed on", "it is not")
+    answer = bench.call("RTDB-Update", varId=name, value="01")
+    bench.reading("H4", f"the application's next update is answered with {answer}")
+
+
+@case(
+    "TC_NET_HAZARD_BO_04",
+    "A creationTime in the future keeps later creations out (H5)",
+    requirements="VD-PC-02",
+    stimulus="a VarCreate with a creationTime one hour ahead; then one with the right time of another producer",
+    expect="the second is ignored: the first stays",
+    window=24,
+    needs=Needs(since=SpecVersion.V2_0),
+)
+def clock_ahead(bench: Bench) -> None:
+    # The name cannot be used for an hour: one that no other case gets.
+    wrong, right, name = bench.peer(), bench.peer(), bench.unknown_id()
+    stamp = bench.profile.types.timestamp
+    ticks = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000, "ps": 1_000_000_000_000}[stamp.unit]
+    ahead = wrong.create(name, value=b"ahead", creation_time=bench.creation_time() + 3600 * ticks)
+    bench.learn(wrong, ahead)
+    right.send(right.create(name, value=b"right"))
+    bench.require_alive("a VarCreate with an older creationTime")
+    record = held(bench, name)
+    state = None if record is None else record.upd.value
+    bench.check(record == ahead, "the creation with the time in the future stays", f"{state!r}")
+    bench.reading("H5", "later creations with the right time are ignored")
+    wrong.send(wrong.delete(name))
+
+
+@case(
+    "TC_NET_HAZARD_BO_05",
+    "Before 2.0 a producer that starts again counts as outdated (H6)",
+    requirements="VD-PU-06 VD-PC-02",
+    stimulus="a variable is known with number 50; its producer starts again with a VarCreate and VarUpdates 0 and 1",
+    expect="the VarCreate is ignored, and the stored value with number 50 is sent in answer to the updates",
+    window=24,
+    needs=Needs(until=SpecVersion.V1_3),
+)
+def starts_again(bench: Bench) -> None:
+    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    bench.learn(source, source.create(name, value=b"fifty", seqno=50, rep_cnt=count))
+    mark = bench.mark()
+    source.send(source.create(name, value=b"again", seqno=0, rep_cnt=count))
+    bench.require_alive("a second VarCreate", "VD-PC-02")
+    found = bench.instructions(_CREATE, name, mark)
+    bench.check(not found, "the VarCreate of a known variable is ignored", f"{len(found)}", "VD-PC-02", frames=found)
+    mark = bench.mark()
+    source.send(source.update(name, 1, b"again"))
+    found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-06")
+    numbers = {each.record.seqno for each in found}
+    bench.check(numbers == {50}, "the stored value with number 50", f"{numbers}", "VD-PU-06", frames=found)
+    bench.reading("H6", "the producer's values are ignored until its number passes 50")
