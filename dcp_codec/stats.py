@@ -10,11 +10,11 @@ from collections import Counter
 from typing import Any
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
+from dcp_spec.profile import Link
 
 from .capture import Frame
 from .codec import Codec
 from .errors import DecodeError
-from .frames import FrameDissector
 from .framing import Framing, OtherTraffic, mac
 from .jsonform import node_id_text
 from .values import Beacon, Container, ExtendedSafetyData
@@ -111,11 +111,11 @@ class SenderStats:
 
 
 class Stats:
-    """Counts the frames of a recording; see :meth:`as_json` for what it knows."""
+    """Counts the frames of a recording; see :meth:`as_json` for what it knows. ``link`` is that of :meth:`add`."""
 
-    def __init__(self, codec: Codec, dissector: FrameDissector | None = None) -> None:
+    def __init__(self, codec: Codec, link: Link | None = None) -> None:
         self.codec = codec
-        self._link = (dissector or FrameDissector(codec)).link
+        self._link = link or codec.profile.link
         numbers = codec.profile.vardis.container_types.by_name()
         self._names = {number: name for name, number in numbers.items()}
         self._updates = numbers["UPDATES"]

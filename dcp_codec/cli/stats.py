@@ -52,8 +52,8 @@ def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: 
 def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int]:
     with open_input(name) as reader:
         dissector, frames = choose(profile, ether_type, iter(reader), name)
-        stats = Stats(dissector.codec, dissector)
         link = dissector.link
+        stats = Stats(dissector.codec, link)
         with progress(reader, name) as advance:
             for frame in frames:
                 stats.add(frame, locate(frame.data, link))
