@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
-from dcp_spec.constants import QueueingMode
+from dcp_spec.constants import QueueingMode, SpecVersion
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 
 from .bench import Bench
+from .case import Needs, Variant
 from .errors import UpperTesterError
 from .forge import Block
 from .heard import Heard
@@ -60,6 +61,28 @@ def no_confirm(bench: Bench) -> str | None:
     if bench.pics.transmit_payload_confirm is False:
         return "the PICS says that BP-TransmitPayload is not confirmed"
     return None
+
+
+def mode_exists(mode: QueueingMode) -> Callable[[Bench], str | None]:
+    """For ``Needs.when``: the version must have the queueing mode."""
+
+    def when(bench: Bench) -> str | None:
+        if mode in bench.features.queueing_modes:
+            return None
+        return f"version {bench.profile.spec_version} has no {mode}"
+
+    return when
+
+
+def each_mode(*methods: str, since: SpecVersion = SpecVersion.V1_0, requirements: str | None = None) -> dict[str, Any]:
+    """A variant for each queueing mode of any version."""
+    return {
+        mode.name.removeprefix("QUEUE_").lower(): Variant(
+            mode, requirements=requirements, needs=Needs(since=since, entities=(), ut=methods, when=mode_exists(mode))
+        )
+        for mode in (ONCE, REPEAT, DROPTAIL, DROPHEAD, QueueingMode.QUEUE)
+        if not (mode is QueueingMode.QUEUE and since > SpecVersion.V1_0)
+    }
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,417 @@
+"""dcp-bp.md: Registration and De-Registration of Client Protocols.
+
+With the list of those that are registered. Statuses are those of the steps, in their order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.clients import (
+    ALREADY_REGISTERED,
+    CLEAR,
+    CLIENT,
+    DEREGISTER,
+    DROPHEAD,
+    DROPTAIL,
+    ILLEGAL_QUEUE,
+    ILLEGAL_SIZE,
+    LIST,
+    OK,
+    ONCE,
+    QUERY,
+    REGISTER,
+    REPEAT,
+    TRANSMIT,
+    UNKNOWN_MODE,
+    UNKNOWN_PROTOCOL,
+    BPClient,
+    areas_of_fixed_size,
+    each_mode,
+    largest_payload,
+    queue_mode,
+    registered,
+)
+
+V1_1 = SpecVersion.V1_1
+_REGISTRATION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
+
+
+def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, **changes: Any) -> None:
+    """Check the status of a registration with some parameters of a client changed; one that succeeds is undone."""
+    answer = bench.expect_status(status, REGISTER, *requirements, **{**client.registration, **changes})
+    if answer.ok:
+        bench.call(DEREGISTER, protId=client.prot_id)
+
+
+# -- BP-RegisterProtocol -----------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_BP_REG_BV_01",
+    "A client registers with mode {variant}, and is listed as it registered",
+    requirements="BP-REG-01 BP-REG-06 BP-LST-01",
+    stimulus="BP-RegisterProtocol with mode {variant}, then BP-ListRegisteredProtocols",
+    expect="BP-STATUS-OK; an entry with the same values, and with the time of the registration",
+    variants=each_mode(*CLIENT, LIST),
+)
+def register(bench: Bench, mode: QueueingMode) -> None:
+    client = BPClient(bench, mode, size=48, entries=3, several=True, name="tester \u03b1")
+    before = bench.lower.wall()
+    answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", **client.registration)
+    after = bench.lower.wall()
+    if not answer.ok:
+        return
+    entry = client.entry()
+    bench.call(DEREGISTER, protId=client.prot_id)
+    if not bench.check(entry is not None, "the client is listed", "it is not", "BP-REG-06") or entry is None:
+        return
+    names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
+    if bench.features.allow_multiple_payloads:
+        names |= {"allowMultiplePayloads": "allowMultiplePayloads"}
+        # For the other modes the value is irrelevant.
+        names |= {"maxEntries": "maxEntries"} if mode.is_queue else {}
+    for listed, given in names.items():
+        right, said = client.registration[given], entry.get(listed)
+        bench.check(said == right, f"{listed} is {right!r} as registered", f"it is {said!r}", "BP-LST-01", "BP-REG-01")
+    stamp, margin = entry.get("timeStampRegistration"), round(bench.pixit.clock_tolerance_ms * MS)
+    near = isinstance(stamp, int) and before - margin <= stamp <= after + margin
+    bench.check(near, "timeStampRegistration is the time of the request", f"it is {stamp!r}", "BP-REG-06", "BP-LST-01")
+
+
+@case(
+    "TC_BP_REG_BV_02",
+    "The confirm of a registration tells the node's own identifier",
+    requirements="BP-REG-07",
+    stimulus="BP-RegisterProtocol; a payload is submitted",
+    expect="ownNodeIdentifier is the senderId of the beacon with the payload",
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT, header=("senderId",)),
+)
+def own_identifier(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        told = str(client.answer.result.get("ownNodeIdentifier", "nothing"))
+        client.transmit(client.payload())
+        heard = client.until_sent()
+        if heard is None or heard.sender is None:
+            bench.inconclusive("a beacon with the payload", "there is none in time")
+        same = told.replace(":", "").lower() == heard.sender.hex()
+        bench.check(
+            same, f"ownNodeIdentifier is {heard.sender.hex(':')}, as on the air", f"it is {told}", frames=[heard]
+        )
+
+
+@case(
+    "TC_BP_REG_TI_01",
+    "Confirms of registrations are immediate, they wait for no beacon",
+    requirements="BP-REG-08",
+    stimulus="ten registrations and deregistrations",
+    expect="most confirms come within less than half a beacon period",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+)
+def immediate_confirm(bench: Bench) -> None:
+    delays = []
+    for _ in range(10):
+        client = BPClient(bench, ONCE)
+        start = bench.now()
+        bench.must(REGISTER, **client.registration)
+        delays.append(bench.now() - start)
+        bench.must(DEREGISTER, protId=client.prot_id)
+    median = sorted(delays)[len(delays) // 2]
+    # A command that has to be started for each request takes its time, whatever BP does.
+    limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS)
+    bench.check(median <= limit, f"confirms within {limit / MS:.0f} ms", f"the median is {median / MS:.0f} ms")
+
+
+@case(
+    "TC_BP_REG_BV_03",
+    "maxPayloadSize may be as large as a beacon has room for",
+    requirements="BP-REG-04",
+    stimulus="BP-RegisterProtocol with the largest maxPayloadSize, and with 1",
+    expect="BP-STATUS-OK",
+    needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
+)
+def largest_size(bench: Bench) -> None:
+    for size in (largest_payload(bench), 1):
+        expect(bench, OK, BPClient(bench, ONCE), maxPayloadSize=size)
+
+
+@case(
+    "TC_BP_REG_BV_04",
+    "Modes without a queue do not look at maxEntries ({variant})",
+    requirements="BP-QM-09",
+    stimulus="BP-RegisterProtocol with mode {variant} and maxEntries 0",
+    expect="BP-STATUS-OK",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+    variants={"once": ONCE, "repeat": REPEAT},
+)
+def entries_of_buffers(bench: Bench, mode: QueueingMode) -> None:
+    expect(bench, OK, BPClient(bench, mode), maxEntries=0)
+
+
+@case(
+    "TC_BP_REG_BI_01",
+    "A maxPayloadSize of 0 is refused",
+    requirements="BP-REG-03",
+    stimulus="BP-RegisterProtocol with maxPayloadSize 0",
+    expect="BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+)
+def size_zero(bench: Bench) -> None:
+    expect(bench, ILLEGAL_SIZE, BPClient(bench, ONCE), maxPayloadSize=0)
+
+
+@case(
+    "TC_BP_REG_BI_02",
+    "A maxPayloadSize that no beacon has room for is refused ({variant})",
+    requirements="BP-REG-04",
+    stimulus="BP-RegisterProtocol with a maxPayloadSize that is too large: {variant}",
+    expect="BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
+    needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
+    variants={"by-one": 1, "maximum-packet-size": None, "65535": 0xFFFF},
+)
+def size_too_large(bench: Bench, what: int | None) -> None:
+    largest = largest_payload(bench)
+    size = {1: largest + 1, None: bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")}.get(what, 0xFFFF)
+    expect(bench, ILLEGAL_SIZE, BPClient(bench, ONCE), maxPayloadSize=size)
+
+
+@case(
+    "TC_BP_REG_BI_03",
+    "A queue of no entries is refused ({variant})",
+    requirements="BP-REG-05 BP-QM-09",
+    stimulus="BP-RegisterProtocol with mode {variant} and maxEntries 0; then with 1",
+    expect="BP-STATUS-ILLEGAL-DROPPING-QUEUE-SIZE; then BP-STATUS-OK",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+    variants={"droptail": DROPTAIL, "drophead": DROPHEAD},
+)
+def no_entries(bench: Bench, mode: QueueingMode) -> None:
+    client = BPClient(bench, mode)
+    expect(bench, ILLEGAL_QUEUE, client, maxEntries=0)
+    expect(bench, OK, client, maxEntries=1)
+
+
+@case(
+    "TC_BP_REG_BO_01",
+    "A second registration of an identifier is refused and changes nothing",
+    requirements="BP-REG-02",
+    stimulus="BP-RegisterProtocol twice, the second time with other parameters; a payload waits meanwhile",
+    expect="BP-STATUS-PROTOCOL-ALREADY-REGISTERED; the entry is as before, and so is what waits",
+    needs=Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+)
+def already_registered(bench: Bench) -> None:
+    with BPClient(bench, REPEAT, size=20) as client:
+        payload = client.payload()
+        client.transmit(payload)
+        before = client.entry()
+        changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
+        bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
+        after = client.entry()
+        bench.check(after == before, "the registration is unchanged", f"it was {before}, and is {after}")
+        number = client.number()
+        bench.check(number == 1, "the payload still waits", f"{number} payloads do")
+        start = bench.mark()
+        client.until_sent()
+        bench.beacons(1)
+        bench.check(len(client.frames(start)) >= 1, "the payload is on the air", "it is not")
+
+
+_DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
+    "duplicate-and-size-0": (ALREADY_REGISTERED, lambda _: {"maxPayloadSize": 0}),
+    "duplicate-and-too-large": (ALREADY_REGISTERED, lambda bench: {"maxPayloadSize": largest_payload(bench) + 1}),
+    "duplicate-and-no-entries": (ALREADY_REGISTERED, lambda _: {"queueingMode": str(DROPTAIL), "maxEntries": 0}),
+    "size-0-and-no-entries": (
+        ILLEGAL_SIZE,
+        lambda _: {"maxPayloadSize": 0, "queueingMode": str(DROPHEAD), "maxEntries": 0},
+    ),
+    "too-large-and-no-entries": (
+        ILLEGAL_SIZE,
+        lambda bench: {
+            "maxPayloadSize": largest_payload(bench) + 1,
+            "queueingMode": str(DROPTAIL),
+            "maxEntries": 0,
+        },
+    ),
+}
+
+
+@case(
+    "TC_BP_REG_BI_04",
+    "The first failing check of a registration decides: {variant}",
+    requirements="BP-REG-09 DATA-11",
+    stimulus="BP-RegisterProtocol with two faults: {variant}",
+    expect="the status of the check that stands first",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
+    variants=_DOUBLE,
+)
+def two_faults(bench: Bench, fault: tuple[str, Callable[[Bench], dict[str, Any]]]) -> None:
+    status, changes = fault
+    client = BPClient(bench, ONCE)
+    if status == ALREADY_REGISTERED:
+        with client:
+            bench.expect_status(status, REGISTER, **{**client.registration, **changes(bench)})
+    else:
+        expect(bench, status, client, **changes(bench))
+
+
+@case(
+    "TC_BP_REG_BI_05",
+    "A queueing mode that does not exist is refused, at the latest by BP-ClearBuffer ({variant})",
+    requirements="BP-QM-06 BP-CLR-04",
+    stimulus="BP-RegisterProtocol with mode {variant}; if it succeeds, BP-ClearBuffer",
+    expect="a status other than OK, or an error; if registration succeeds BP-STATUS-UNKNOWN-QUEUEING-MODE then (X06)",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER, CLEAR)),
+    variants={"BP_QMODE_LIFO": "BP_QMODE_LIFO", "BP_QMODE_QUEUE": str(QueueingMode.QUEUE)},
+)
+def unknown_mode(bench: Bench, mode: str) -> None:
+    client = BPClient(bench, mode)
+    answer = client.register()
+    if not answer.ok:
+        bench.check(True, "the registration is refused", "", "BP-QM-06")
+        bench.reading("X06", "refuse-at-registration")
+        return
+    bench.reading("X06", "refuse-at-clear")
+    bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-CLR-04", protId=client.prot_id)
+    bench.call(DEREGISTER, protId=client.prot_id)
+
+
+# -- BP-DeregisterProtocol, BP-ListRegisteredProtocols -----------------------------------------------------------------
+
+
+@case(
+    "TC_BP_DRG_BV_01",
+    "A deregistered client is gone from the list",
+    requirements="BP-DRG-02",
+    stimulus="BP-RegisterProtocol, BP-DeregisterProtocol, BP-ListRegisteredProtocols; a payload waits",
+    expect="BP-STATUS-OK; no entry; the number of payloads cannot be asked any more",
+    needs=Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+)
+def deregister(bench: Bench) -> None:
+    client = BPClient(bench, REPEAT)
+    bench.must(REGISTER, **client.registration)
+    client.transmit(client.payload())
+    bench.expect_status(OK, DEREGISTER, protId=client.prot_id)
+    bench.check(client.entry() is None, "the client is not listed", "it still is")
+    bench.expect_status(UNKNOWN_PROTOCOL, QUERY, protId=client.prot_id)
+
+
+@case(
+    "TC_BP_DRG_BO_01",
+    "An identifier that is not registered cannot be deregistered",
+    requirements="BP-DRG-01",
+    stimulus="BP-DeregisterProtocol of an identifier that never was, and twice of one that was registered",
+    expect="BP-STATUS-UNKNOWN-PROTOCOL, OK, BP-STATUS-UNKNOWN-PROTOCOL",
+    needs=_REGISTRATION,
+)
+def deregister_unknown(bench: Bench) -> None:
+    client = BPClient(bench, ONCE)
+    bench.expect_status(UNKNOWN_PROTOCOL, DEREGISTER, protId=client.prot_id)
+    bench.must(REGISTER, **client.registration)
+    bench.must(DEREGISTER, protId=client.prot_id)
+    bench.expect_status(UNKNOWN_PROTOCOL, DEREGISTER, protId=client.prot_id)
+
+
+@case(
+    "TC_BP_DRG_BV_02",
+    "After deregistration nothing of the client is sent any more ({variant})",
+    requirements="BP-DRG-03",
+    stimulus="a client with mode {variant} submits payloads, and deregisters when the first is on the air",
+    expect="no beacon with a payload of the client",
+    variants=each_mode(*CLIENT),
+)
+def silent_after_deregistration(bench: Bench, mode: QueueingMode) -> None:
+    client = BPClient(bench, mode, entries=4)
+    bench.must(REGISTER, **client.registration)
+    if mode is not ONCE:
+        client.transmit(client.payload())
+    for _ in range(4 if mode.is_queue else 1):
+        client.transmit(client.payload())
+    if mode is not ONCE:
+        bench.require(client.until_sent(), "payloads are sent", "none of them is", "BP-GEN-02")
+    bench.must(DEREGISTER, protId=client.prot_id)
+    # What has left the node already may still be on its way to the tester.
+    quiet_from = bench.now() + bench.period // 5
+    bench.wait(4)
+    frames = client.frames(after=quiet_from)
+    bench.check(not frames, "silence of the client", f"{len(frames)} beacons have its payloads", frames=frames[:8])
+
+
+@case(
+    "TC_BP_DRG_BV_03",
+    "A client that registers again starts with nothing ({variant})",
+    requirements="BP-DRG-05 BP-REG-06",
+    stimulus="a client with mode {variant} submits payloads, deregisters and registers again at once",
+    expect="no payloads are buffered, and none is sent",
+    variants=each_mode(*CLIENT, QUERY),
+)
+def registers_again(bench: Bench, mode: QueueingMode) -> None:
+    client = BPClient(bench, mode)
+    bench.must(REGISTER, **client.registration)
+    for _ in range(3 if mode.is_queue else 1):
+        client.transmit(client.payload())
+    bench.must(DEREGISTER, protId=client.prot_id)
+    quiet_from = bench.now() + bench.period // 5
+    with client:
+        number = client.number()
+        bench.check(number == 0, "no payloads wait", f"{number} do")
+        bench.wait(3)
+        frames = client.frames(after=quiet_from)
+        bench.check(not frames, "nothing is sent", f"{len(frames)} beacons have old payloads", frames=frames[:8])
+
+
+@case(
+    "TC_BP_LST_BV_01",
+    "All registered clients are listed, and nothing of what they have buffered",
+    requirements="BP-LST-01 BP-LST-02",
+    stimulus="three registrations, a payload in each; BP-ListRegisteredProtocols",
+    expect="BP-STATUS-OK, each client once, and no payload",
+    needs=Needs(entities=(), ut=(*CLIENT, LIST)),
+)
+def list_clients(bench: Bench) -> None:
+    modes = (ONCE, REPEAT, queue_mode(bench))
+    with BPClient(bench, modes[0]) as one, BPClient(bench, modes[1]) as two, BPClient(bench, modes[2]) as three:
+        clients = (one, two, three)
+        payloads = [client.payload(24) for client in clients]
+        for client, payload in zip(clients, payloads, strict=True):
+            client.transmit(payload)
+        answer = bench.expect_status(OK, LIST, "BP-LST-01")
+        listed = [each.get("protocolId") for each in answer.result.get("protocols") or [] if isinstance(each, dict)]
+        for client in clients:
+            count = listed.count(client.prot_id)
+            bench.check(count == 1, f"client {client.prot_id:#x} is listed once", f"{count} times", "BP-LST-01")
+        text = str(answer.result).lower()
+        shown = [payload.hex() for payload in payloads if payload.hex() in text]
+        bench.check(not shown, "what is buffered is not reported", f"it is: {shown}", "BP-LST-02")
+
+
+@case(
+    "TC_BP_REC_BV_01",
+    "A client that comes back deregisters what it has left behind and registers again",
+    requirements="BP-REC-01",
+    stimulus="a client registers and vanishes with a payload in its buffer; another connection deregisters and "
+    "registers the same identifier",
+    expect="that works; whether the registration outlives the connection is reported",
+    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, LIST)),
+)
+def comes_back(bench: Bench) -> None:
+    other = bench.ut.another()
+    client = BPClient(bench, REPEAT)
+    if other is None:
+        bench.info("Can a client that was restarted register again?", "the upper tester has one connection only")
+        return
+    try:
+        bench.call_on(other, REGISTER, **client.registration)
+        bench.call_on(other, TRANSMIT, protId=client.prot_id, payload=client.payload().hex())
+    finally:
+        other.close()
+    bench.wait(0.5)
+    kept = client.prot_id in registered(bench)
+    bench.info("Does a registration outlive its client?", "yes" if kept else "no")
+    bench.call(DEREGISTER, protId=client.prot_id)
+    answer = client.register()
+    bench.call(DEREGISTER, protId=client.prot_id)
+    bench.info("Can a client that was restarted register again?", "yes" if answer.ok else str(answer))

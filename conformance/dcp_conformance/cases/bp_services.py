@@ -1,0 +1,259 @@
+"""dcp-bp.md: Payload Exchange and Buffer Management.
+
+What requests are answered; what queues and buffers do on the air is elsewhere.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.clients import (
+    CLEAR,
+    CLIENT,
+    DEREGISTER,
+    EMPTY,
+    LIST,
+    OK,
+    ONCE,
+    QUERY,
+    REGISTER,
+    REPEAT,
+    TOO_LARGE,
+    TRANSMIT,
+    UNKNOWN_PROTOCOL,
+    BPClient,
+    block_header_octets,
+    each_mode,
+    header_octets,
+    largest_payload,
+    no_confirm,
+    unused_protocol_id,
+)
+
+V1_1 = SpecVersion.V1_1
+
+
+# -- BP-TransmitPayload ------------------------------------------------------------------------------------------------
+
+_TRANSMIT = Needs(entities=(), ut=CLIENT, when=no_confirm)
+
+
+@case(
+    "TC_BP_TXP_BO_01",
+    "Nothing can be submitted for an identifier that is not registered ({variant})",
+    requirements="BP-TXP-01 BP-REG-10",
+    stimulus="BP-TransmitPayload {variant}",
+    expect="BP-STATUS-UNKNOWN-PROTOCOL, and nothing on the air",
+    needs=_TRANSMIT,
+    variants={"before-registration": False, "after-deregistration": True},
+)
+def transmit_unregistered(bench: Bench, registered_before: bool) -> None:
+    client = BPClient(bench, ONCE)
+    if registered_before:
+        bench.must(REGISTER, **client.registration)
+        bench.must(DEREGISTER, protId=client.prot_id)
+    payload = client.payload()
+    bench.expect_status(UNKNOWN_PROTOCOL, TRANSMIT, protId=client.prot_id, payload=payload.hex())
+    with client:
+        bench.wait(2)
+    bench.check(not client.sent(), "the payload is not sent, not after a registration either", "it is", "BP-REG-10")
+
+
+@case(
+    "TC_BP_TXP_BV_01",
+    "A payload of exactly maxPayloadSize octets is taken and sent unchanged ({variant})",
+    requirements="BP-TXP-02 BP-FMT-01",
+    stimulus="BP-TransmitPayload with as many octets as registered: {variant}",
+    expect="BP-STATUS-OK and a beacon with exactly these octets",
+    needs=_TRANSMIT,
+    variants={"1": 1, "64": 64, "255": 255, "256": 256, "the-largest": None},
+)
+def full_size(bench: Bench, size: int | None) -> None:
+    if size is None:
+        # Before 1.1 the bound of registrations leaves out the BP header; what is larger is never sent.
+        fits = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
+        size = min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
+    with BPClient(bench, ONCE, size=size) as client:
+        payload = client.payload(size)
+        bench.expect_status(OK, TRANSMIT, "BP-TXP-02", protId=client.prot_id, payload=payload.hex())
+        heard = client.until_sent()
+        bench.require(heard, "a beacon with the payload", "there is none in time", "BP-TXP-02")
+        bench.check(client.sent() == [payload], "the payload unchanged", "it is another", "BP-FMT-01")
+
+
+@case(
+    "TC_BP_TXP_BI_01",
+    "A payload of more than maxPayloadSize octets is refused ({variant})",
+    requirements="BP-TXP-02",
+    stimulus="BP-TransmitPayload with {variant} octets more than registered",
+    expect="BP-STATUS-PAYLOAD-TOO-LARGE; nothing on the air, nothing buffered",
+    needs=Needs(entities=(), ut=(*CLIENT, QUERY), when=no_confirm),
+    variants={"1": 1, "100": 100},
+)
+def too_large(bench: Bench, more: int) -> None:
+    with BPClient(bench, ONCE, size=20) as client:
+        octets = client.payload(20 + more)
+        bench.expect_status(TOO_LARGE, TRANSMIT, protId=client.prot_id, payload=octets.hex())
+        number = client.number()
+        bench.check(number == 0, "nothing is buffered", f"{number} payloads are")
+        bench.wait(2)
+        bench.check(not client.sent(), "nothing is sent", "something is", frames=client.frames())
+
+
+@case(
+    "TC_BP_TXP_BI_02",
+    "An empty payload is refused and changes nothing ({variant})",
+    requirements="BP-TXP-03",
+    stimulus="a client with mode {variant} and a payload that waits submits one of no octets",
+    expect="BP-STATUS-EMPTY-PAYLOAD, and the number of buffered payloads is as before",
+    variants=each_mode(*CLIENT, QUERY, since=V1_1),
+)
+def empty_payload(bench: Bench, mode: QueueingMode) -> None:
+    if reason := no_confirm(bench):
+        bench.inconclusive("BP-TransmitPayload is confirmed", reason)
+    with BPClient(bench, mode) as client:
+        for attempt in itertools.count():
+            client.submit(2 if mode.is_queue else 1)
+            before = client.number()
+            answer = bench.call(TRANSMIT, protId=client.prot_id, payload="")
+            after = client.number()
+            bench.wait_ns(0)
+            # A beacon in between explains a smaller number.
+            if after == before or mode is REPEAT or attempt == 3:
+                break
+            bench.until_quiet(client.in_frame)
+        right = answer.code is None and answer.status == EMPTY
+        bench.check(right, f"{TRANSMIT} answers {EMPTY}", str(answer))
+        bench.check(after == before, f"{before} payloads are buffered as before", f"{after} are")
+        if mode is REPEAT:
+            start = bench.mark()
+            bench.check(client.until_sent(), "the payload is still repeated", "it is not", frames=bench.heard[start:])
+
+
+@case(
+    "TC_BP_TXP_BV_02",
+    "In 1.0 an empty payload clears the buffer ({variant})",
+    requirements="BP-TXP-06",
+    stimulus="a client with mode {variant} and a payload in its buffer submits one of no octets",
+    expect="BP-STATUS-OK, and the buffer is empty",
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY), when=no_confirm),
+    variants={"once": ONCE, "repeat": REPEAT},
+)
+def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
+    with BPClient(bench, mode) as client:
+        client.transmit(client.payload())
+        bench.expect_status(OK, TRANSMIT, protId=client.prot_id, payload="")
+        number = client.number()
+        bench.check(number == 0, "the buffer is empty", f"{number} payloads are in it")
+
+
+@case(
+    "TC_BP_TXP_BI_03",
+    "The first failing check of a submission decides: {variant}",
+    requirements="BP-TXP-10 DATA-11",
+    stimulus="BP-TransmitPayload with two faults: {variant}",
+    expect="BP-STATUS-UNKNOWN-PROTOCOL",
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=no_confirm),
+    variants={"unknown-and-too-large": 1 << 10, "unknown-and-empty": 0},
+)
+def submission_with_two_faults(bench: Bench, size: int) -> None:
+    octets = bytes(min(size, largest_payload(bench) + 1))
+    prot_id = unused_protocol_id(bench)
+    bench.expect_status(UNKNOWN_PROTOCOL, TRANSMIT, protId=prot_id, payload=octets.hex())
+
+
+# -- BP-ClearBuffer, BP-QueryNumberBufferedPayloads --------------------------------------------------------------------
+
+
+@case(
+    "TC_BP_CLR_BO_01",
+    "The buffer of an identifier that is not registered cannot be cleared",
+    requirements="BP-CLR-01",
+    stimulus="BP-ClearBuffer of an identifier that nobody has registered",
+    expect="BP-STATUS-UNKNOWN-PROTOCOL",
+    needs=Needs(since=V1_1, entities=(), ut=(CLEAR,)),
+)
+def clear_unknown(bench: Bench) -> None:
+    bench.expect_status(UNKNOWN_PROTOCOL, CLEAR, protId=unused_protocol_id(bench))
+
+
+@case(
+    "TC_BP_CLR_BV_01",
+    "A cleared buffer is empty until something is submitted again ({variant})",
+    requirements="BP-CLR-02",
+    stimulus="a client with mode {variant} submits payloads, clears, waits, and submits another one",
+    expect="BP-STATUS-OK; nothing is buffered, and nothing sent but the last payload",
+    variants={
+        name: Variant(
+            each.value,
+            requirements="BP-CLR-02" if each.value.is_queue else "BP-CLR-03",
+            needs=each.needs,
+        )
+        for name, each in each_mode(*CLIENT, CLEAR, QUERY, since=V1_1).items()
+    },
+)
+def clear(bench: Bench, mode: QueueingMode) -> None:
+    with BPClient(bench, mode) as client:
+        for _ in range(3 if mode.is_queue else 1):
+            client.transmit(client.payload())
+        bench.expect_status(OK, CLEAR, protId=client.prot_id)
+        quiet_from = bench.now() + bench.period // 5
+        number = client.number()
+        bench.check(number == 0, "nothing is buffered", f"{number} payloads are")
+        bench.wait(3)
+        frames = client.frames(after=quiet_from)
+        bench.check(not frames, "nothing is sent", f"{len(frames)} beacons have payloads", frames=frames[:8])
+        payload, start = client.payload(), bench.mark()
+        client.transmit(payload)
+        bench.check(client.until_sent(payload), "a payload submitted afterwards is sent", "it is not")
+        others = [each for each in client.sent(start) if each != payload]
+        bench.check(not others, "and nothing else is", f"{len(others)} older payloads are")
+
+
+@case(
+    "TC_BP_QRY_BO_01",
+    "The payloads of an identifier that is not registered cannot be counted",
+    requirements="BP-QRY-01",
+    stimulus="BP-QueryNumberBufferedPayloads of an identifier that nobody has registered",
+    expect="BP-STATUS-UNKNOWN-PROTOCOL",
+    needs=Needs(entities=(), ut=(QUERY,)),
+)
+def query_unknown(bench: Bench) -> None:
+    bench.expect_status(UNKNOWN_PROTOCOL, QUERY, protId=unused_protocol_id(bench))
+
+
+@case(
+    "TC_BP_GEN_BV_01",
+    "Every service of BP confirms each request with a status",
+    requirements="DATA-10",
+    stimulus="each service that the upper tester offers, for a client of the tester's",
+    expect="one confirm for each, with a status",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+)
+def confirms(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        requests: dict[str, dict[str, Any]] = {
+            LIST: {},
+            TRANSMIT: {"protId": client.prot_id, "payload": client.payload().hex()},
+            QUERY: {"protId": client.prot_id},
+            CLEAR: {"protId": client.prot_id},
+            "BP-MGMT-Activate": {},
+        }
+        extras = {REGISTER: set(client.answer.result) - {"status", "ownNodeIdentifier"}}
+        for method, params in requests.items():
+            if method not in bench.ut.methods:
+                continue
+            if method == TRANSMIT and no_confirm(bench):
+                bench.info("Is BP-TransmitPayload confirmed?", "no", "BP-TXP-08")
+                continue
+            answer = bench.expect_status(OK, method, "DATA-10", **params)
+            extras[method] = set(answer.result) - {"status", "number", "protocols"}
+    told = "; ".join(f"{method}: {', '.join(sorted(names))}" for method, names in extras.items() if names)
+    bench.info("Do confirms of BP carry further parameters?", told or "no", "BP-GEN-01")
+    if TRANSMIT in extras:
+        bench.info("Is BP-TransmitPayload confirmed?", "yes", "BP-TXP-08")
