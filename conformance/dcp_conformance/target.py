@@ -146,7 +146,9 @@ def _own_node(options: TargetOptions, codec: Codec, pics: Pics, stack: contextli
     from .reference.process import reference_process
 
     period = pics.pixit.beacon_period_ms
-    node = stack.enter_context(reference_process(codec, beacon_period_ms=period, options=options.node_options))
+    node = stack.enter_context(
+        reference_process(codec, beacon_period_ms=period, profile=options.profile, options=options.node_options)
+    )
     session = _session(options, codec, pics, node.lower, node.upper)
     return session, node.control, [node.about]
 
@@ -155,16 +157,22 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     from .process import ProcessControl
 
     control: SutControl | None = None
+    process: ProcessControl | None = None
     if any((options.start, options.stop, options.restart, options.pid)):
-        control = ProcessControl(start=options.start, stop=options.stop, restart=options.restart, pid=options.pid)
-        stack.callback(control.close)
+        process = ProcessControl(start=options.start, stop=options.stop, restart=options.restart, pid=options.pid)
+        control = process
+        stack.callback(process.close)
     lower = open_lower(options, codec)
     stack.callback(lower.close)
+    if process is not None:
+        process.start()
     upper = None
     if options.ut is not None:
         from .upper.opening import open_upper
 
         upper = open_upper(options.ut)
+        if process is not None:
+            process.after_restart.append(upper.reconnect)
     return _session(options, codec, pics, lower, upper), control, []
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from dcp_spec.profile import Link
 
+from dcp_codec import interfaces
 from dcp_conformance.errors import LowerTesterError, UsageError
 
 from .sockets import ANCILLARY, LONGEST, Echoes, SocketLowerTester, prepare, stamp_of

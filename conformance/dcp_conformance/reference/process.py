@@ -22,7 +22,7 @@ from dcp_conformance.errors import ConformanceError, LowerTesterError
 from dcp_conformance.lower import LowerTester, open_ethernet, open_udp
 from dcp_conformance.lower.udp import DEFAULT_GROUP
 from dcp_conformance.process import ProcessControl
-from dcp_conformance.upper import UpperTester, open_upper
+from dcp_conformance.upper import Reconnecting, UpperTester, open_upper
 
 from .namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
 
@@ -93,7 +93,7 @@ class _NodeControl(ProcessControl):
         around = contextlib.nullcontext if namespace is None else namespace.entered
         super().__init__(start=command, around=around, ends_with_tester=True, settle=0)
         self._path = path
-        self.upper: UpperTester | None = None
+        self.upper: Reconnecting | None = None
         self.after_restart.append(self._reconnect)
 
     def start(self) -> None:
@@ -103,12 +103,11 @@ class _NodeControl(ProcessControl):
 
     def _reconnect(self) -> None:
         wait_for(self, self._path)
-        reconnect = getattr(self.upper, "reconnect", None)
-        if reconnect is not None:
-            reconnect()
+        if self.upper is not None:
+            self.upper.reconnect()
 
 
-def _first_contact(control: ProcessControl, path: Path, patience: float) -> UpperTester:
+def _first_contact(control: ProcessControl, path: Path, patience: float) -> Reconnecting:
     wait_for(control, path)
     return open_upper(f"unix:{path}", patience)
 

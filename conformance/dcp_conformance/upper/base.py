@@ -62,3 +62,11 @@ class UpperTester(Protocol):
     def close(self) -> None:
         """End the connection; may be called twice."""
         ...
+
+
+class Reconnecting(UpperTester, Protocol):
+    """One that can be used again after the implementation was restarted."""
+
+    def reconnect(self) -> None:
+        """Open the connection again. Raises ``UpperTesterError`` or ``UsageError``."""
+        ...

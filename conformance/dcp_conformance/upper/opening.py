@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dcp_conformance.errors import UsageError
 
-from .base import UpperTester
+from .base import Reconnecting
 from .channels import ProcessChannel, SocketChannel
 from .stream import StreamUpperTester
 
@@ -23,10 +23,8 @@ FORMS = {
 _LONGEST_PATH = 107
 
 
-def open_upper(spec: str, patience: float = 5.0) -> UpperTester:
+def open_upper(spec: str, patience: float = 5.0) -> Reconnecting:
     """Open the upper tester that ``spec`` names (:data:`FORMS`); ``patience``: s that anything may take.
-
-    The returned object has ``reconnect()``, for after a restart of the implementation.
 
     Raises ``UsageError`` for a text that names none, ``UpperTesterError`` if it cannot be reached or does not keep to
     the contract.
