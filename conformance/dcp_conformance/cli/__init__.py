@@ -1,47 +1,26 @@
-"""The ``dcp-conformance`` command. Subcommands are imported when they are called, so that ``--help`` stays quick."""
+"""The ``dcp-conformance`` command."""
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
-from typing import Any
+from dcp_codec.commandline import CommandLine
+from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
 
-import click
-from dcp_spec.version import __version__
+#: What went wrong for want of a link or an upper tester is the tester's trouble, everything else wrong usage.
+_FAILURES: dict[type[Exception], int] = {LowerTesterError: 4, UpperTesterError: 4, ConformanceError: 2}
 
-_COMMANDS = {
-    "run": ("run", "Test an implementation."),
-    "list": ("list", "Show the test cases."),
-}
-
-
-class _Group(click.Group):
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
-            return None
-        command: click.Command = importlib.import_module(f"dcp_conformance.cli.{_COMMANDS[cmd_name][0]}").command
-        return command
-
-
-@click.group(cls=_Group)
-@click.version_option(__version__, prog_name="dcp-conformance")
-def main_group() -> None:
-    """Test implementations of DCP."""
-
-
-def main(args: list[str] | None = None) -> Any:
-    from dcp_conformance.errors import ConformanceError
-
-    try:
-        status = main_group.main(args, prog_name="dcp-conformance", standalone_mode=False)
-    except click.ClickException as error:
-        error.show()
-        status = 2
-    except ConformanceError as error:
-        click.echo(f"dcp-conformance: {error}", err=True)
-        status = 2
-    sys.exit(status or 0)
+main = CommandLine(
+    name="dcp-conformance",
+    package="dcp_conformance.cli",
+    commands={
+        "run": "Test an implementation.",
+        "list": "Show the test cases.",
+        "check": "Judge recordings of a network.",
+        "report": "Make a report again, or put several runs side by side.",
+        "compare": "Show which verdicts differ between two runs.",
+    },
+    about="Test implementations of DCP (BP, SRP, VarDis), live or from recordings.",
+    exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "
+    "unexpected, but something inconclusive; 4 the tester's own trouble.",
+    failures=_FAILURES,
+    fault_status=4,
+)

@@ -32,6 +32,10 @@ _COLUMNS = (
     Verdict.ERROR,
     Verdict.NOT_APPLICABLE,
 )
+#: Failed checks of one case that are shown.
+_CHECKS = 4
+#: Observations in a recording that are shown.
+_OBSERVATIONS = 12
 _HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl."}
 
 
@@ -104,11 +108,14 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     for case in run.cases:
         if case.verdict in (Verdict.FAIL, Verdict.ERROR):
             _print_finding(out, case)
+    if run.kind == "check":
+        _print_observations(out, run)
     counts = {verdict: sum(each is verdict for each in run.requirements.values()) for verdict in Verdict}
     shown = [f"{counts[each]} {each}" for each in _COLUMNS if counts[each] and each is not Verdict.NOT_APPLICABLE]
     decided = f"requirements: {', '.join(shown)}" if shown else "no requirement was decided"
     sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
-    out.print(f"{escape(sut)} as {run.profile} over {escape(run.sut.link or 'no link')}: {decided}", soft_wrap=True)
+    where = f" over {escape(run.sut.link)}" if run.kind != "check" and run.sut.link else ""
+    out.print(f"\n{escape(sut)} as {run.profile}{where}: {decided}", soft_wrap=True)
     if run.readings:
         out.print("readings observed: " + escape(", ".join(f"{key} {'/'.join(v)}" for key, v in run.readings.items())))
     for note in run.notes:
@@ -116,11 +123,23 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     out.print(f"{len(run.cases)} cases in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
 
 
+def _print_observations(out: Console, run: RunResult) -> None:
+    """What a recording shows beside right and wrong."""
+    seen = [(case, check) for case in run.cases for check in case.checks if check.verdict is Verdict.INFO]
+    if seen:
+        out.print("\n[cyan]observed[/]")
+    for _, check in seen[:_OBSERVATIONS]:
+        out.print(f"  {escape(check.expected)}: {escape(check.observed)}", soft_wrap=True)
+    if len(seen) > _OBSERVATIONS:
+        out.print(f"  ... and {len(seen) - _OBSERVATIONS} more, which the report shows")
+
+
 def _sections(run: RunResult) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("section", no_wrap=True, overflow="ellipsis", min_width=24)
+    table.add_column("section", no_wrap=True, overflow="ellipsis")
     for verdict in _COLUMNS:
-        table.add_column(_HEADINGS.get(verdict, str(verdict)), justify="right")
+        heading = _HEADINGS.get(verdict, str(verdict))
+        table.add_column(heading, justify="right", no_wrap=True, min_width=len(heading))
     sections: dict[tuple[str, str], dict[Verdict, int]] = {}
     for case in run.cases:
         row = sections.setdefault((case.table, case.section), dict.fromkeys(Verdict, 0))
@@ -146,12 +165,17 @@ def _cells(row: dict[Verdict, int]) -> list[str]:
 
 def _print_finding(out: Console, case: CaseResult) -> None:
     out.print(f"\n[{STYLES[case.verdict]}]{case.verdict}[/] [bold]{escape(case.id)}[/]: {escape(case.purpose)}")
-    for check in case.checks:
-        if check.verdict in (Verdict.FAIL, Verdict.ERROR):
-            frames = ", ".join(str(mark.frame) for mark in check.frames[:8])
+    bad = [check for check in case.checks if check.verdict in (Verdict.FAIL, Verdict.ERROR)]
+    previous = ""
+    for check in bad[:_CHECKS]:
+        frames = ", ".join(dict.fromkeys(str(mark.frame) for mark in check.frames[:8]))
+        where = f" (frame{'s' if ', ' in frames else ''} {frames})" if frames else ""
+        if check.expected != previous:
             out.print(f"  expected  {escape(check.expected)}", soft_wrap=True)
-            out.print(
-                f"  instead   {escape(check.observed)}" + (f" (frames {frames})" if frames else ""), soft_wrap=True
-            )
-            out.print(f"  decides   {', '.join(check.requirements)}", soft_wrap=True)
+        out.print(f"  instead   {escape(check.observed)}{where}", soft_wrap=True)
+        previous = check.expected
+    if len(bad) > _CHECKS:
+        out.print(f"            ... and {len(bad) - _CHECKS} more, which the report shows")
+    decided = dict.fromkeys(each for check in bad for each in check.requirements)
+    out.print(f"  decides   {', '.join(decided)}", soft_wrap=True)
     out.print(f"  again     {escape(case.rerun)}", soft_wrap=True)

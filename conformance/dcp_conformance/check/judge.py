@@ -1,0 +1,188 @@
+"""Judging a recording: every frame through every invariant, once, in order."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Iterable
+
+import msgspec
+from dcp_spec.version import __version__
+
+from dcp_codec.capture.frame import Frame
+from dcp_codec.codec import Codec
+from dcp_codec.framing import OtherTraffic, locate
+from dcp_conformance.heard import Heard
+from dcp_conformance.pics import Pics
+from dcp_conformance.results import (
+    CaseResult,
+    Check,
+    EventRecord,
+    Mark,
+    RunResult,
+    Sut,
+    requirement_verdicts,
+    summarise,
+)
+from dcp_conformance.runner import timestamp
+from dcp_conformance.verdict import Verdict, worst
+
+from . import rules_bp, rules_data, rules_dialogue, rules_srp, rules_vardis
+from .base import Context, Invariant, Seen
+
+RULES: tuple[type[Invariant], ...] = (
+    *rules_data.RULES,
+    *rules_bp.RULES,
+    *rules_srp.RULES,
+    *rules_vardis.RULES,
+    *rules_dialogue.RULES,
+)
+#: Frames that are kept for findings that are made later; older ones are cited by number only.
+_KEPT = 20_000
+
+
+class Judge:
+    """Feed it frames, and ask for the result. Nothing in a frame makes it raise."""
+
+    def __init__(self, codec: Codec, pics: Pics, *, recording: str = "", command: str = "") -> None:
+        self._codec = codec
+        self._pics = pics
+        self._recording = recording
+        self._command = command
+        context = Context(codec, pics)
+        self._rules = [rule(context) for rule in RULES]
+        self._active = [rule for rule in self._rules if not rule.applies()]
+        self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
+        self._cited: dict[int, EventRecord] = {}
+        self._findings = 0
+        self._began = time.monotonic()
+        self._started = timestamp()
+        self.frames = self.other = 0
+        self._senders: dict[bytes, int] = {}
+
+    def feed(self, frame: Frame) -> None:
+        """The next frame of the recording."""
+        framing = locate(frame.data, self._codec.profile.link)
+        if isinstance(framing, OtherTraffic):
+            self.other += 1
+            return
+        self.frames += 1
+        octets = frame.data[framing.start : framing.end]
+        heard = Heard(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+        dissection = self._codec.dissect(frame.data[: framing.end], start=framing.start, base=framing.start)
+        seen = Seen(heard, dissection, framing.dst, framing.start, frame.data)
+        if seen.sender in self._senders or len(self._senders) < 4096:
+            self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1
+        self._recent[frame.number] = (frame, framing.start, seen.sender)
+        if len(self._recent) > _KEPT:
+            self._recent.popitem(last=False)
+        for rule in self._active:
+            rule.feed(seen)
+        self._cite()
+
+    def _cite(self) -> None:
+        """Keep the frames of new findings while they are there."""
+        count = sum(len(rule.findings) for rule in self._active)
+        if count == self._findings:
+            return
+        self._findings = count
+        for rule in self._active:
+            for finding in rule.findings:
+                for mark in finding.frames:
+                    kept = self._recent.get(mark.frame)
+                    if mark.frame not in self._cited and kept is not None:
+                        frame, start, sender = kept
+                        who = sender.hex(":") if len(sender) <= 8 else sender.decode("ascii", "replace")
+                        self._cited[mark.frame] = EventRecord(
+                            frame.time_ns, "heard", who, frame.number, "", frame.data.hex(), start
+                        )
+
+    def result(self, notes: Iterable[str] = ()) -> RunResult:
+        """What came of it; call once, at the end."""
+        for rule in self._active:
+            rule.finish()
+        self._cite()
+        cases = tuple(self._case(rule) for rule in self._rules)
+        about = [f"{self.frames} frames of {len(self._senders)} senders"]
+        if self.other:
+            about.append(f"{self.other} frames of other traffic were passed over")
+        requirements: dict[str, Verdict] = {
+            each: verdict
+            for each, verdict in requirement_verdicts(cases).items()
+            if verdict not in (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE)
+        }
+        profile = self._codec.profile
+        return RunResult(
+            tool=f"dcp-conformance {__version__}",
+            kind="check",
+            started=self._started,
+            duration=time.monotonic() - self._began,
+            command=self._command,
+            profile=profile.name,
+            profile_title=profile.title,
+            spec_version=str(profile.spec_version),
+            sut=Sut(name=self._pics.sut.name or self._recording, link=f"recording {self._recording}"),
+            pics=msgspec.to_builtins(self._pics),
+            cases=cases,
+            requirements=requirements,
+            summary=summarise(cases),
+            notes=(*about, *notes),
+        )
+
+    def _case(self, rule: Invariant) -> CaseResult:
+        checks = [
+            Check(each.verdict, each.requirements, each.expected, each.observed, self._marks(each.frames))
+            for each in rule.findings
+        ]
+        failed = {each for check in checks if check.verdict is Verdict.FAIL for each in check.requirements}
+        exercised = tuple(each for each in rule.requirements if rule.occasions.get(each) and each not in failed)
+        reason = rule.applies()
+        if exercised:
+            count = max(rule.occasions[each] for each in exercised)
+            times = "once" if count == 1 else f"{count} times"
+            checks.append(Check(Verdict.PASS, exercised, f"{rule.expect} (looked at {times})"))
+        elif not checks:
+            reason = reason or "the recording gave no occasion"
+            checks.append(Check(Verdict.NOT_APPLICABLE, rule.requirements, reason))
+        verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
+        decisive = next(check for check in checks if check.verdict is verdict)
+        text = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
+        numbers = sorted({mark.frame for check in checks for mark in check.frames})
+        return CaseResult(
+            id=rule.id,
+            purpose=rule.purpose,
+            section=rule.section,
+            kind="BV",
+            requirements=rule.requirements,
+            verdict=verdict,
+            reason="" if verdict is Verdict.PASS else text,
+            stimulus="none: the recording as it is",
+            expectation=rule.expect,
+            checks=tuple(checks),
+            evidence=tuple(self._cited[number] for number in numbers if number in self._cited),
+            left_out=rule.left_out,
+            rerun=self._command,
+        )
+
+    def _marks(self, marks: tuple[Mark, ...]) -> tuple[Mark, ...]:
+        """With the octets of records whose place was given as "KIND variable"."""
+        return tuple(self._placed(mark) for mark in marks)
+
+    def _placed(self, mark: Mark) -> Mark:
+        event = self._cited.get(mark.frame)
+        if event is None or mark.length or not mark.path:
+            return mark
+        octets = bytes.fromhex(event.octets)
+        found = self._codec.dissect(octets, start=event.start, base=event.start)
+        kind, _, var_id = mark.path.rpartition(" ")
+        for container in found.root.walk():
+            label = container.child("icType")
+            if label is None or label.label != kind:
+                continue
+            records = container.child("records")
+            for record in records.children if records is not None else ():
+                spec = record.child("spec") or record
+                field = spec.child("varId")
+                if field is not None and str(field.value) == var_id:
+                    return Mark(mark.frame, record.offset, record.length, record.path)
+        return Mark(mark.frame)

@@ -1,0 +1,288 @@
+"""dcp-bp.md: what every beacon shows, and every sequence of beacons of one sender."""
+
+from __future__ import annotations
+
+import math
+import statistics
+
+from dcp_spec.constants import BP_SEQNO_MODULUS
+from dcp_spec.requirements import requirements
+
+from dcp_conformance.results import Mark
+from dcp_conformance.verdict import Verdict
+
+from .base import MOST_SENDERS, Context, Invariant, Seen, name
+
+MS = 1_000_000
+BROADCAST = b"\xff" * 6
+#: Beacons of a sender before its numbers may start again: it has been restarted.
+_RESTART = 3
+#: Intervals of a sender that statistics are made of.
+_INTERVALS = 20_000
+
+
+class BeaconFormat(Invariant):
+    """Octets that are no beacon of the profile."""
+
+    id = "CK_BP_FORMAT"
+    section = "dcp-bp.md: Packet Format"
+    purpose = "Every frame is a beacon of the profile, to its last octet"
+    requirements = (
+        "DATA-02", "DATA-03", "BP-HDR-01", "BP-HDR-02", "BP-HDR-06", "BP-HDR-07", "BP-HDR-10", "BP-HDR-11", "BP-FMT-01",
+    )  # fmt: skip
+    expect = "a beacon as the profile lays it out"
+
+    def feed(self, seen: Seen) -> None:
+        """Report what the dissector says, by requirement."""
+        self.exercised()
+        for problem in seen.dissection.errors:
+            known = problem.requirement if problem.requirement in requirements() else None
+            mark = Mark(seen.number, problem.offset, 1, problem.path)
+            self.violated(
+                f"{name(seen.sender)}: {problem}",
+                [mark],
+                *((known,) if known else ()),
+                once=(seen.sender, problem.reason),
+            )
+
+
+class RecordRules(Invariant):
+    """What is well formed and still against a rule."""
+
+    id = "CK_VD_RECORDS"
+    section = "dcp-vardis.md: Instruction Records"
+    purpose = "No record breaks a rule that can be seen in it alone"
+    requirements = ("VD-IC-03", "VD-PAY-03", "VD-TYP-02")
+    expect = "records as the specification wants them sent"
+
+    def feed(self, seen: Seen) -> None:
+        """Report the dissector's warnings."""
+        if seen.heard.containers:
+            self.exercised()
+        for problem in seen.dissection.warnings:
+            known = problem.requirement if problem.requirement in requirements() else None
+            mark = Mark(seen.number, problem.offset, 1, problem.path)
+            self.violated(
+                f"{name(seen.sender)}: {problem}",
+                [mark],
+                *((known,) if known else ()),
+                once=(seen.sender, problem.reason),
+            )
+
+
+class Broadcast(Invariant):
+    """Beacons go to everybody."""
+
+    id = "CK_UWB_BROADCAST"
+    section = "dcp-architecture.md: UWB"
+    purpose = "Beacons are broadcast"
+    requirements = ("UWB-01",)
+    expect = "the broadcast address as destination"
+
+    def applies(self) -> str:
+        """Only where frames have addresses that mean something."""
+        return "" if self.context.profile.link.transport == "ethernet" else "over UDP, the socket decides who hears it"
+
+    def feed(self, seen: Seen) -> None:
+        """Look at the destination."""
+        if seen.destination is None:
+            return
+        self.exercised()
+        if seen.destination != BROADCAST:
+            text = f"{name(seen.sender)} sends to {seen.destination.hex(':')}"
+            self.violated(text, [Mark(seen.number, 0, 6)], once=(seen.sender, seen.destination))
+
+
+class PacketSize(Invariant):
+    """The limit on beacons."""
+
+    id = "CK_BP_SIZE"
+    section = "dcp-bp.md: Packet Format"
+    purpose = "No beacon is longer than the limit that the profile or the PIXIT gives"
+    requirements = ("BP-FMT-02",)
+    expect = "a bearer payload within the maximum packet size"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._limit = context.pics.pixit.max_packet_size or context.profile.limits.max_beacon_size
+
+    def feed(self, seen: Seen) -> None:
+        """Compare, without padding."""
+        self.exercised()
+        size = len(seen.heard.octets) - len(seen.dissection.padding)
+        if size > self._limit:
+            text = f"{name(seen.sender)} sends {size} octets, and the limit is {self._limit}"
+            self.violated(text, [seen], once=(seen.sender, "size"))
+
+
+class NetworkIdentifier(Invariant):
+    """One network identifier."""
+
+    id = "CK_BP_NETWORK"
+    section = "dcp-bp.md: Data Types"
+    purpose = "A sender stays in one network"
+    requirements = ("BP-HDR-04",)
+    expect = "the same networkId in all beacons of a sender"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._known: dict[bytes, tuple[int, Seen]] = {}
+
+    def applies(self) -> str:
+        """Since 2.0."""
+        return "" if self.context.profile.has_header_field("networkId") else "beacons of this profile have no networkId"
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with the sender's last one."""
+        beacon = seen.heard.beacon
+        if beacon is None or beacon.bp is None or beacon.bp.network_id is None:
+            return
+        number = beacon.bp.network_id
+        before = self._known.get(seen.sender)
+        if before is not None:
+            self.exercised()
+            if before[0] != number:
+                text = f"{name(seen.sender)} changes from {before[0]:#06x} to {number:#06x}"
+                self.violated(text, [before[1], seen], once=(seen.sender, number))
+        if before is not None or len(self._known) < MOST_SENDERS:
+            self._known[seen.sender] = (number, seen)
+
+
+class SequenceNumbers(Invariant):
+    """The beacon counter."""
+
+    id = "CK_BP_SEQNO"
+    section = "dcp-bp.md: Transmit Path"
+    purpose = "Beacons of a sender are numbered one after the other"
+    requirements = ("BP-HDR-08", "BP-HDR-09")
+    expect = "each beacon's seqno is that of the one before plus one, modulo 2^32"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._last: dict[bytes, Seen] = {}
+        self._begin: int | None = None
+        self.lost: dict[bytes, int] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with the sender's last number."""
+        if self._begin is None:
+            self._begin = seen.time
+        number, first = seen.heard.seqno, self.context.profile.behaviour.first_beacon_seqno
+        if number is None:
+            return
+        last = self._last.get(seen.sender)
+        if last is None:
+            if len(self._last) >= MOST_SENDERS:
+                return
+            self._last[seen.sender] = seen
+            if number == first and seen.time > self._begin:
+                self.exercised("BP-HDR-08")
+            return
+        before = last.heard.seqno or 0
+        step = (number - before) % BP_SEQNO_MODULUS
+        self._last[seen.sender] = seen
+        if step == 1:
+            self.exercised()
+        elif step == 0 and seen.heard.octets == last.heard.octets:
+            self.note("the same beacon twice", f"{name(seen.sender)}: seqno {number}", [last, seen])
+        elif number <= _RESTART and before > _RESTART:
+            self.note("a sender starts again", f"{name(seen.sender)}: {number} after {before}", [last, seen])
+        elif 1 < step < BP_SEQNO_MODULUS // 2:
+            self.lost[seen.sender] = self.lost.get(seen.sender, 0) + step - 1
+        else:
+            text = f"{name(seen.sender)}: {number} after {before}"
+            self.violated(text, [last, seen], once=(seen.sender, step if step < 2 else "back"))
+
+    def finish(self) -> None:
+        """Say what was lost: that is the recorder's loss as likely as the sender's fault."""
+        for sender, count in self.lost.items():
+            self.note("beacons that are not in the recording", f"{name(sender)}: {count}", [])
+
+
+class BeaconPeriod(Invariant):
+    """When beacons come."""
+
+    id = "CK_BP_PERIOD"
+    section = "dcp-bp.md: Transmit Path"
+    purpose = "In the long run there is one beacon in each period"
+    requirements = ("BP-TX-01",)
+    expect = "a mean interval that agrees with the beacon period"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._last: dict[bytes, Seen] = {}
+        self._intervals: dict[bytes, list[float]] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Collect the intervals between beacons that follow each other."""
+        last = self._last.get(seen.sender)
+        if last is None and len(self._last) >= MOST_SENDERS:
+            return
+        self._last[seen.sender] = seen
+        if last is None or seen.heard.seqno is None or last.heard.seqno is None:
+            return
+        if (seen.heard.seqno - last.heard.seqno) % BP_SEQNO_MODULUS == 1:
+            intervals = self._intervals.setdefault(seen.sender, [])
+            if len(intervals) < _INTERVALS:
+                intervals.append((seen.time - last.time) / MS)
+
+    def finish(self) -> None:
+        """Compare the mean, as far as the sample allows."""
+        pixit = self.context.pics.pixit
+        for sender, all_intervals in self._intervals.items():
+            median = statistics.median(all_intervals)
+            # Without anything to say there is no beacon, so a long pause is no late beacon.
+            intervals = [each for each in all_intervals if each < 2.5 * median]
+            if len(intervals) < 30:
+                continue
+            mean, spread = statistics.fmean(intervals), statistics.pstdev(intervals)
+            error = 2.576 * spread / math.sqrt(len(intervals))
+            text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99 %), n = {len(intervals)}, jitter {spread:.1f} ms"
+            self.exercised()
+            period, tolerance = pixit.beacon_period_ms, pixit.period_tolerance * pixit.beacon_period_ms
+            if mean - error > period + tolerance or mean + error < period - tolerance:
+                self.violated(f"{text}; the period is {period:g} ms (PIXIT)", [], once=sender)
+            else:
+                self.note("mean interval between beacons", text, [])
+
+
+class SenderIdentifier(Invariant):
+    """Who sends."""
+
+    id = "CK_BP_SENDER"
+    section = "dcp-bp.md: Data Types"
+    purpose = "One station sends under one node identifier"
+    requirements = ("BP-HDR-03", "BP-PAR-09", "DATA-04")
+    expect = "the same senderId in all beacons of a station"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._known: dict[bytes, tuple[bytes, Seen]] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Compare by source address."""
+        sender, source = seen.heard.sender, seen.heard.source
+        if sender is None or seen.heard.beacon is None or not any(source):
+            return
+        before = self._known.get(source)
+        if before is None:
+            if len(self._known) < MOST_SENDERS:
+                self._known[source] = (sender, seen)
+            return
+        self.exercised()
+        if before[0] != sender:
+            # A gateway may carry the beacons of others.
+            text = f"frames from {source.hex(':')} carry {name(before[0])} and {name(sender)}"
+            self.violated(text, [before[1], seen], once=(source, sender), verdict=Verdict.INFO)
+
+
+RULES: tuple[type[Invariant], ...] = (
+    BeaconFormat,
+    Broadcast,
+    PacketSize,
+    NetworkIdentifier,
+    SenderIdentifier,
+    SequenceNumbers,
+    BeaconPeriod,
+    RecordRules,
+)

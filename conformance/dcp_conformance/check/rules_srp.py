@@ -1,0 +1,164 @@
+"""dcp-srp.md: state reports of each sender."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dcp_spec.constants import SRP_SEQNO_MODULUS
+
+from dcp_codec.values import ExtendedSafetyData
+from dcp_conformance.verdict import Verdict
+
+from .base import MOST_SENDERS, Context, Invariant, Seen, name
+
+_RESTART = 3
+
+
+class OwnReports(Invariant):
+    """State reports are about who sends them."""
+
+    id = "CK_SRP_OWN"
+    section = "dcp-srp.md: Data Types"
+    purpose = "State reports are about the node that sends them, and never forwarded"
+    requirements = ("SRP-TYP-04", "SRP-RX-06")
+    expect = "the sender's own nodeId in its state reports"
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with the sender."""
+        report = seen.heard.report
+        if report is None or seen.heard.sender is None:
+            return
+        self.exercised()
+        if report.node_id != seen.heard.sender:
+            text = f"{name(seen.sender)} sends a report of {name(report.node_id)}"
+            self.violated(text, [seen], once=(seen.sender, report.node_id))
+
+
+class ReportLength(Invariant):
+    """One record of a fixed size."""
+
+    id = "CK_SRP_LENGTH"
+    section = "dcp-srp.md: Packet Format"
+    purpose = "Every SRP payload is one record, always of the same length"
+    requirements = ("SRP-FMT-01", "SRP-TYP-02", "SRP-TYP-03")
+    expect = "SRP payloads of one length"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._lengths: dict[bytes, tuple[int, Seen]] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Compare lengths; a wrong one is an error of the dissector already."""
+        for problem in seen.dissection.errors:
+            if problem.requirement == "SRP-RX-01":
+                self.violated(f"{name(seen.sender)}: {problem}", [seen], once=(seen.sender, problem.reason))
+        payloads = seen.dissection.root.child("payloads")
+        for payload in payloads.children if payloads is not None else ():
+            report = payload.child("srp")
+            if report is None:
+                continue
+            before = self._lengths.get(seen.sender)
+            if before is None:
+                if len(self._lengths) < MOST_SENDERS:
+                    self._lengths[seen.sender] = (report.length, seen)
+                continue
+            self.exercised()
+            if before[0] != report.length:
+                text = f"{name(seen.sender)}: {report.length} octets after {before[0]}"
+                self.violated(text, [before[1], seen], once=(seen.sender, report.length))
+
+
+class _Last(NamedTuple):
+    report: ExtendedSafetyData
+    seen: Seen
+
+
+class ReportNumbers(Invariant):
+    """The report counter and what it counts."""
+
+    id = "CK_SRP_SEQNO"
+    section = "dcp-srp.md: The Sequence Number"
+    purpose = "Each new state report has the next sequence number and is not older than the one before"
+    requirements = ("SRP-SEQ-01", "SRP-TYP-05", "SRP-TYP-06")
+    expect = "seqno plus one for each new report, tStamp not going back"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._last: dict[bytes, _Last] = {}
+        self._lost: dict[bytes, int] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with the node's last report."""
+        report = seen.heard.report
+        if report is None:
+            return
+        last = self._last.get(report.node_id)
+        if last is None and len(self._last) >= MOST_SENDERS:
+            return
+        self._last[report.node_id] = _Last(report, seen)
+        if last is None:
+            return
+        step, who = (report.seqno - last.report.seqno) % SRP_SEQNO_MODULUS, name(report.node_id)
+        same = report.t_stamp == last.report.t_stamp and report.s_data == last.report.s_data
+        both = [last.seen, seen]
+        if step == 0:
+            self.exercised("SRP-TYP-06")
+            if not same and report.t_stamp != last.report.t_stamp:
+                self.violated(
+                    f"{who}: another report with seqno {report.seqno}", both, "SRP-TYP-06", once=(who, "same")
+                )
+            return
+        if report.seqno <= _RESTART < last.report.seqno:
+            self.note("a node starts its reports again", who, both)
+            return
+        self.exercised()
+        if step >= SRP_SEQNO_MODULUS // 2:
+            text = f"{who}: {report.seqno} after {last.report.seqno}"
+            self.violated(text, both, "SRP-SEQ-01", once=(who, "back"))
+        elif step > 1:
+            self._lost[report.node_id] = self._lost.get(report.node_id, 0) + step - 1
+        if report.t_stamp < last.report.t_stamp and step < SRP_SEQNO_MODULUS // 2:
+            text = f"{who}: tStamp goes back by {last.report.t_stamp - report.t_stamp} with seqno {report.seqno}"
+            self.violated(text, both, "SRP-TYP-05", once=(who, "time"))
+
+    def finish(self) -> None:
+        """Reports that were never seen: replaced before they were sent, or lost."""
+        for node_id, count in self._lost.items():
+            self.note("state reports that are not in the recording", f"{name(node_id)}: {count}", [])
+
+
+class ReportTime(Invariant):
+    """When a report was made."""
+
+    id = "CK_SRP_TIME"
+    section = "dcp-srp.md: SRP-UpdateSafetyData"
+    purpose = "A state report was made before it was sent, and not long before"
+    requirements = ("SRP-TYP-05", "DATA-05")
+    expect = "a tStamp within the clock tolerance of the recording's time"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._stamp = context.profile.types.timestamp
+        self._tolerance = round(context.pics.pixit.clock_tolerance_ms * 1_000_000)
+
+    def applies(self) -> str:
+        """Only where stamps are comparable with the recording."""
+        return "" if self._stamp.epoch == "unix" and self._stamp.unit != "ps" else "its time stamps have no known epoch"
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with the recording's clock. A clock that is off is the clock's fault: reported, not judged."""
+        report = seen.heard.report
+        if report is None:
+            return
+        made = report.t_stamp * {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[self._stamp.unit]
+        ahead = made - seen.time
+        self.exercised()
+        if ahead > self._tolerance:
+            text = f"{name(report.node_id)}: made {ahead / 1e9:.1f} s after it was recorded"
+            self.violated(text, [seen], once=(report.node_id, "ahead"), verdict=Verdict.INFO)
+        elif -ahead > self._tolerance + 60_000_000_000:
+            text = f"{name(report.node_id)}: {-ahead / 1e9:.0f} s old when recorded"
+            self.violated(text, [seen], once=(report.node_id, "behind"), verdict=Verdict.INFO)
+
+
+RULES: tuple[type[Invariant], ...] = (OwnReports, ReportLength, ReportNumbers, ReportTime)

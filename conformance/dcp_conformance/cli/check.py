@@ -1,0 +1,76 @@
+"""``dcp-conformance check``."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+import msgspec
+
+from dcp_conformance.errors import UsageError
+
+from .options import EXIT_STATUS
+
+
+@click.command("check", epilog=EXIT_STATUS)
+@click.argument("captures", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--profile", metavar="NAME|FILE", help="Wire profile.  [default: guessed for each recording]")
+@click.option("--ether-type", metavar="HEX", help="Another EtherType than the profile's.")
+@click.option("--pics", type=click.Path(path_type=Path), metavar="FILE", help="PICS and PIXIT (TOML).")
+@click.option("--beacon-period", type=float, metavar="MS", help="The beacon period.  [default: 100]")
+@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
+@click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
+@click.option("--quiet", "-q", is_flag=True, help="Only the findings.")
+def command(
+    captures: tuple[Path, ...],
+    profile: str | None,
+    ether_type: str | None,
+    pics: Path | None,
+    beacon_period: float | None,
+    report_dir: Path | None,
+    *,
+    show_requirements: bool,
+    quiet: bool,
+) -> int:
+    """Judge recordings (MCAP, pcap, pcapng) of a network without touching it.
+
+    Invariants of each sender and across senders are held against every frame. A recording decides only what it gave
+    an occasion for.
+    """
+    from dcp_conformance.check.recording import judge_recording
+    from dcp_conformance.pics import Pics, load_pics
+    from dcp_conformance.reporting import write_report
+    from dcp_conformance.verdict import Verdict
+
+    from .display import console, print_summary
+
+    known = load_pics(pics) if pics is not None else Pics()
+    if beacon_period is not None:
+        known = msgspec.structs.replace(
+            known, pixit=msgspec.structs.replace(known.pixit, beacon_period_ms=beacon_period)
+        )
+    worst_status = 0
+    for capture in captures:
+        words = ["dcp-conformance", "check", str(capture), *(["--profile", profile] if profile else [])]
+        run, codec = judge_recording(capture, profile, known, ether_type=ether_type, command=shlex.join(words))
+        report = ""
+        if report_dir is not None:
+            directory = report_dir if len(captures) == 1 else report_dir / capture.stem
+            report = str(write_report(run, directory, codec))
+        if quiet:
+            run = msgspec.structs.replace(run, notes=())
+        print_summary(run, report=report)
+        if show_requirements:
+            from dcp_spec.requirements import requirements
+
+            out = console()
+            for identifier, verdict in sorted(run.requirements.items()):
+                out.print(f"  {identifier:<12} {verdict:<13} {requirements()[identifier].statement}", soft_wrap=True)
+        verdicts = {case.verdict for case in run.cases}
+        status = 4 if Verdict.ERROR in verdicts else 1 if Verdict.FAIL in verdicts else 0
+        worst_status = max(worst_status, status)
+    return worst_status
+
+
+__all__ = ["UsageError", "command"]
