@@ -1,0 +1,467 @@
+"""dcp-bp.md: Data Types, queueing modes; Transmit Path.
+
+Payloads are submitted between two beacons; what is on the air afterwards shows what the queue or buffer has done.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+from dcp_spec.constants import BP_MAX_PAYLOADS, QueueingMode, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.clients import (
+    CLEAR,
+    CLIENT,
+    DROPHEAD,
+    DROPTAIL,
+    ONCE,
+    QUERY,
+    REPEAT,
+    BPClient,
+    areas_of_fixed_size,
+    block_header_octets,
+    blocks_of,
+    each_mode,
+    header_octets,
+    listed,
+    no_confirm,
+    queue_mode,
+    room,
+)
+
+V1_1 = SpecVersion.V1_1
+_SENDER = Needs(entities=(), ut=CLIENT)
+_QUEUES = {"droptail": DROPTAIL, "drophead": DROPHEAD}
+
+
+def until_done(client: BPClient, since: int) -> list[bytes]:
+    """Wait until nothing of a client is sent any more; what was sent from a mark on."""
+    client.bench.until_quiet(client.in_frame, since=since)
+    return client.sent(since)
+
+
+# -- queues ------------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_BP_QM_BV_01",
+    "A full queue of mode DROPTAIL discards the new payload, and the status is OK",
+    requirements="BP-QM-01 BP-TXP-04 BP-TXP-09",
+    stimulus="a client with maxEntries 2 submits A, B, C between two beacons",
+    expect="BP-STATUS-OK each time; A, then B on the air, and no C",
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=no_confirm),
+)
+def droptail(bench: Bench) -> None:
+    full_queue(bench, DROPTAIL, [0, 1], "BP-QM-01", "BP-TXP-04", "BP-TXP-09")
+
+
+@case(
+    "TC_BP_QM_BV_02",
+    "A full queue of mode DROPHEAD drops its oldest payload for the new one, and the status is OK",
+    requirements="BP-QM-02 BP-TXP-05",
+    stimulus="a client with maxEntries 2 submits A, B, C between two beacons",
+    expect="BP-STATUS-OK each time; B, then C on the air, and no A",
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=no_confirm),
+)
+def drophead(bench: Bench) -> None:
+    full_queue(bench, DROPHEAD, [1, 2], "BP-QM-02", "BP-TXP-05")
+
+
+def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requirements: str) -> None:
+    """Submit one payload too many; those at the places ``kept`` must be sent, in order."""
+    with BPClient(bench, mode, entries=2) as client:
+        start = bench.mark()
+        calls = len([event for event in bench.traffic.events if event.direction == "answer"])
+        payloads = client.submit(3)
+        said = [event for event in bench.traffic.events if event.direction == "answer"][calls:]
+        refused = [event.text for event in said if "OK" not in event.text.upper()]
+        bench.check(not refused, "each submission is answered with OK", f"{refused}", *requirements[1:])
+        sent = [each for each in until_done(client, start) if each in payloads]
+        right = [payloads[place] for place in kept]
+        expected = f"payloads {listed(right, payloads)} on the air"
+        bench.check(sent == right, expected, f"{listed(sent, payloads)}", *requirements, frames=client.frames(start))
+
+
+@case(
+    "TC_BP_QM_BV_03",
+    "A queue sends each payload once, in the order of submission ({variant})",
+    requirements="BP-QM-03",
+    stimulus="a client with mode {variant} and maxEntries 5 submits five payloads between two beacons",
+    expect="each of them in one beacon, in order",
+    variants={name: each for name, each in each_mode(*CLIENT).items() if each.value.is_queue},
+    window=8,
+)
+def fifo(bench: Bench, mode: QueueingMode) -> None:
+    with BPClient(bench, mode, entries=5) as client:
+        start = bench.mark()
+        payloads = client.submit(5)
+        sent = [each for each in until_done(client, start) if each in payloads]
+        expected = f"payloads {listed(payloads, payloads)}"
+        bench.check(sent == payloads, expected, f"{listed(sent, payloads)}", frames=client.frames(start))
+
+
+@case(
+    "TC_BP_QM_BV_04",
+    "A queue is as long as it was registered to be, and BP says how long it is ({variant})",
+    requirements="BP-QRY-02 BP-REG-06",
+    stimulus="a client with mode {variant} and maxEntries 3 submits four payloads one by one",
+    expect="BP-QueryNumberBufferedPayloads answers 0, then 1, 2, 3, 3",
+    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, QUERY)),
+    variants=_QUEUES,
+)
+def queue_length(bench: Bench, mode: QueueingMode) -> None:
+    for attempt in range(4):
+        with BPClient(bench, mode, entries=3) as client:
+            start = bench.mark()
+            numbers = [client.number()]
+            for _ in range(4):
+                client.transmit(client.payload())
+                numbers.append(client.number())
+            asked = bench.now()
+            bench.wait_ns(0)
+            # A beacon in between has taken one out.
+            if attempt < 3 and any(each.time <= asked for each in client.frames(start)):
+                continue
+        bench.check(numbers[0] == 0, "a new queue is empty", f"{numbers[0]} payloads are in it", "BP-REG-06")
+        bench.check(numbers[1:] == [1, 2, 3, 3], "lengths 1, 2, 3, 3", f"{numbers[1:]}", "BP-QRY-02")
+        return
+
+
+@case(
+    "TC_BP_QM_BV_05",
+    "With allowMultiplePayloads false there is one payload of a client per beacon ({variant})",
+    requirements="BP-QM-07",
+    stimulus="a client with mode {variant} submits four small payloads between two beacons",
+    expect="four beacons with one each",
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT),
+    variants=_QUEUES,
+    window=8,
+)
+def one_per_beacon(bench: Bench, mode: QueueingMode) -> None:
+    with BPClient(bench, mode, entries=4, several=False) as client:
+        start = bench.mark()
+        client.submit(4)
+        until_done(client, start)
+        frames = client.frames(start)
+        bench.require(frames, "beacons with the payloads", "there are none", "BP-GEN-02")
+        counts = [len(client.in_frame(each)) for each in frames]
+        bench.check(max(counts) == 1, "one payload per beacon", f"{counts}", frames=frames)
+
+
+@case(
+    "TC_BP_QM_BV_06",
+    "With allowMultiplePayloads true several payloads of a client may share a beacon",
+    requirements="BP-QM-08 BP-TX-03",
+    stimulus="a client that allows it submits four small payloads between two beacons",
+    expect="each payload once and in order; how many of them share a beacon is reported",
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT),
+    window=8,
+)
+def several_per_beacon(bench: Bench) -> None:
+    with BPClient(bench, DROPTAIL, entries=4, several=True) as client:
+        start = bench.mark()
+        payloads = client.submit(4)
+        sent = [each for each in until_done(client, start) if each in payloads]
+        bench.check(sent == payloads, "all of them once, in order", listed(sent, payloads), "BP-QM-03")
+        counts = [len(client.in_frame(each)) for each in client.frames(start)]
+        bench.info("How many payloads of one client share a beacon?", ", ".join(map(str, counts)))
+        if bench.pics.multiple_payloads:
+            bench.check(
+                max(counts, default=0) > 1, "several share a beacon, as the PICS claims", f"{counts}", "BP-QM-08"
+            )
+
+
+# -- buffers -----------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_BP_QM_BV_07",
+    "Mode ONCE sends the newest payload, once",
+    requirements="BP-QM-04 BP-TXP-06",
+    stimulus="a client with mode ONCE submits A and B between two beacons",
+    expect="B in one beacon, and no A",
+    needs=_SENDER,
+)
+def once(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        start = bench.mark()
+        payloads = client.submit(2)
+        sent = [each for each in until_done(client, start) if each in payloads]
+        bench.check(sent == payloads[1:], "payload B once", listed(sent, payloads), frames=client.frames(start))
+
+
+@case(
+    "TC_BP_QM_BV_08",
+    "Mode REPEAT keeps a payload until the next one",
+    requirements="BP-QM-05 BP-TXP-06",
+    stimulus="a client with mode REPEAT submits A; five beacons later B",
+    expect="A in each beacon of the client, then B in each, and A no more",
+    needs=_SENDER,
+    window=12,
+)
+def repeat(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        old, new = client.payload(), client.payload()
+        client.transmit(old)
+        for _ in range(5):
+            client.until_sent()
+        repeated = client.sent()
+        bench.check(len(repeated) >= 5, "A in five beacons", f"in {len(repeated)}", "BP-QM-05", frames=client.frames())
+        start = bench.mark()
+        client.transmit(new)
+        for _ in range(3):
+            client.until_sent(new)
+        sent = client.sent(start)
+        # A beacon that was being prepared when B came may have A still.
+        right = sent.count(new) >= 3 and old not in sent[sent.index(new) :] and sent.count(old) <= 1
+        bench.check(right, "B only", listed(sent, [old, new]), frames=client.frames(start))
+
+
+@case(
+    "TC_BP_QM_BV_09",
+    "A payload of mode REPEAT is in every beacon",
+    requirements="BP-QM-05 BP-TX-05",
+    stimulus="a client with mode REPEAT and small payload; six beacons",
+    expect="each of them has the payload, as nothing competes for the space",
+    needs=_SENDER,
+    window=8,
+)
+def repeat_in_every_beacon(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        bench.require(client.until_sent(), "a beacon with the payload", "there is none in time", "BP-GEN-02")
+        frames = bench.beacons(6)
+        bare = [heard for heard in frames if not client.in_frame(heard)]
+        bench.check(len(frames) == 6, "six beacons", f"{len(frames)} in {2 * 6 + bench.reaction:g} periods")
+        bench.check(not bare, "each has the payload", f"{len(bare)} do not", frames=bare)
+
+
+@case(
+    "TC_BP_QM_BV_10",
+    "A buffer counts as one payload or none ({variant})",
+    requirements="BP-QRY-03 BP-TX-05 BP-TXP-06",
+    stimulus="a client with mode {variant} submits two payloads; one is sent",
+    expect="BP-QueryNumberBufferedPayloads answers 0, 1, 1; after transmission 0 (ONCE) or 1 (REPEAT)",
+    needs=Needs(entities=(), ut=(*CLIENT, QUERY)),
+    variants={"once": ONCE, "repeat": REPEAT},
+)
+def buffer_count(bench: Bench, mode: QueueingMode) -> None:
+    for attempt in range(4):
+        with BPClient(bench, mode) as client:
+            start = bench.mark()
+            numbers = [client.number()]
+            for _ in range(2):
+                client.transmit(client.payload())
+                numbers.append(client.number())
+            asked = bench.now()
+            bench.wait_ns(0)
+            if attempt < 3 and mode is ONCE and any(each.time <= asked for each in client.frames(start)):
+                continue
+            bench.check(numbers == [0, 1, 1], "0, then 1, then 1", f"{numbers}", "BP-QRY-03", "BP-TXP-06")
+            if not client.frames(start):
+                client.until_sent()
+            bench.require(client.frames(start), "a beacon with the payload", "there is none in time", "BP-GEN-02")
+            right, number = 1 if mode is REPEAT else 0, client.number()
+            bench.check(number == right, f"{right} after transmission", f"{number}", "BP-QRY-03", "BP-TX-05")
+        return
+
+
+@case(
+    "TC_BP_QM_BV_11",
+    "A cleared payload of mode REPEAT disappears from the beacons",
+    requirements="BP-QM-05 BP-CLR-03",
+    stimulus="a client with mode REPEAT clears its buffer when its payload is on the air",
+    expect="no further beacon with it",
+    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, CLEAR)),
+)
+def clear_repeated(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        bench.require(client.until_sent(), "a beacon with the payload", "there is none in time", "BP-GEN-02")
+        bench.must(CLEAR, protId=client.prot_id)
+        quiet_from = bench.now() + bench.period // 5
+        bench.wait(4)
+        frames = client.frames(after=quiet_from)
+        bench.check(not frames, "no beacon with it", f"{len(frames)} beacons", frames=frames)
+
+
+# -- what fits ---------------------------------------------------------------------------------------------------------
+
+_FITTING = Needs(entities=(), ut=CLIENT, when=areas_of_fixed_size)
+
+
+def sizes_for(bench: Bench, octets: int) -> tuple[int, int]:
+    """Sizes of two payloads whose blocks have so many octets together."""
+    first = octets // 2 - block_header_octets(bench)
+    return first, octets - first - 2 * block_header_octets(bench)
+
+
+@case(
+    "TC_BP_TX_BV_01",
+    "Payloads that do not fit into one beacon together go into two ({variant})",
+    requirements="BP-TX-04 BP-FMT-02",
+    stimulus="two clients submit payloads whose blocks have {variant} more than a beacon has room for",
+    expect="both payloads, in different beacons, none of which is larger than BPPAR_MAXIMUM_PACKET_SIZE",
+    needs=_FITTING,
+    variants={"one-octet": 1, "a-header": None, "almost-all-of-it": 0.9},
+)
+def do_not_fit_together(bench: Bench, more: float | None) -> None:
+    space = room(bench)
+    # With one octet too much for blocks and header they still fit if only blocks count (X04).
+    extra = header_octets(bench) + 1 if more is None else round(more * space) if more < 1 else round(more)
+    fitting(bench, space + extra, together=False)
+
+
+@case(
+    "TC_BP_TX_BV_02",
+    "Payloads that just fit into one beacon together are sent",
+    requirements="BP-FMT-02 BP-TX-03",
+    stimulus="two clients submit payloads whose blocks have exactly as many octets as a beacon has room for",
+    expect="both payloads; whether they share the beacon is reported",
+    needs=_FITTING,
+)
+def fit_together(bench: Bench) -> None:
+    fitting(bench, room(bench), together=True)
+
+
+def fitting(bench: Bench, octets: int, *, together: bool) -> None:
+    """Let two clients submit payloads of so many octets in all, and look at the beacons that they come in."""
+    first, second = sizes_for(bench, octets)
+    with BPClient(bench, ONCE, size=first) as one, BPClient(bench, ONCE, size=second) as two:
+        start = bench.mark()
+        payloads = [one.payload(first), two.payload(second)]
+        one.transmit(payloads[0])
+        two.transmit(payloads[1])
+        bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.reaction)
+        sent = [*one.sent(start), *two.sent(start)]
+        bench.check(sorted(sent) == sorted(payloads), "both payloads once", listed(sent, payloads), "BP-TX-04")
+        shared = [heard for heard in one.frames(start) if two.in_frame(heard)]
+        if together:
+            bench.info("Do payloads share a beacon that just has room for them?", "yes" if shared else "no", "BP-TX-03")
+        elif shared and octets - room(bench) <= header_octets(bench):
+            bench.reading("X04", "blocks-only")
+        else:
+            bench.check(not shared, "they come in different beacons", "they share one", "BP-TX-04", frames=shared)
+        check_sizes(bench, start)
+
+
+def check_sizes(bench: Bench, since: int) -> None:
+    """Check that no beacon is larger than it may be; X04 leaves open whether the header counts."""
+    limit = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
+    margin = header_octets(bench) if bench.readings.get("X04") == "blocks-only" else 0
+    large = [heard for heard in bench.heard[since:] if len(heard.octets) > limit + margin]
+    found = f"{max(len(heard.octets) for heard in large)} octets" if large else ""
+    bench.check(not large, f"no beacon of more than {limit} octets", found, "BP-FMT-02", frames=large)
+
+
+@case(
+    "TC_BP_TX_BV_03",
+    "The head of a queue blocks what stands behind it, and is not overtaken",
+    requirements="BP-TX-06 BP-TX-04",
+    stimulus="a client repeats a payload that fills most of each beacon; another one queues a large and a small payload",
+    expect="the small payload never before the large one",
+    needs=_FITTING,
+    window=8,
+)
+def head_of_line(bench: Bench) -> None:
+    space, header = room(bench), block_header_octets(bench)
+    filler, large, small = space * 3 // 4 - header, space // 2 - header, 8
+    with (
+        BPClient(bench, REPEAT, size=filler) as constant,
+        BPClient(bench, queue_mode(bench), size=large, entries=4) as client,
+    ):
+        constant.transmit(constant.payload(filler))
+        bench.require(constant.until_sent(), "beacons with the first payload", "there are none in time", "BP-GEN-02")
+        start = bench.mark()
+        head, tail = client.payload(large), client.payload(small)
+        client.transmit(head)
+        client.transmit(tail)
+        bench.until(lambda heard: tail in client.in_frame(heard), 8)
+        sent = client.sent(start)
+        overtaken = tail in sent and (head not in sent or sent.index(tail) < sent.index(head))
+        bench.check(
+            not overtaken, "the small payload waits", "it is sent first", "BP-TX-06", frames=client.frames(start)
+        )
+        shared = [
+            heard for heard in client.frames(start) if head in client.in_frame(heard) and constant.in_frame(heard)
+        ]
+        bench.check(
+            not shared, "the large payload is not sent together with the first", "it is", "BP-TX-04", frames=shared
+        )
+        if head not in sent:
+            bench.info("Does a payload that always fits keep back a larger one?", "for 8 periods", "BP-TX-03")
+
+
+@case(
+    "TC_BP_TX_BV_04",
+    "Payloads of several clients are all sent; how many share a beacon is free",
+    requirements="BP-TX-03 BP-FMT-01",
+    stimulus="four clients with different modes submit small payloads",
+    expect="each of them unchanged; order and number of blocks are reported",
+    needs=_SENDER,
+)
+def several_clients(bench: Bench) -> None:
+    with ExitStack() as stack:
+        modes = (ONCE, REPEAT, queue_mode(bench), ONCE)
+        clients = [stack.enter_context(BPClient(bench, mode)) for mode in modes]
+        payloads = [client.payload(7 + number) for number, client in enumerate(clients)]
+        start = bench.mark()
+        for client, payload in zip(clients, payloads, strict=True):
+            client.transmit(payload)
+        bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
+        for client, payload in zip(clients, payloads, strict=True):
+            sent = set(client.sent(start))
+            bench.check(sent == {payload}, "the payload as it was submitted", f"{sorted(sent)!r}", "BP-FMT-01")
+        first = next(
+            (heard for heard in bench.heard[start:] if any(client.in_frame(heard) for client in clients)), None
+        )
+        if first is not None:
+            ids = [client.prot_id for client in clients]
+            order = [ids.index(prot_id) + 1 for prot_id, _ in blocks_of(bench.codec, first) if prot_id in ids]
+            bench.info(
+                "Which of four clients does a beacon serve, in which order?", ", ".join(map(str, order)), "BP-TX-03"
+            )
+
+
+@case(
+    "TC_BP_TX_BV_05",
+    "A beacon never has more than 255 blocks",
+    requirements="BP-TX-08",
+    stimulus="260 clients with a payload of one octet each",
+    expect="all payloads on the air, in beacons of at most 255 blocks with the right numPayloads",
+    needs=Needs(
+        entities=(),
+        ut=(*CLIENT, "UT-Reset"),
+        when=lambda bench: (
+            areas_of_fixed_size(bench)
+            or (None if room(bench) > 260 * (block_header_octets(bench) + 1) else "a beacon has no room for 256 blocks")
+        ),
+    ),
+)
+def most_blocks(bench: Bench) -> None:
+    clients = [BPClient(bench, ONCE, size=1) for _ in range(BP_MAX_PAYLOADS + 5)]
+    for client in clients:
+        if not client.register().ok:
+            bench.info("How many clients can register?", f"{clients.index(client)}")
+            return
+    start = bench.mark()
+    for client in clients:
+        client.transmit(b"x")
+    ids = {client.prot_id for client in clients}
+    seen: dict[int, int] = {}
+
+    def complete(heard: object) -> bool:
+        del heard
+        seen.clear()
+        for each in bench.heard[start:]:
+            for prot_id, _ in blocks_of(bench.codec, each):
+                seen[prot_id] = seen.get(prot_id, 0) + 1
+        return ids <= seen.keys()
+
+    bench.until(complete, 2 * bench.reaction)
+    broken = [heard for heard in bench.heard[start:] if heard.beacon is None]
+    bench.check(not broken, "beacons that can be read", f"{broken[0].problem if broken else ''}", frames=broken)
+    lost = len(ids - seen.keys())
+    bench.check(not lost, "all 260 payloads", f"{lost} are missing")
