@@ -29,6 +29,8 @@ VALUE_TOO_LONG = "VARDIS-STATUS-VALUE-TOO-LONG"
 ILLEGAL_REPCOUNT = "VARDIS-STATUS-ILLEGAL-REPCOUNT"
 #: JSON-RPC error for a value that the profile cannot express.
 NOT_EXPRESSIBLE = -32602
+#: JSON-RPC error in place of no response at all (readings X10 and X30).
+NO_RESPONSE = -32002
 
 
 def deleted_status(bench: Bench) -> str:
@@ -137,6 +139,17 @@ def listed(bench: Bench) -> dict[int, dict[str, Any]]:
 def max_repetitions(bench: Bench) -> int:
     """VARDISPAR_MAX_REPETITIONS, no more than what a case has time for."""
     return min(bench.parameter("VARDISPAR_MAX_REPETITIONS"), 15)
+
+
+def several_repetitions(bench: Bench) -> str | None:
+    """Why a case that needs three repetitions does not apply; None if it does."""
+    most = bench.parameter("VARDISPAR_MAX_REPETITIONS")
+    return None if most >= 3 else f"VARDISPAR_MAX_REPETITIONS is {most}, this takes 3"
+
+
+def count_of(bench: Bench, name: str) -> int:
+    """A number of repetitions by its name in a variant: a number, or ``most``."""
+    return max_repetitions(bench) if name == "most" else min(int(name), max_repetitions(bench))
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from dcp_spec.constants import BP_PROTID_SRP
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.services import report_octets, safety_data, told
+from dcp_conformance.services import NO_RESPONSE, report_octets, safety_data, told
 
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",), entities=("srp",))
 _NAME = re.compile(r"SRP -- State Reporting Protocol V(\d+\.\d+)")
@@ -163,7 +163,7 @@ def not_registered(bench: Bench) -> None:
             return
         if answer.code is not None:
             bench.reading("X10", "no-response")
-            bench.check(answer.code == -32002, "SRP-STATUS-INACTIVE, or -32002 for no response", str(answer))
+            bench.check(answer.code == NO_RESPONSE, "SRP-STATUS-INACTIVE, or -32002 for no response", str(answer))
         else:
             bench.reading("X10", "confirm-inactive")
             inactive = answer.status.replace("_", "-") == "SRP-STATUS-INACTIVE"

@@ -1,0 +1,342 @@
+"""dcp-vardis.md: Service RTDB-Create."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.services import (
+    DESCRIPTION_TOO_LONG,
+    EXISTS,
+    ILLEGAL_REPCOUNT,
+    NOT_EXPRESSIBLE,
+    OK,
+    UNKNOWN,
+    VALUE_TOO_LONG,
+    count_of,
+    create_request,
+    empty_status,
+    entry_of,
+    longest_description,
+    max_repetitions,
+    nanoseconds,
+    produced,
+    same_status,
+    taught,
+)
+
+_CREATE = Needs(ut=("RTDB-Create",))
+_CREATE_READ = Needs(ut=("RTDB-Create", "RTDB-Read"))
+_V = ICType.CREATE_VARIABLES
+
+
+@case(
+    "TC_VD_CRE_BV_01",
+    "A new variable is announced with what the application gave, sequence number 0 and its producer",
+    requirements="VD-CRE-10 VD-CRE-08 VD-CRE-12 VD-INI-05 VD-CRE-14",
+    stimulus="RTDB-Create with all parameters",
+    expect="VARDIS-STATUS-OK; a VarCreate with them, seqno 0 and the implementation's identifier as prodId",
+    needs=_CREATE,
+    smoke=True,
+)
+def announced(bench: Bench) -> None:
+    var_id = bench.var_id()
+    timeout = 60_000 if bench.features.creation_time else 0
+    request = create_request(
+        bench, var_id, rep_cnt=1, descr="speed of wind", value=b"\x00\x01\xfe\xff", timeout=timeout
+    )
+    bench.expect_status(OK, "RTDB-Create", "VD-CRE-14", **request)
+    record = bench.until_instruction(_V, var_id)
+    if record is None:
+        bench.fail("a VarCreate of the variable is sent", "none is", "VD-CRE-12")
+    frames = bench.instructions(_V, var_id)
+    spec, upd = record.spec, record.upd
+    for name, expected, observed, requirement in (
+        ("seqno", 0, upd.seqno, "VD-CRE-10"),
+        ("value", b"\x00\x01\xfe\xff", upd.value, "VD-CRE-10"),
+        ("repCnt", 1, spec.rep_cnt, "VD-CRE-10"),
+        ("descr", b"speed of wind", spec.descr.removesuffix(b"\0"), "VD-CRE-10"),
+        ("varId of the update", var_id, upd.var_id, "VD-CRE-10"),
+    ):
+        bench.check(observed == expected, f"{name} is {expected!r}", f"{observed!r}", requirement, frames=frames[:1])
+    if spec.timeout is not None:
+        bench.check(spec.timeout == timeout, f"timeout is {timeout}", f"{spec.timeout}", "VD-CRE-10", frames=frames[:1])
+    own = record_sender(bench)
+    named = ("VD-CRE-08", "VD-INI-05") if bench.features.producer_set_by_vardis else ("VD-INI-05",)
+    bench.check(spec.prod_id == own, f"prodId is {own.hex(':')}", spec.prod_id.hex(":"), *named, frames=frames[:1])
+
+
+def record_sender(bench: Bench) -> bytes:
+    """The identifier that the implementation has in its beacons."""
+    return (bench.heard[-1].sender if bench.heard else None) or bench.sut_id
+
+
+@case(
+    "TC_VD_CRE_BV_02",
+    "The creation time of a variable is now",
+    requirements="VD-CRE-09",
+    stimulus="RTDB-Create, twice with three beacon periods in between",
+    expect="creationTimes near these times, as far as the clocks agree, and as far apart as the requests",
+    window=12,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
+)
+def creation_time(bench: Bench) -> None:
+    stamps, times = [], []
+    for _ in range(2):
+        times.append(bench.lower.wall())
+        record = bench.until_instruction(_V, produced(bench))
+        if record is None:
+            bench.fail("a VarCreate of the variable is sent", "none is", "VD-CRE-09")
+        stamps.append(nanoseconds(bench, record.spec.creation_time))
+        bench.wait(3)
+    apart, expected, slack = stamps[1] - stamps[0], times[1] - times[0], bench.period * 2 + nanoseconds(bench, 1)
+    observed = f"{apart / 1e6:.0f} ms"
+    bench.check(abs(apart - expected) <= slack, f"the creation times are {expected / 1e6:.0f} ms apart", observed)
+    if bench.profile.types.timestamp.epoch == "unix":
+        off, most = abs(stamps[0] - times[0]), bench.pixit.clock_tolerance_ms * MS + bench.period
+        observed = f"{off / 1e6:.0f} ms off"
+        bench.check(off <= most, f"it is within {most / 1e6:.0f} ms of the tester's clock", observed)
+
+
+@case(
+    "TC_VD_CRE_BV_03",
+    "A VarCreate is in as many beacons as repCnt says ({variant})",
+    requirements="VD-CRE-12 VD-CRE-10",
+    stimulus="RTDB-Create with repCnt {variant}",
+    expect="exactly that many beacons carry one VarCreate of the variable each",
+    window=30,
+    needs=_CREATE,
+    variants={"1": "1", "2": "2", "most": "most"},
+)
+def repetitions(bench: Bench, name: str) -> None:
+    count = count_of(bench, name)
+    var_id = produced(bench, rep_cnt=count)
+    frames = bench.until_quiet(lambda heard: heard.instructions(_V, var_id))
+    bench.check(len(frames) == count, f"{count} beacons carry the VarCreate", f"{len(frames)} do", frames=frames)
+    twice = [heard for heard in frames if len(heard.instructions(_V, var_id)) > 1]
+    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice)
+
+
+@case(
+    "TC_VD_CRE_BV_04",
+    "A new variable gets into the summaries",
+    requirements="VD-CRE-12",
+    stimulus="RTDB-Create",
+    expect="a summary of the variable with seqno 0",
+    needs=Needs(
+        ut=("RTDB-Create",),
+        when=lambda bench: None if bench.parameter("VARDISPAR_MAX_SUMMARIES") else "summaries are switched off",
+    ),
+)
+def summarized(bench: Bench) -> None:
+    var_id = produced(bench)
+    record = bench.until_instruction(ICType.SUMMARIES, var_id, 2 * bench.reaction)
+    if record is None:
+        bench.fail("a summary of the variable is sent", "none is")
+    bench.check(record.seqno == 0, "its seqno is 0", f"{record.seqno}")
+
+
+@case(
+    "TC_VD_CRE_BV_05",
+    "The database entry of a new variable is as the procedure says",
+    requirements="VD-CRE-10 VD-CRE-14",
+    stimulus="RTDB-Create with the most repetitions, then RTDB-DescribeVariable at once",
+    expect="seqno 0, countCreate at most two below repCnt, other counters 0, not deleted, tStamp now",
+    needs=Needs(ut=("RTDB-Create", "RTDB-DescribeVariable")),
+)
+def entry(bench: Bench) -> None:
+    count, before = max_repetitions(bench), bench.lower.wall()
+    var_id = produced(bench, rep_cnt=count)
+    found = entry_of(bench, var_id)
+    if found is None:
+        bench.fail("the variable is there when the request is confirmed", "it is not", "VD-CRE-14")
+    for name, values in (
+        ("seqno", (0,)),
+        ("countCreate", tuple(range(max(0, count - 2), count + 1))),
+        ("countUpdate", (0,)),
+        ("countDelete", (0,)),
+        ("isDeleted", (False,)),
+    ):
+        if name in found:
+            observed = found[name]
+            expected = f"from {values[0]} to {values[-1]}" if len(values) > 1 else f"{values[0]}"
+            bench.check(observed in values, f"{name} is {expected}", f"it is {observed}", "VD-CRE-10")
+    stamp, slack = found.get("tStamp"), bench.pixit.clock_tolerance_ms * MS
+    near = stamp is None or before - slack <= stamp <= bench.lower.wall() + slack
+    bench.check(near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}", "VD-CRE-10")
+
+
+@case(
+    "TC_VD_CRE_BV_06",
+    "VarDis itself says who the producer is",
+    requirements="VD-CRE-08",
+    stimulus="RTDB-Create with the prodId of another node",
+    expect="VARDIS-STATUS-OK, and a VarCreate with the implementation's identifier",
+    needs=Needs(since=SpecVersion.V1_2, ut=("RTDB-Create",)),
+)
+def producer(bench: Bench) -> None:
+    var_id, other = bench.var_id(), bench.node_id()
+    answer = bench.call("RTDB-Create", **create_request(bench, var_id), prodId=other.hex(":"))
+    if answer.code is not None:
+        bench.info("prodId as a parameter of RTDB-Create", f"refused: {answer}")
+        return
+    bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer))
+    record = bench.until_instruction(_V, var_id)
+    if record is None:
+        bench.fail("a VarCreate of the variable is sent", "none is")
+    shown, own = record.spec.prod_id, record_sender(bench)
+    bench.check(shown == own, f"prodId is {own.hex(':')}", shown.hex(":"), frames=bench.instructions(_V, var_id)[:1])
+
+
+# -- limits ------------------------------------------------------------------------------------------------------------
+
+
+def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None:
+    """RTDB-Create must answer with this status and create nothing."""
+    var_id = bench.var_id()
+    answer = bench.call("RTDB-Create", **create_request(bench, var_id, **request))
+    if answer.code == NOT_EXPRESSIBLE:
+        # Beyond what the field can hold there is nothing that VarDis could be asked.
+        bench.info(f"a request that the profile cannot express, in place of {status}", str(answer), requirement)
+    else:
+        bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer), requirement)
+    bench.expect_status(UNKNOWN, "RTDB-Read", requirement, varId=var_id)
+
+
+def accepted(bench: Bench, requirement: str, **request: Any) -> None:
+    """RTDB-Create must create the variable, and announce it."""
+    var_id = bench.var_id()
+    bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, **request))
+    shown = bench.until_instruction(_V, var_id) is not None
+    bench.check(shown, "a VarCreate of the variable is sent", "none is", requirement)
+
+
+@case(
+    "TC_VD_CRE_BI_01",
+    "The longest description is accepted, one octet more is not",
+    requirements="VD-CRE-04",
+    stimulus="RTDB-Create with descriptions of the maximum, of one octet more, and of more octets but not characters",
+    expect="OK, then twice VARIABLE-DESCRIPTION-TOO-LONG, without a variable",
+    needs=_CREATE_READ,
+)
+def description(bench: Bench) -> None:
+    longest = longest_description(bench)
+    accepted(bench, "VD-CRE-04", descr="d" * longest)
+    refused(bench, DESCRIPTION_TOO_LONG, "VD-CRE-04", descr="d" * (longest + 1))
+    # Octets count, not characters: these are two octets each.
+    refused(bench, DESCRIPTION_TOO_LONG, "VD-CRE-04", descr="\u00e4" * (longest // 2 + 1))
+
+
+@case(
+    "TC_VD_CRE_BI_02",
+    "The longest value is accepted, one octet more is not",
+    requirements="VD-CRE-05",
+    stimulus="RTDB-Create with values of the maximum and of one octet more",
+    expect="OK, then VALUE-TOO-LONG without a variable",
+    needs=_CREATE_READ,
+)
+def value(bench: Bench) -> None:
+    longest = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")
+    accepted(bench, "VD-CRE-05", value=b"v" * longest)
+    refused(bench, VALUE_TOO_LONG, "VD-CRE-05", value=b"v" * (longest + 1))
+
+
+@case(
+    "TC_VD_CRE_BI_03",
+    "An empty value is refused",
+    requirements="VD-CRE-06",
+    stimulus="RTDB-Create with a value of no octets, then of one",
+    expect="EMPTY-VALUE (1.0: INVALID-VALUE) without a variable, then OK",
+    needs=_CREATE_READ,
+)
+def empty_value(bench: Bench) -> None:
+    refused(bench, empty_status(bench), "VD-CRE-06", value=b"")
+    accepted(bench, "VD-CRE-06", value=b"\0")
+
+
+@case(
+    "TC_VD_CRE_BI_04",
+    "Repetition counts from 1 to the maximum are accepted, 0 and more are not",
+    requirements="VD-CRE-07",
+    stimulus="RTDB-Create with repCnt 0, 1, VARDISPAR_MAX_REPETITIONS, one more, and 255",
+    expect="ILLEGAL-REPCOUNT, OK, OK, ILLEGAL-REPCOUNT, ILLEGAL-REPCOUNT",
+    needs=_CREATE_READ,
+)
+def repetition_count(bench: Bench) -> None:
+    most = bench.parameter("VARDISPAR_MAX_REPETITIONS")
+    refused(bench, ILLEGAL_REPCOUNT, "VD-CRE-07", rep_cnt=0)
+    accepted(bench, "VD-CRE-07", rep_cnt=1)
+    accepted(bench, "VD-CRE-07", rep_cnt=most)
+    for count in {most + 1, max(255, most + 1)}:
+        refused(bench, ILLEGAL_REPCOUNT, "VD-CRE-07", rep_cnt=count)
+
+
+def _double(bench: Bench, taken: bool = False, **request: Any) -> dict[str, Any]:
+    """A request with two mistakes."""
+    var_id = taught(bench, bench.peer()) if taken else bench.var_id()
+    return create_request(bench, var_id, **request)
+
+
+_ORDER: dict[str, Callable[[Bench], tuple[str, dict[str, Any]]]] = {
+    "taken+descr": lambda b: (EXISTS, _double(b, True, descr=_long_descr(b))),
+    "taken+value": lambda b: (EXISTS, _double(b, True, value=_long_value(b))),
+    "taken+empty": lambda b: (EXISTS, _double(b, True, value=b"")),
+    "taken+repcnt": lambda b: (EXISTS, _double(b, True, rep_cnt=0)),
+    "descr+value": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=_long_value(b))),
+    "descr+empty": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), value=b"")),
+    "descr+repcnt": lambda b: (DESCRIPTION_TOO_LONG, _double(b, descr=_long_descr(b), rep_cnt=0)),
+    "value+repcnt": lambda b: (VALUE_TOO_LONG, _double(b, value=_long_value(b), rep_cnt=0)),
+    "empty+repcnt": lambda b: (empty_status(b), _double(b, value=b"", rep_cnt=0)),
+}
+
+
+def _long_descr(bench: Bench) -> str:
+    return "d" * (longest_description(bench) + 1)
+
+
+def _long_value(bench: Bench) -> bytes:
+    return b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)
+
+
+@case(
+    "TC_VD_CRE_BI_05",
+    "Of two mistakes in a request the one that is checked first decides the status ({variant})",
+    requirements="VD-CRE-13",
+    stimulus="RTDB-Create with two mistakes: {variant}",
+    expect="the status of the first",
+    needs=_CREATE,
+    variants=_ORDER,
+)
+def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]]) -> None:
+    status, request = mistakes(bench)
+    answer = bench.call("RTDB-Create", **request)
+    if answer.code == NOT_EXPRESSIBLE:
+        bench.info("a request that the profile cannot express", str(answer))
+        return
+    bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer))
+
+
+@case(
+    "TC_VD_CRE_BV_07",
+    "Whether an empty description is accepted is open; the implementation goes on either way",
+    requirements="VD-CRE-15",
+    stimulus="RTDB-Create with an empty description",
+    expect="OK or a refusal (X21), and VarDis still answers",
+    needs=_CREATE,
+)
+def empty_description(bench: Bench) -> None:
+    var_id = bench.var_id()
+    answer = bench.call("RTDB-Create", **create_request(bench, var_id, descr=""))
+    bench.reading("X21", "accept-locally" if answer.ok else "refuse-locally")
+    bench.require_alive("a variable without a description")
+    claimed = bench.pics.empty_description
+    if claimed is not None:
+        said = f"the PICS says empty_description = {str(claimed).lower()}"
+        bench.check(claimed == answer.ok, said, f"RTDB-Create answers {answer}")
+    if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
+        # Neighbours that hear its summaries would request it for ever.
+        bench.call("RTDB-Delete", varId=var_id)

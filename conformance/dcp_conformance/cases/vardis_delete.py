@@ -1,0 +1,218 @@
+"""dcp-vardis.md: Service RTDB-Delete."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.services import (
+    NOT_PRODUCER,
+    OK,
+    UNKNOWN,
+    count_of,
+    deleted_status,
+    entry_of,
+    expect_any,
+    max_repetitions,
+    produced,
+    settled,
+    several_repetitions,
+    statuses_after_deletion,
+    taught,
+    untaught,
+)
+
+_D = ICType.DELETE_VARIABLES
+_OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
+_DELETE = Needs(ut=("RTDB-Create", "RTDB-Delete"))
+
+
+@case(
+    "TC_VD_DEL_BV_01",
+    "A VarDelete is in as many beacons as repCnt says, and nothing else of the variable ({variant})",
+    requirements="VD-DEL-05",
+    stimulus="RTDB-Create with repCnt {variant}; when its repetitions are over, RTDB-Delete",
+    expect="OK; exactly that many beacons with one VarDelete, and no VarCreate, VarUpdate or summary with them",
+    window=50,
+    needs=_DELETE,
+    variants={"1": "1", "2": "2", "most": "most"},
+)
+def repetitions(bench: Bench, name: str) -> None:
+    count = count_of(bench, name)
+    var_id = produced(bench, rep_cnt=count)
+    settled(bench, var_id)
+    _check_deletion(bench, var_id, count)
+
+
+def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
+    mark = bench.mark()
+    bench.expect_status(OK, "RTDB-Delete", varId=var_id)
+    frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
+    bench.check(len(frames) == count, f"{count} beacons carry the VarDelete", f"{len(frames)} do", frames=frames)
+    twice = [heard for heard in frames if len(heard.instructions(_D, var_id)) > 1]
+    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice)
+    # What was prepared before the request may still leave.
+    for kind in _OTHERS:
+        others = bench.frames_with(kind, var_id, mark)
+        late = [heard for heard in others if frames and heard.time >= frames[0].time]
+        bench.check(
+            len(others) <= 1 and not late,
+            f"no {kind.label} record of the variable but in a beacon prepared before",
+            f"{len(others)} beacons, {len(late)} of them with or after the first VarDelete",
+            frames=others,
+        )
+
+
+@case(
+    "TC_VD_DEL_BV_02",
+    "A deletion ends the repetitions of creation and update",
+    requirements="VD-DEL-05",
+    stimulus="RTDB-Create and RTDB-Update with the most repetitions; after two beacons RTDB-Delete",
+    expect="OK; exactly repCnt beacons with the VarDelete, and no VarCreate, VarUpdate or summary with or after them",
+    window=50,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete"), when=several_repetitions),
+)
+def ends_repetitions(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    if bench.until_instruction(ICType.UPDATES, var_id) is None:
+        bench.inconclusive("the update is heard", "it is not")
+    _check_deletion(bench, var_id, count)
+
+
+@case(
+    "TC_VD_DEL_BV_03",
+    "The entry of a deleted variable is as the procedure says",
+    requirements="VD-DEL-05",
+    stimulus="RTDB-Create, RTDB-Update and RTDB-Delete with the most repetitions, RTDB-DescribeVariable at once",
+    expect="isDeleted, countDelete at most two below repCnt, the other counters 0",
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-DescribeVariable"), when=several_repetitions),
+)
+def entry(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Delete", varId=var_id)
+    found = entry_of(bench, var_id)
+    if found is None:
+        bench.fail("the variable is still described", "it is not")
+    for name, low, high in (
+        ("isDeleted", True, True),
+        ("countDelete", count - 2, count),
+        ("countCreate", 0, 0),
+        ("countUpdate", 0, 0),
+    ):
+        if name in found:
+            bench.check(low <= found[name] <= high, f"{name} is from {low} to {high}", f"it is {found[name]}")
+
+
+@case(
+    "TC_VD_DEL_BV_04",
+    "A deleted variable stays in the database",
+    requirements="VD-DEL-06",
+    stimulus="RTDB-Create and RTDB-Delete; after the last VarDelete RTDB-DescribeVariable",
+    expect="OK and the entry, marked as deleted",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
+)
+def stays(bench: Bench) -> None:
+    var_id = produced(bench)
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
+    answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
+    found = answer.result.get("variable", {})
+    bench.check(found.get("isDeleted", True) is True, "isDeleted is true", f"{found.get('isDeleted')}")
+
+
+@case(
+    "TC_VD_DEL_BV_05",
+    "Up to 1.3 a deleted variable leaves the database after its last VarDelete",
+    requirements="VD-DEL-06",
+    stimulus="RTDB-Create and RTDB-Delete; after the last VarDelete RTDB-DescribeVariable and RTDB-Delete",
+    expect="VARIABLE-DOES-NOT-EXIST",
+    window=20,
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
+)
+def leaves(bench: Bench) -> None:
+    var_id = produced(bench)
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
+    bench.expect_status(UNKNOWN, "RTDB-DescribeVariable", varId=var_id)
+    bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_DEL_BI_01",
+    "A variable that does not exist cannot be deleted",
+    requirements="VD-DEL-02",
+    stimulus="RTDB-Delete of an identifier that is not in use",
+    expect="VARIABLE-DOES-NOT-EXIST; no VarDelete",
+    needs=Needs(ut=("RTDB-Delete",)),
+)
+def unknown(bench: Bench) -> None:
+    var_id = bench.var_id()
+    bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
+    bench.require_alive("the deletion of an unknown variable")
+    frames = bench.frames_with(_D, var_id)
+    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames)
+
+
+@case(
+    "TC_VD_DEL_BO_01",
+    "Another node's variable cannot be deleted",
+    requirements="VD-DEL-03",
+    stimulus="a peer's variable is learnt; RTDB-Delete",
+    expect="NOT-PRODUCER; the variable can still be read, and no VarDelete is sent",
+    needs=Needs(ut=("RTDB-Delete", "RTDB-Read")),
+)
+def foreign(bench: Bench) -> None:
+    var_id = taught(bench, bench.peer(), value=b"theirs")
+    bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=var_id)
+    bench.require_alive("the deletion of another node's variable")
+    answer = bench.call("RTDB-Read", varId=var_id)
+    bench.check(answer.ok and answer.result.get("value") == b"theirs".hex(), "the variable is still there", str(answer))
+    frames = bench.frames_with(_D, var_id)
+    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames)
+
+
+@case(
+    "TC_VD_DEL_BO_02",
+    "Another node's deleted variable cannot be deleted either: not being the producer is checked first",
+    requirements="VD-DEL-03",
+    stimulus="a peer's variable is learnt and deleted by the peer; RTDB-Delete",
+    expect="NOT-PRODUCER; up to 1.3 VARIABLE-DOES-NOT-EXIST once it is gone",
+    needs=Needs(ut=("RTDB-Delete",)),
+)
+def foreign_deleted(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer, rep_cnt=max_repetitions(bench))
+    untaught(bench, peer, var_id)
+    gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
+    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Delete", varId=var_id)
+
+
+@case(
+    "TC_VD_DEL_BO_03",
+    "A variable cannot be deleted twice, neither at once nor later",
+    requirements="VD-DEL-04",
+    stimulus="RTDB-Create with the most repetitions, RTDB-Delete, RTDB-Delete at once, and after the last VarDelete",
+    expect="VARIABLE-IS-DELETED both times, and no further VarDelete; up to 1.3 VARIABLE-BEING-DELETED, then "
+    "VARIABLE-DOES-NOT-EXIST",
+    window=30,
+    needs=_DELETE,
+)
+def twice(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    mark = bench.mark()
+    bench.must("RTDB-Delete", varId=var_id)
+    expect_any(bench, statuses_after_deletion(bench), "RTDB-Delete", varId=var_id)
+    frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
+    bench.check(len(frames) == count, f"{count} beacons carry the VarDelete", f"{len(frames)} do", frames=frames)
+    status = UNKNOWN if bench.features.removed_after_deletion else deleted_status(bench)
+    bench.expect_status(status, "RTDB-Delete", varId=var_id)

@@ -1,0 +1,132 @@
+"""dcp-vardis.md: Initialization, Runtime and Shutdown."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.services import listed, produced, taught
+
+_LIST = Needs(ut=("BP-ListRegisteredProtocols",))
+_NAME = re.compile(r"VarDis -- Variable Dissemination Protocol V(\d+\.\d+)")
+
+
+def _registration(bench: Bench) -> dict[str, Any]:
+    rows = bench.must("BP-ListRegisteredProtocols").result.get("protocols", [])
+    found = [row for row in rows if row.get("protocolId") == int(BP_PROTID_VARDIS)]
+    if not found:
+        others = [row.get("protocolId") for row in rows]
+        bench.fail("VarDis is registered under protocol identifier 2", f"registered are {others}")
+    return dict(found[0])
+
+
+@case(
+    "TC_VD_INI_BV_01",
+    "VarDis is registered with BP under its name",
+    requirements="VD-INI-02",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="protocol 2, 'VarDis -- Variable Dissemination Protocol Vx.y' with a version from V1.0 to V2.0",
+    needs=_LIST,
+)
+def name(bench: Bench) -> None:
+    shown = str(_registration(bench).get("protocolName"))
+    match = _NAME.fullmatch(shown)
+    bench.check(
+        match is not None and "1.0" <= match[1] <= "2.0",
+        "the name 'VarDis -- Variable Dissemination Protocol Vx.y', V1.0 to V2.0",
+        repr(shown),
+    )
+    if match is not None:
+        bench.info("X31: the version in the name", f"V{match[1]}")
+
+
+@case(
+    "TC_VD_INI_BV_02",
+    "VarDis is registered with the size, mode and queue of its version",
+    requirements="VD-INI-02",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="maxPayloadSize is VARDISPAR_MAX_PAYLOAD_SIZE, mode DROPHEAD (1.1 DROPTAIL, 1.0 ONCE), maxEntries positive, "
+    "no multiple payloads",
+    needs=_LIST,
+)
+def registration(bench: Bench) -> None:
+    found, size = _registration(bench), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    bench.check(found.get("maxPayloadSize") == size, f"maxPayloadSize is {size}", f"{found.get('maxPayloadSize')}")
+    expected, shown = bench.features.vardis_queueing_mode, str(found.get("queueMode"))
+    bench.check(shown.replace("-", "_") == expected, f"queueMode is {expected}", shown)
+    if bench.features.allow_multiple_payloads:
+        entries, several = found.get("maxEntries"), found.get("allowMultiplePayloads")
+        bench.check(isinstance(entries, int) and entries > 0, "maxEntries is positive", f"{entries}")
+        bench.check(several is False, "allowMultiplePayloads is false", f"{several}")
+
+
+@case(
+    "TC_VD_INI_BV_03",
+    "After a reset the database and the queues are empty",
+    requirements="VD-INI-04",
+    stimulus="an own variable with its repetitions to come and a learnt one; UT-Reset",
+    expect="no variable is described; after at most one beacon prepared before, no record of the two is sent; a "
+    "summary of the learnt one is answered with a request",
+    window=14,
+    needs=Needs(ut=("UT-Reset", "RTDB-Create", "RTDB-DescribeDatabase")),
+)
+def after_reset(bench: Bench) -> None:
+    peer = bench.peer()
+    mine = produced(bench, rep_cnt=bench.parameter("VARDISPAR_MAX_REPETITIONS"))
+    theirs = taught(bench, peer)
+    mark = bench.mark()
+    bench.must("UT-Reset")
+    known = sorted(listed(bench))
+    bench.check(not known, "no variable is in the database", f"{known} are")
+    bench.wait(3)
+    frames = [heard for heard in bench.heard[mark:] if heard.instructions(var_id=mine)]
+    bench.check(len(frames) <= 1, "nothing of the old variable is sent", f"{len(frames)} beacons", frames=frames)
+    peer.send(peer.summary(theirs, 1))
+    requested = bench.until_instruction(ICType.REQUEST_VARCREATES, theirs)
+    bench.check(requested is not None, "the learnt variable is requested again", "it is not")
+
+
+@case(
+    "TC_VD_INI_BV_04",
+    "After a restart the database is empty",
+    requirements="VD-INI-04 VD-SHD-03",
+    stimulus="a variable is learnt; restart; a summary of the variable",
+    expect="the variable is requested as an unknown one, and nothing was said of it before",
+    window=24,
+    needs=Needs(restart=True),
+    destructive=True,
+)
+def after_restart(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer)
+    bench.restart()
+    mark = bench.mark()
+    bench.beacons(2, 2.5)
+    frames = [heard for heard in bench.heard[mark:] if heard.instructions(var_id=var_id)]
+    bench.check(not frames, "nothing of the variable is sent", f"{len(frames)} beacons", frames=frames)
+    peer.send(peer.summary(var_id, 1))
+    requested = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
+    bench.check(requested is not None, "the variable is unknown and requested", "it is not requested")
+
+
+@case(
+    "TC_VD_INI_BV_05",
+    "The scrubbing process runs without being asked",
+    requirements="VD-INI-06",
+    stimulus="a peer's variable with a timeout of five beacon periods is learnt, and not updated",
+    expect="VarDelete records of it, the timeout and a scrubbing period later at the latest, plus tolerance",
+    window=30,
+    needs=Needs(since=SpecVersion.V2_0),
+)
+def scrubbing(bench: Bench) -> None:
+    peer = bench.peer()
+    timeout = 5 * bench.period // MS
+    var_id = taught(bench, peer, timeout=timeout)
+    period = bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
+    latest = (timeout + period + bench.pixit.timer_tolerance_ms) * MS / bench.period + bench.reaction
+    shown = bench.until_instruction(ICType.DELETE_VARIABLES, var_id, latest)
+    bench.check(shown is not None, "the variable is deleted after its timeout", "no VarDelete came")

@@ -1,0 +1,252 @@
+"""dcp-vardis.md: Other Management Services."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.services import (
+    INACTIVE,
+    OK,
+    UNKNOWN,
+    create_request,
+    max_repetitions,
+    produced,
+    same_status,
+    taught,
+)
+
+_ON, _OFF = "VD-MGMT-Activate", "VD-MGMT-Deactivate"
+
+
+def _needs(*methods: str) -> Needs:
+    return Needs(since=SpecVersion.V1_2, ut=(_ON, _OFF, *methods))
+
+
+@case(
+    "TC_VD_MGT_BV_01",
+    "VarDis can be deactivated and activated, also when it is so already",
+    requirements="VD-MGT-01 VD-MGT-05",
+    stimulus="VD-MGMT-Deactivate twice, VD-MGMT-Activate twice",
+    expect="VARDIS-STATUS-OK each time; afterwards VarDis answers again",
+    needs=_needs(),
+    smoke=True,
+)
+def on_and_off(bench: Bench) -> None:
+    try:
+        for _ in range(2):
+            bench.expect_status(OK, _OFF, "VD-MGT-01")
+    finally:
+        for _ in range(2):
+            bench.expect_status(OK, _ON, "VD-MGT-05")
+    bench.require_alive("being inactive", "VD-MGT-05")
+
+
+@case(
+    "TC_VD_MGT_BO_01",
+    "An inactive VarDis generates no payloads",
+    requirements="VD-MGT-02 VD-MGT-05",
+    stimulus="RTDB-Create with the most repetitions; VD-MGMT-Deactivate after the first VarCreate; later Activate",
+    expect="after at most one beacon, whose payload BP had already, no VarDis block; once active, blocks again",
+    window=20,
+    needs=_needs("RTDB-Create"),
+)
+def no_payloads(bench: Bench) -> None:
+    var_id = produced(bench, rep_cnt=max_repetitions(bench))
+    if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
+        bench.inconclusive("VarDis payloads are heard", "they are not")
+    bench.must(_OFF)
+    try:
+        mark = bench.mark()
+        bench.wait(6)
+        frames = [heard for heard in bench.heard[mark:] if heard.has_vardis]
+        observed = f"{len(frames)} beacons have VarDis blocks"
+        bench.check(
+            len(frames) <= 1, "no VarDis payload but one that BP had already", observed, "VD-MGT-02", frames=frames
+        )
+    finally:
+        bench.must(_ON)
+    again = bench.until(lambda heard: heard.has_vardis and heard)
+    # All repetitions may have gone, and summaries may be switched off.
+    if not again and not bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+        bench.require_alive("being inactive", "VD-MGT-05")
+    else:
+        bench.check(bool(again), "active again, VarDis generates payloads", "none came", "VD-MGT-05")
+
+
+@case(
+    "TC_VD_MGT_BO_02",
+    "What is received while VarDis is inactive is never processed",
+    requirements="VD-MGT-03",
+    stimulus="while inactive: a VarCreate, an update of a known variable, a summary of an unknown one; then Activate",
+    expect="the new variable is unknown, the known one unchanged, and the summary brings no request",
+    window=16,
+    needs=_needs("RTDB-Read"),
+)
+def discards(bench: Bench) -> None:
+    peer = bench.peer()
+    known = taught(bench, peer, value=b"before")
+    created, summarized = bench.var_ids(2)
+    bench.must(_OFF)
+    try:
+        mark = bench.mark()
+        peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
+        bench.wait(2)
+    finally:
+        bench.must(_ON)
+    bench.require_alive("being inactive")
+    bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
+    value = bench.call("RTDB-Read", varId=known).result.get("value")
+    bench.check(value == b"before".hex(), "the known variable is unchanged", f"its value is {value}")
+    for kind, var_id in (
+        (ICType.CREATE_VARIABLES, created),
+        (ICType.UPDATES, known),
+        (ICType.REQUEST_VARCREATES, summarized),
+    ):
+        frames = bench.frames_with(kind, var_id, mark)
+        bench.check(not frames, f"no {kind.label} record follows from it", f"{len(frames)} beacons", frames=frames)
+
+
+@case(
+    "TC_VD_MGT_BV_02",
+    "The database survives being inactive",
+    requirements="VD-MGT-05",
+    stimulus="an own and a learnt variable; VD-MGMT-Deactivate, VD-MGMT-Activate",
+    expect="both are read with their values; summaries of both appear again",
+    window=16,
+    needs=_needs("RTDB-Create", "RTDB-Read"),
+)
+def database_kept(bench: Bench) -> None:
+    mine = produced(bench, value=b"mine")
+    theirs = taught(bench, bench.peer(), value=b"theirs")
+    bench.must(_OFF)
+    try:
+        bench.wait(2)
+    finally:
+        bench.must(_ON)
+    mark = bench.mark()
+    for var_id, value in ((mine, b"mine"), (theirs, b"theirs")):
+        answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
+        shown = answer.result.get("value")
+        bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}")
+    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+        wanted = {mine, theirs}
+        bench.until(lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}, 12)
+        seen = {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}
+        bench.check(wanted <= seen, "summaries of both variables appear", f"those of {sorted(seen & wanted)} do")
+
+
+# -- services of an inactive VarDis ------------------------------------------------------------------------------------
+
+
+def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dict[str, Any]:
+    """The service must answer INACTIVE between deactivation and activation; what it returned."""
+    bench.must(_OFF)
+    try:
+        answer = bench.call(method, **params)
+        holds = same_status(answer, INACTIVE)
+        bench.check(holds, f"{method} answers {INACTIVE}", str(answer), requirement, "VD-MGT-04")
+    finally:
+        bench.must(_ON)
+    return answer.result
+
+
+@case(
+    "TC_VD_MGT_BO_03",
+    "An inactive VarDis creates no variable, neither now nor later",
+    requirements="VD-MGT-04 VD-CRE-01 VD-CRE-13",
+    stimulus="while inactive RTDB-Create, once good and once with an empty value; then Activate",
+    expect="VARDIS-STATUS-INACTIVE both times, even before the value is looked at; later no variable and no VarCreate",
+    needs=_needs("RTDB-Create", "RTDB-Read"),
+)
+def create(bench: Bench) -> None:
+    good, bad = bench.var_ids(2)
+    mark = bench.mark()
+    _inactive(bench, "RTDB-Create", "VD-CRE-01", **create_request(bench, good))
+    _inactive(bench, "RTDB-Create", "VD-CRE-13", **create_request(bench, bad, value=b""))
+    bench.require_alive("being inactive")
+    bench.expect_status(UNKNOWN, "RTDB-Read", "VD-MGT-04", varId=good)
+    frames = bench.frames_with(ICType.CREATE_VARIABLES, good, mark)
+    bench.check(not frames, "no VarCreate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames)
+
+
+@case(
+    "TC_VD_MGT_BO_04",
+    "An inactive VarDis updates no variable, neither now nor later",
+    requirements="VD-MGT-04 VD-UPD-01",
+    stimulus="while inactive RTDB-Update; then Activate",
+    expect="VARDIS-STATUS-INACTIVE; later the old value, and no VarUpdate",
+    needs=_needs("RTDB-Create", "RTDB-Update", "RTDB-Read"),
+)
+def update(bench: Bench) -> None:
+    var_id = produced(bench, value=b"before")
+    mark = bench.mark()
+    _inactive(bench, "RTDB-Update", "VD-UPD-01", varId=var_id, value=b"while".hex())
+    bench.require_alive("being inactive")
+    value = bench.call("RTDB-Read", varId=var_id).result.get("value")
+    bench.check(value == b"before".hex(), "the value is unchanged", f"it is {value}", "VD-MGT-04")
+    frames = bench.frames_with(ICType.UPDATES, var_id, mark)
+    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames)
+
+
+@case(
+    "TC_VD_MGT_BO_05",
+    "An inactive VarDis deletes no variable, neither now nor later",
+    requirements="VD-MGT-04 VD-DEL-01",
+    stimulus="while inactive RTDB-Delete; then Activate",
+    expect="VARDIS-STATUS-INACTIVE; later the variable is there, and no VarDelete is sent",
+    needs=_needs("RTDB-Create", "RTDB-Delete", "RTDB-Read"),
+)
+def delete(bench: Bench) -> None:
+    var_id = produced(bench)
+    mark = bench.mark()
+    _inactive(bench, "RTDB-Delete", "VD-DEL-01", varId=var_id)
+    bench.require_alive("being inactive")
+    bench.expect_status(OK, "RTDB-Read", "VD-MGT-04", varId=var_id)
+    frames = bench.frames_with(ICType.DELETE_VARIABLES, var_id, mark)
+    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames)
+
+
+@case(
+    "TC_VD_MGT_BO_06",
+    "An inactive VarDis lets no variable be read",
+    requirements="VD-MGT-04 VD-REA-01",
+    stimulus="while inactive RTDB-Read, of a variable that is there and of one that is not",
+    expect="VARDIS-STATUS-INACTIVE and no value both times",
+    needs=_needs("RTDB-Create", "RTDB-Read"),
+)
+def read(bench: Bench) -> None:
+    for var_id in (produced(bench), bench.var_id()):
+        result = _inactive(bench, "RTDB-Read", "VD-REA-01", varId=var_id)
+        bench.check("value" not in result, "no value", f"{result.get('value')}", "VD-REA-01")
+
+
+@case(
+    "TC_VD_MGT_BO_07",
+    "An inactive VarDis does not describe its database",
+    requirements="VD-MGT-04 VD-DDB-01",
+    stimulus="while inactive RTDB-DescribeDatabase",
+    expect="VARDIS-STATUS-INACTIVE and no data",
+    needs=_needs("RTDB-Create", "RTDB-DescribeDatabase"),
+)
+def describe_database(bench: Bench) -> None:
+    produced(bench)
+    result = _inactive(bench, "RTDB-DescribeDatabase", "VD-DDB-01")
+    bench.check(not result.get("variables"), "no data", f"{len(result.get('variables', []))} variables", "VD-DDB-01")
+
+
+@case(
+    "TC_VD_MGT_BO_08",
+    "An inactive VarDis does not describe a variable",
+    requirements="VD-MGT-04 VD-DVA-01",
+    stimulus="while inactive RTDB-DescribeVariable, of a variable that is there and of one that is not",
+    expect="VARDIS-STATUS-INACTIVE and no entry both times",
+    needs=_needs("RTDB-Create", "RTDB-DescribeVariable"),
+)
+def describe_variable(bench: Bench) -> None:
+    for var_id in (produced(bench), bench.var_id()):
+        result = _inactive(bench, "RTDB-DescribeVariable", "VD-DVA-01", varId=var_id)
+        bench.check("variable" not in result, "no entry", f"{result.get('variable')}", "VD-DVA-01")

@@ -1,0 +1,224 @@
+"""dcp-vardis.md: Service RTDB-Create, of an identifier that the database holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.services import (
+    EXISTS,
+    OK,
+    create_request,
+    expect_any,
+    max_repetitions,
+    nanoseconds,
+    produced,
+    same_status,
+    settled,
+    several_repetitions,
+    taught,
+    untaught,
+)
+
+_CREATE = ICType.CREATE_VARIABLES
+_DELETE = ICType.DELETE_VARIABLES
+_UPDATE = ICType.UPDATES
+
+
+@case(
+    "TC_VD_CRE_BO_01",
+    "The identifier of another node's variable is refused",
+    requirements="VD-CRE-02",
+    stimulus="a peer's variable is learnt; RTDB-Create with its identifier",
+    expect="VARIABLE-EXISTS, and the peer's variable as it was",
+    needs=Needs(ut=("RTDB-Create", "RTDB-Read")),
+)
+def foreign(bench: Bench) -> None:
+    var_id = taught(bench, bench.peer(), value=b"theirs")
+    bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"ours"))
+    value = bench.call("RTDB-Read", varId=var_id).result.get("value")
+    bench.check(value == b"theirs".hex(), "the variable keeps its value", f"it is {value}")
+
+
+@case(
+    "TC_VD_CRE_BO_02",
+    "The identifier of another node's deleted variable is refused as well",
+    requirements="VD-CRE-02",
+    stimulus="a peer's variable is learnt and deleted by the peer; RTDB-Create with its identifier",
+    expect="VARIABLE-EXISTS; the description of the service can be read to permit it (X20)",
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
+)
+def foreign_deleted(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer)
+    untaught(bench, peer, var_id)
+    answer = expect_any(bench, (EXISTS, OK), "RTDB-Create", "VD-CRE-02", **create_request(bench, var_id))
+    bench.reading("X20", "by-description" if answer.ok else "by-steps")
+
+
+@case(
+    "TC_VD_CRE_BO_03",
+    "Up to 1.3 an identifier of the own node is refused while its variable exists",
+    requirements="VD-CRE-02",
+    stimulus="RTDB-Create twice with the same identifier",
+    expect="OK, then VARIABLE-EXISTS; the value is the first",
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Read")),
+)
+def own_exists(bench: Bench) -> None:
+    var_id = produced(bench, value=b"first")
+    bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
+    value = bench.call("RTDB-Read", varId=var_id).result.get("value")
+    bench.check(value == b"first".hex(), "the variable keeps its value", f"it is {value}")
+
+
+@case(
+    "TC_VD_CRE_BO_04",
+    "A variable of the own node can be created anew: a later creationTime, sequence number 0",
+    requirements="VD-CRE-03 VD-CRE-09",
+    stimulus="RTDB-Create, RTDB-Update, and RTDB-Create again with another value",
+    expect="OK, and a VarCreate with the new value, seqno 0 and a later creationTime (X20: may be refused as active)",
+    window=14,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
+)
+def own_anew(bench: Bench) -> None:
+    var_id = produced(bench, value=b"first")
+    first = bench.until_instruction(_CREATE, var_id)
+    if first is None:
+        bench.inconclusive("the first VarCreate is heard", "it is not")
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.wait(2)
+    # A clock may be coarser than that.
+    bench.wait_ns(nanoseconds(bench, 1))
+    mark = bench.mark()
+    answer = expect_any(
+        bench, (OK, EXISTS), "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, value=b"second")
+    )
+    bench.reading("X20", "by-steps" if answer.ok else "by-description")
+    if not answer.ok:
+        return
+    _check_anew(bench, var_id, mark, first.spec.creation_time, b"second")
+
+
+def _check_anew(bench: Bench, var_id: int, mark: int, before: int, value: bytes) -> None:
+    """The VarCreate of the second creation; one of the first may have been prepared already."""
+    record = bench.until(lambda heard: _anew(heard.about(_CREATE, var_id), before))
+    frames = bench.instructions(_CREATE, var_id, mark)
+    if record is None:
+        observed = "none" if not frames else f"creationTime {frames[-1].record.spec.creation_time}"
+        bench.fail(f"a VarCreate with a creationTime after {before}", observed, "VD-CRE-09", frames=frames)
+    bench.check(record.upd.seqno == 0, "its seqno is 0", f"{record.upd.seqno}", "VD-CRE-03", frames=frames)
+    bench.check(
+        record.upd.value == value, f"its value is {value!r}", f"{record.upd.value!r}", "VD-CRE-03", frames=frames
+    )
+
+
+def _anew(record: Any | None, before: int) -> Any | None:
+    spec = getattr(record, "spec", None)
+    return record if spec is not None and spec.creation_time > before else None
+
+
+@case(
+    "TC_VD_CRE_BO_05",
+    "A creation right after a deletion ends the deletion",
+    requirements="VD-CRE-11 VD-CRE-03",
+    stimulus="RTDB-Create, RTDB-Delete with the most repetitions to come, and RTDB-Create at once",
+    expect="after at most one VarDelete exactly repCnt VarCreates of the new variable, and no VarDelete among them",
+    window=40,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+)
+def ends_deletion(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count, value=b"first")
+    first = bench.until_instruction(_CREATE, var_id)
+    if first is None:
+        bench.inconclusive("the first VarCreate is heard", "it is not")
+    bench.must("RTDB-Delete", varId=var_id)
+    if bench.until_instruction(_DELETE, var_id) is None:
+        bench.inconclusive("the deletion is heard", "it is not")
+    mark = bench.mark()
+    bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
+    before = first.spec.creation_time
+    made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
+    deletions = bench.frames_with(_DELETE, var_id, mark)
+    late = [heard for heard in deletions if not made or heard.time >= made[0].time]
+    bench.check(
+        len(deletions) <= 1 and not late,
+        "no VarDelete but one that was prepared before",
+        f"{len(deletions)}, {len(late)} of them with or after the new VarCreate",
+        "VD-CRE-11",
+        frames=deletions,
+    )
+    bench.check(len(made) == count, f"{count} beacons with the new VarCreate", f"{len(made)}", "VD-CRE-11", frames=made)
+
+
+@case(
+    "TC_VD_CRE_BO_06",
+    "A creation takes the place of what was still to be sent of the variable before",
+    requirements="VD-CRE-11",
+    stimulus="RTDB-Create and RTDB-Update with the most repetitions; one beacon later RTDB-Create again",
+    expect="exactly repCnt VarCreates of the new variable, one per beacon, and no VarUpdate among them",
+    window=40,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"), when=several_repetitions),
+)
+def ends_repetitions(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count, value=b"first")
+    first = bench.until_instruction(_CREATE, var_id)
+    if first is None:
+        bench.inconclusive("the first VarCreate is heard", "it is not")
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    if bench.until_instruction(_UPDATE, var_id) is None:
+        bench.inconclusive("the update is heard", "it is not")
+    mark = bench.mark()
+    answer = bench.call("RTDB-Create", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
+    if same_status(answer, EXISTS):
+        bench.reading("X20", "by-description")
+        return
+    bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer))
+    before = first.spec.creation_time
+    made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
+    bench.check(len(made) == count, f"{count} beacons with the new VarCreate", f"{len(made)}", frames=made)
+    twice = [heard for heard in made if len(heard.instructions(_CREATE, var_id)) > 1]
+    bench.check(not twice, "no beacon with two VarCreates of the variable", f"{len(twice)}", frames=twice)
+    late = [heard for heard in bench.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
+    bench.check(not late, "no VarUpdate with or after the new VarCreate", f"{len(late)} beacons", frames=late)
+
+
+@case(
+    "TC_VD_CRE_BO_07",
+    "Up to 1.3 an identifier can be used again once its variable is gone",
+    requirements="VD-CRE-02",
+    stimulus="RTDB-Create, RTDB-Delete; after the last VarDelete RTDB-Create again",
+    expect="OK, and a VarCreate with seqno 0",
+    window=20,
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete")),
+)
+def used_again(bench: Bench) -> None:
+    var_id = produced(bench, value=b"first")
+    settled(bench, var_id)
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.until_quiet(lambda heard: heard.instructions(_DELETE, var_id))
+    mark = bench.mark()
+    bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
+    record = bench.until_instruction(_CREATE, var_id)
+    frames = bench.instructions(_CREATE, var_id, mark)
+    ok = record is not None and record.upd.seqno == 0 and record.upd.value == b"second"
+    bench.check(ok, "a VarCreate of the new variable with seqno 0", f"{record}", frames=frames)
+
+
+@case(
+    "TC_VD_CRE_BO_08",
+    "Up to 1.3 an identifier is refused while its variable is being deleted",
+    requirements="VD-CRE-02",
+    stimulus="RTDB-Create and RTDB-Delete with the most repetitions, and RTDB-Create at once",
+    expect="VARIABLE-EXISTS",
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+)
+def being_deleted(bench: Bench) -> None:
+    var_id = produced(bench, rep_cnt=max_repetitions(bench))
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id))

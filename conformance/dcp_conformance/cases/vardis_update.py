@@ -1,0 +1,352 @@
+"""dcp-vardis.md: Service RTDB-Update."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import ICType, seqno_modulus
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.heard import Heard
+from dcp_conformance.services import (
+    NOT_EXPRESSIBLE,
+    NOT_PRODUCER,
+    OK,
+    UNKNOWN,
+    VALUE_TOO_LONG,
+    count_of,
+    empty_status,
+    entry_of,
+    expect_any,
+    max_repetitions,
+    produced,
+    same_status,
+    settled,
+    several_repetitions,
+    statuses_after_deletion,
+    taught,
+    untaught,
+)
+
+_U = ICType.UPDATES
+_C = ICType.CREATE_VARIABLES
+_UPDATE = Needs(ut=("RTDB-Create", "RTDB-Update"))
+_UPDATE_READ = Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"))
+
+
+@case(
+    "TC_VD_UPD_BV_01",
+    "An update is sent with its value and the next sequence number",
+    requirements="VD-UPD-07 VD-UPD-08",
+    stimulus="RTDB-Create; four times RTDB-Update, each after the VarUpdate of the one before",
+    expect="OK each time; VarUpdates with the values and the numbers 1, 2, 3, 4",
+    window=25,
+    needs=_UPDATE,
+    smoke=True,
+)
+def updates(bench: Bench) -> None:
+    var_id = produced(bench)
+    for number in range(1, 5):
+        value = b"value %d" % number
+        mark = bench.mark()
+        bench.expect_status(OK, "RTDB-Update", "VD-UPD-08", varId=var_id, value=value.hex())
+        record = _until_value(bench, var_id, value)
+        frames = bench.instructions(_U, var_id, mark)
+        if record is None:
+            observed = f"{frames[-1].record}" if frames else "none"
+            bench.fail(f"a VarUpdate with the value {value!r}", observed, "VD-UPD-08", frames=frames)
+        bench.check(record.seqno == number, f"its seqno is {number}", f"{record.seqno}", "VD-UPD-07", frames=frames)
+
+
+def _until_value(bench: Bench, var_id: int, value: bytes) -> Any | None:
+    """Wait for a VarUpdate with this value, and return it; None if none comes in time."""
+
+    def wanted(heard: Heard) -> Any | None:
+        record = heard.about(_U, var_id)
+        return record if record is not None and record.value == value else None
+
+    return bench.until(wanted)
+
+
+@case(
+    "TC_VD_UPD_BV_02",
+    "Sequence numbers wrap around",
+    requirements="VD-UPD-07",
+    stimulus="so many RTDB-Updates that two more reach the modulus; then these two, and one more, each awaited",
+    expect="VarUpdates with the numbers modulus - 1, 0, 1",
+    window=25,
+    needs=Needs(
+        ut=("RTDB-Create", "RTDB-Update"),
+        when=lambda bench: (
+            None if bench.profile.types.var_seqno.width == 1 else "sequence numbers have more than one octet"
+        ),
+    ),
+)
+def wrap(bench: Bench) -> None:
+    var_id, modulus = produced(bench), seqno_modulus(bench.profile.types.var_seqno.width)
+    for number in range(1, modulus - 1):
+        bench.must("RTDB-Update", varId=var_id, value=number.to_bytes(2, "big").hex())
+    for number in range(modulus - 1, modulus + 2):
+        value, mark = number.to_bytes(2, "big"), bench.mark()
+        bench.must("RTDB-Update", varId=var_id, value=value.hex())
+        shown = _until_value(bench, var_id, value)
+        frames = bench.instructions(_U, var_id, mark)
+        observed = "not sent" if shown is None else f"sent with seqno {shown.seqno}"
+        holds = shown is not None and shown.seqno == number % modulus
+        bench.check(holds, f"update {number} is sent with seqno {number % modulus}", observed, frames=frames)
+
+
+@case(
+    "TC_VD_UPD_BV_03",
+    "A VarUpdate is in as many beacons as repCnt says ({variant})",
+    requirements="VD-UPD-08 VD-UPD-09",
+    stimulus="RTDB-Create with repCnt {variant}; when its repetitions are over, RTDB-Update",
+    expect="exactly that many beacons carry one VarUpdate of the variable each",
+    window=50,
+    needs=_UPDATE,
+    variants={"1": "1", "2": "2", "most": "most"},
+)
+def repetitions(bench: Bench, name: str) -> None:
+    count = count_of(bench, name)
+    var_id = produced(bench, rep_cnt=count)
+    settled(bench, var_id)
+    mark = bench.mark()
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
+    observed = f"{len(frames)} do"
+    bench.check(len(frames) == count, f"{count} beacons carry the VarUpdate", observed, "VD-UPD-08", frames=frames)
+    twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
+    bench.check(not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice)
+
+
+@case(
+    "TC_VD_UPD_BV_04",
+    "A further update starts the repetitions again",
+    requirements="VD-UPD-08 VD-UPD-09",
+    stimulus="RTDB-Update of a variable with the most repetitions; two beacons later another",
+    expect="the second in exactly repCnt beacons, and the first in none with or after it",
+    window=60,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update"), when=several_repetitions),
+)
+def counted_again(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    bench.must("RTDB-Update", varId=var_id, value=b"first".hex())
+    for _ in range(2):
+        if bench.until_instruction(_U, var_id) is None:
+            bench.fail("the first update is repeated", "it is not", "VD-UPD-08")
+    mark = bench.mark()
+    bench.must("RTDB-Update", varId=var_id, value=b"second".hex())
+    _check_newest(bench, var_id, mark, count, b"second", 2)
+
+
+def _check_newest(bench: Bench, var_id: int, mark: int, count: int, value: bytes, seqno: int) -> None:
+    """After the mark: ``count`` beacons with this update, at most one with an older one, which comes before them."""
+    frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
+    newest = [heard for heard in frames if _newest(heard.instructions(_U, var_id)[-1].record, value, seqno)]
+    observed = f"{len(newest)} of {len(frames)} with VarUpdates do"
+    bench.check(len(newest) == count, f"{count} beacons carry the newest update", observed, "VD-UPD-08", frames=frames)
+    twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
+    bench.check(not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice)
+    old = [heard for heard in frames if heard not in newest]
+    late = [heard for heard in old if newest and heard.time >= newest[0].time]
+    bench.check(
+        len(old) <= 1 and not late,
+        "an older update is only in a beacon that was prepared before",
+        f"it is in {len(old)}, {len(late)} of them after the newest",
+        "VD-UPD-09",
+        frames=old,
+    )
+
+
+def _newest(record: object, value: bytes, seqno: int) -> bool:
+    return getattr(record, "value", None) == value and getattr(record, "seqno", None) == seqno
+
+
+@case(
+    "TC_VD_UPD_BV_05",
+    "Of two quick updates each beacon carries one VarUpdate, with the newest value",
+    requirements="VD-UPD-09 VD-UPD-08 VD-UPD-07",
+    stimulus="two RTDB-Updates at once, right after a beacon",
+    expect="exactly repCnt beacons with one VarUpdate: the second value under seqno 2",
+    window=30,
+    needs=_UPDATE,
+)
+def quick(bench: Bench) -> None:
+    count = min(2, max_repetitions(bench))
+    var_id = produced(bench, rep_cnt=count)
+    settled(bench, var_id)
+    mark = bench.mark()
+    for value in (b"first", b"second"):
+        bench.must("RTDB-Update", varId=var_id, value=value.hex())
+    _check_newest(bench, var_id, mark, count, b"second", 2)
+
+
+@case(
+    "TC_VD_UPD_BV_06",
+    "A VarCreate that is still repeated carries the newest value and its sequence number",
+    requirements="VD-UPD-10",
+    stimulus="RTDB-Create with the most repetitions; after the first VarCreate RTDB-Update",
+    expect="after at most one with the old value all further VarCreates have the new value and seqno 1",
+    window=40,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update"), when=several_repetitions),
+)
+def in_creations(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count, value=b"first")
+    if bench.until_instruction(_C, var_id) is None:
+        bench.inconclusive("a VarCreate is heard", "none is")
+    mark = bench.mark()
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    frames = bench.until_quiet(lambda heard: heard.instructions(_C, var_id), since=mark)
+    records = [heard.about(_C, var_id) for heard in frames]
+    after = records[1:] if records and not _newest(getattr(records[0], "upd", None), b"newer", 1) else records
+    wrong = [each for each in after if each is None or not _newest(each.upd, b"newer", 1)]
+    observed = f"{wrong[0].upd}" if wrong and wrong[0] is not None else f"{len(after)} VarCreates"
+    bench.check(
+        bool(after) and not wrong, "the VarCreates after the update carry its value, seqno 1", observed, frames=frames
+    )
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_UPD_BI_01",
+    "A variable that does not exist cannot be updated",
+    requirements="VD-UPD-02",
+    stimulus="RTDB-Update of an identifier that is not in use",
+    expect="VARIABLE-DOES-NOT-EXIST; no VarUpdate",
+    needs=Needs(ut=("RTDB-Update",)),
+)
+def unknown(bench: Bench) -> None:
+    var_id = bench.var_id()
+    bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=b"value".hex())
+    bench.require_alive("the update of an unknown variable")
+    frames = bench.frames_with(_U, var_id)
+    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", frames=frames)
+
+
+@case(
+    "TC_VD_UPD_BO_01",
+    "Another node's variable cannot be updated",
+    requirements="VD-UPD-03",
+    stimulus="a peer's variable is learnt; RTDB-Update, also with an empty value",
+    expect="NOT-PRODUCER both times; the value stays the peer's",
+    needs=Needs(ut=("RTDB-Update", "RTDB-Read")),
+)
+def foreign(bench: Bench) -> None:
+    var_id = taught(bench, bench.peer(), value=b"theirs")
+    for value in (b"ours", b""):
+        bench.expect_status(NOT_PRODUCER, "RTDB-Update", varId=var_id, value=value.hex())
+    shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
+    bench.check(shown == b"theirs".hex(), "the variable keeps its value", f"it is {shown}")
+
+
+@case(
+    "TC_VD_UPD_BO_02",
+    "Another node's deleted variable cannot be updated: not being the producer is checked first",
+    requirements="VD-UPD-03",
+    stimulus="a peer's variable is learnt and deleted by the peer; RTDB-Update",
+    expect="NOT-PRODUCER; up to 1.3 VARIABLE-DOES-NOT-EXIST once it is gone",
+    needs=Needs(ut=("RTDB-Update",)),
+)
+def foreign_deleted(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer, rep_cnt=max_repetitions(bench))
+    untaught(bench, peer, var_id)
+    gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
+    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Update", varId=var_id, value=b"ours".hex())
+
+
+@case(
+    "TC_VD_UPD_BO_03",
+    "A deleted variable cannot be updated",
+    requirements="VD-UPD-04",
+    stimulus="RTDB-Create and RTDB-Delete; RTDB-Update, also with a value that is too long",
+    expect="VARIABLE-IS-DELETED both times (up to 1.3 VARIABLE-BEING-DELETED)",
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete")),
+)
+def deleted(bench: Bench) -> None:
+    var_id = produced(bench, rep_cnt=max_repetitions(bench))
+    bench.must("RTDB-Delete", varId=var_id)
+    mark = bench.mark()
+    for value in (b"newer", b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
+        answer = bench.call("RTDB-Update", varId=var_id, value=value.hex())
+        if answer.code != NOT_EXPRESSIBLE:
+            allowed = statuses_after_deletion(bench)
+            matches = any(same_status(answer, status) for status in allowed)
+            bench.check(matches, f"RTDB-Update answers {' or '.join(allowed)}", str(answer))
+    bench.beacons(2, 2.5)
+    frames = bench.frames_with(_U, var_id, mark)
+    bench.check(not frames, "no VarUpdate of the deleted variable is sent", f"{len(frames)} are", frames=frames)
+
+
+@case(
+    "TC_VD_UPD_BI_02",
+    "The longest value is accepted, one octet more is not",
+    requirements="VD-UPD-05",
+    stimulus="RTDB-Update with a value of the maximum, then of one octet more",
+    expect="OK, then VALUE-TOO-LONG; the value stays the first, and so does its sequence number",
+    needs=_UPDATE_READ,
+)
+def value(bench: Bench) -> None:
+    longest = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")
+    var_id = produced(bench)
+    bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"v" * longest).hex())
+    answer = bench.call("RTDB-Update", varId=var_id, value=(b"w" * (longest + 1)).hex())
+    if answer.code == NOT_EXPRESSIBLE:
+        bench.info("a value that the profile cannot express", str(answer))
+    else:
+        bench.check(same_status(answer, VALUE_TOO_LONG), f"RTDB-Update answers {VALUE_TOO_LONG}", str(answer))
+    _check_unchanged(bench, var_id, b"v" * longest)
+
+
+@case(
+    "TC_VD_UPD_BI_03",
+    "An empty value is refused",
+    requirements="VD-UPD-06",
+    stimulus="RTDB-Update with a value, then with none",
+    expect="OK, then EMPTY-VALUE (1.0: INVALID-VALUE); the value stays the first, and so does its sequence number",
+    needs=_UPDATE_READ,
+)
+def empty_value(bench: Bench) -> None:
+    var_id = produced(bench)
+    bench.expect_status(OK, "RTDB-Update", varId=var_id, value=b"x".hex())
+    bench.expect_status(empty_status(bench), "RTDB-Update", varId=var_id, value="")
+    _check_unchanged(bench, var_id, b"x")
+
+
+def _check_unchanged(bench: Bench, var_id: int, value: bytes) -> None:
+    shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
+    bench.check(shown == value.hex(), "a refused update leaves the value", f"it is {shown}")
+    record = bench.until_instruction(_U, var_id)
+    holds = record is not None and _newest(record, value, 1)
+    bench.check(holds, "the VarUpdate has the first value under seqno 1", f"{record}")
+
+
+@case(
+    "TC_VD_UPD_BV_07",
+    "An update renews the time stamp of the database entry",
+    requirements="VD-UPD-08",
+    stimulus="RTDB-Create, three beacon periods later RTDB-Update, RTDB-DescribeVariable before and after",
+    expect="seqno 1, the new value, countUpdate at most two below repCnt, a tStamp three periods later",
+    window=6,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-DescribeVariable")),
+)
+def entry(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    before = entry_of(bench, var_id) or {}
+    bench.wait(3)
+    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    after = entry_of(bench, var_id) or {}
+    bench.check(after.get("value") == b"newer".hex(), "the new value", f"{after.get('value')}")
+    bench.check(after.get("seqno", 1) == 1, "seqno 1", f"{after.get('seqno')}")
+    left = after.get("countUpdate", count)
+    bench.check(count - 2 <= left <= count, f"countUpdate from {max(0, count - 2)} to {count}", f"{left}")
+    if "tStamp" in before and "tStamp" in after:
+        later = after["tStamp"] - before["tStamp"]
+        near = abs(later - 3 * bench.period) <= 2 * bench.period
+        bench.check(near, f"tStamp is {3 * bench.period / 1e6:.0f} ms later", f"{later / 1e6:.0f} ms later")
