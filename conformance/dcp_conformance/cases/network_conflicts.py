@@ -10,6 +10,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.services import produced, settled
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 
@@ -191,11 +192,9 @@ def slow_echo(bench: Bench) -> None:
     variants={"newer-update": "update", "deletion": "delete", "newer-summary": "summary"},
 )
 def own_variable(bench: Bench, what: str) -> None:
-    name, own, peer = bench.var_id(), bench.sut_id.hex(":"), bench.peer()
-    extra = {"timeout": 0} if bench.features.creation_time else {}
-    bench.must("RTDB-Create", varId=name, repCnt=1, descr="own", value="0a", prodId=own, **extra)
+    name, peer = produced(bench, value=b"\x0a"), bench.peer()
     bench.until_instruction(_CREATE, name)
-    bench.repeated(_CREATE, name, 0)
+    settled(bench, name)
     rule = {"update": "VD-PU-03", "delete": "VD-PD-03", "summary": "VD-PS-02"}[what]
     records: dict[str, VardisRecord] = {
         "update": peer.update(name, 5, b"foreign"),

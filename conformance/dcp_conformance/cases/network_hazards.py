@@ -5,10 +5,11 @@ A node that follows the steps shows them. Checked is what the steps say; what co
 
 from __future__ import annotations
 
-from dcp_spec.constants import ICType, SpecVersion
+from dcp_spec.constants import ICType, SpecVersion, seqno_modulus
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.services import produced
 
 from .network_conflicts import check_deleted, held
 
@@ -116,8 +117,7 @@ def split(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
 )
 def taken_over(bench: Bench) -> None:
-    peer, name, own = bench.peer(), bench.var_id(), bench.sut_id.hex(":")
-    bench.must("RTDB-Create", varId=name, repCnt=1, descr="own", value="00", timeout=0, prodId=own)
+    peer, name = bench.peer(), produced(bench)
     bench.until_instruction(_CREATE, name)
     mine = bench.instructions(_CREATE, name)
     if not mine:
@@ -182,3 +182,75 @@ def starts_again(bench: Bench) -> None:
     numbers = {each.record.seqno for each in found}
     bench.check(numbers == {50}, "the stored value with number 50", f"{numbers}", "VD-PU-06", frames=found)
     bench.reading("H6", "the producer's values are ignored until its number passes 50")
+
+
+@case(
+    "TC_NET_HAZARD_BO_06",
+    "A re-creation that was missed goes unnoticed (H7)",
+    requirements="VD-PS-03 VD-PS-02",
+    stimulus="a variable is known with number 3; its re-creation is missed; a peer summarises it with 0, and with 3",
+    expect="the old value in answer to 0, nothing in answer to 3, and no request for a VarCreate",
+    window=24,
+    needs=Needs(since=SpecVersion.V2_0),
+)
+def missed_creation(bench: Bench) -> None:
+    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    bench.learn(source, source.create(name, value=b"first life", seqno=3, rep_cnt=count))
+    mark = bench.mark()
+    other.send(other.summary(name, 0))
+    bench.check_repeated(_UPDATE, name, count, mark, "VD-PS-03")
+    quiet = bench.mark()
+    other.send(other.summary(name, 3))
+    bench.require_alive("a summary with the number that it has", "VD-PS-02")
+    found = bench.instructions(_UPDATE, name, quiet)
+    bench.check(not found, "nothing in answer to the number that it has", f"{len(found)}", "VD-PS-02")
+    asked = bench.instructions(_ASK_CREATE, name, mark)
+    bench.reading("H7", "asks for the VarCreate" if asked else "keeps the first creation and does not ask")
+
+
+@case(
+    "TC_NET_HAZARD_BO_07",
+    "An update of an earlier creation passes for a newer value (H8)",
+    requirements="VD-PC-02 VD-PU-07",
+    stimulus="a variable with number 9 is created anew with number 0; then a VarUpdate 10 of the first creation arrives",
+    expect="the re-creation is taken, and then the VarUpdate, as its number is newer",
+    window=24,
+    needs=Needs(since=SpecVersion.V2_0),
+)
+def earlier_update(bench: Bench) -> None:
+    source, late, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    bench.learn(source, source.create(name, seqno=9, rep_cnt=count))
+    mark = bench.mark()
+    second = source.create(name, value=b"second life", rep_cnt=count)
+    source.send(second)
+    bench.check_repeated(_CREATE, name, count, mark, "VD-PC-02")
+    mark = bench.mark()
+    late.send(late.update(name, 10, b"first life"))
+    bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
+    record = held(bench, name)
+    state = "nothing" if record is None else f"{record.upd.value.decode(errors='replace')!r}"
+    bench.reading("H8", f"holds {state} behind an update of the first creation")
+
+
+@case(
+    "TC_NET_HAZARD_BO_08",
+    "Who has missed more than half of the numbers takes newer values for older ones (H9)",
+    requirements="VD-PS-03 VD-PU-06",
+    stimulus="a variable is known with number 0; a summary and a VarUpdate are just over half of the numbers ahead",
+    expect="both count as older: the stored value is sent in answer",
+    window=24,
+)
+def far_behind(bench: Bench) -> None:
+    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    far = seqno_modulus(bench.profile.types.var_seqno.width) // 2 + 1
+    bench.learn(source, source.create(name, value=b"stale", rep_cnt=count))
+    for record, requirement in (
+        (source.summary(name, far), "VD-PS-03"),
+        (source.update(name, far, b"new"), "VD-PU-06"),
+    ):
+        mark = bench.mark()
+        source.send(record)
+        found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
+        values = {each.record.value for each in found}
+        bench.check(values == {b"stale"}, "the stored value", f"{values}", requirement, frames=found)
+    bench.reading("H9", "sends its stale value and stays behind")

@@ -12,6 +12,7 @@ from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.heard import Heard
 from dcp_conformance.peers import Peer
+from dcp_conformance.services import produced, settled
 
 from .vardis_summaries import summarises
 
@@ -245,11 +246,10 @@ def asks_again(bench: Bench, kind: ICType) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
 )
 def taught_by_producer(bench: Bench) -> None:
-    name, count, own = bench.var_id(), bench.rep_cnt(3), bench.sut_id.hex(":")
-    extra = {"timeout": 0} if bench.features.creation_time else {}
-    bench.must("RTDB-Create", varId=name, repCnt=count, descr="own", value="00", prodId=own, **extra)
+    count = bench.rep_cnt(3)
+    name = produced(bench, rep_cnt=count)
     bench.until_instruction(_CREATE, name)
-    bench.repeated(_CREATE, name, 0)
+    settled(bench, name)
     mark = bench.mark()
     bench.must("RTDB-Update", varId=name, value="0102")
     bench.repeated(_UPDATE, name, mark)

@@ -52,7 +52,7 @@ def heals(bench: Bench, numbers: tuple[int, int]) -> None:
     "TC_NET_PART_BV_02",
     "Two halves that each know something newer exchange it",
     requirements="VD-PS-03 VD-PS-04 VD-PS-01 VD-PS-02",
-    stimulus="three variables are known with number 5; a payload summarises them with 4, 5 and 6, and an unknown one",
+    stimulus="three variables are known with number 5; a payload says 4, 5 and 6, and names an unknown one",
     expect="a VarUpdate of the first, nothing of the second, a request for the third and one for the unknown one",
     window=16,
 )

@@ -10,6 +10,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.heard import Heard
+from dcp_conformance.services import produced
 
 from .vardis_payload import PAYLOAD_SIZE, check_order_of_queue, longest, stock
 
@@ -374,9 +375,8 @@ def deletion_takes_back(bench: Bench, kind: ICType) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
 )
 def own_deletion(bench: Bench) -> None:
-    var_id, repetitions = bench.var_id(), bench.rep_cnt(3)
-    own = bench.sut_id.hex(":")
-    bench.must("RTDB-Create", varId=var_id, repCnt=repetitions, descr="own", value="01", timeout=0, prodId=own)
+    repetitions = bench.rep_cnt(3)
+    var_id = produced(bench, rep_cnt=repetitions)
     bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate of the own variable", "none")
     mark = bench.mark()
     bench.must("RTDB-Delete", varId=var_id)

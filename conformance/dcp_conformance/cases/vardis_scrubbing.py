@@ -14,6 +14,7 @@ from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.heard import Instruction
 from dcp_conformance.peers import Peer
+from dcp_conformance.services import create_request
 
 _DELETE = ICType.DELETE_VARIABLES
 _WIRE = Needs(since=SpecVersion.V2_0)
@@ -121,8 +122,7 @@ def producer(bench: Bench) -> None:
 def _create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> int:
     """Let the application create a variable; the time just before."""
     since = bench.now()
-    own = bench.sut_id.hex(":")
-    bench.must("RTDB-Create", varId=name, repCnt=count, descr="own", value="00", timeout=timeout_ms, prodId=own)
+    bench.must("RTDB-Create", **create_request(bench, name, rep_cnt=count, timeout=timeout_ms))
     return since
 
 

@@ -7,6 +7,7 @@ from dcp_spec.constants import ICType
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.heard import Heard
+from dcp_conformance.services import produced
 
 from .vardis_payload import PAYLOAD_SIZE, longest
 
@@ -235,10 +236,7 @@ def deleted_not_summarised(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update"), when=summarises),
 )
 def own_summarised(bench: Bench) -> None:
-    name = bench.var_id()
-    own = bench.sut_id.hex(":")
-    extra = {"timeout": 0} if bench.features.creation_time else {}
-    bench.must("RTDB-Create", varId=name, repCnt=1, descr="own", value="00", prodId=own, **extra)
+    name = produced(bench)
     bench.require(bench.until_instruction(_SUMMARY, name, 8), "a summary of the own variable", "none")
     for value in ("01", "02"):
         bench.must("RTDB-Update", varId=name, value=value)
