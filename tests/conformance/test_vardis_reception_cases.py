@@ -14,6 +14,8 @@ MODULES = (
     "vardis_states",
     "vardis_state_services",
     "vardis_split",
+    "vardis_receive",
+    "vardis_seqno",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
 WIRE_PROFILES = ("dcp-1.2", "cpp-2.0")

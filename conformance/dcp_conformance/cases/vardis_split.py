@@ -33,7 +33,7 @@ class Split(NamedTuple):
 
 
 def play(bench: Bench, peer: Peer, splits: Sequence[Split], kinds: Iterable[ICType], *requirements: str) -> None:
-    """Send the payloads and check that all of their variables leave a trace of one of these kinds.
+    """Send the payloads and check that all of their variables leave a trace, a record of one of these kinds.
 
     What is missing is sent once more: on the air, frames get lost.
     """
@@ -86,7 +86,7 @@ def _update(bench: Bench, peer: Peer, var_id: int, length: int) -> bytes:
     "TC_VD_SPLIT_BV_01",
     "Two containers in a payload are both processed, wherever in it the second one begins",
     requirements="VD-RX-04 VD-RX-03",
-    stimulus="payloads of one length with two UPDATES containers of an unknown variable each, whose border moves by one "
+    stimulus="payloads of one length with two UPDATES containers of an unknown variable each; their border moves by an "
     "octet from payload to payload",
     expect="a request for every one of the variables",
     window=6,
@@ -271,6 +271,7 @@ def many_records(bench: Bench, count: int) -> None:
     since = bench.mark()
     peer.send(container)
     for name, var_id in {"first": first, **({"middle": filler} if count > 2 else {}), "last": last}.items():
+        if not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since):
+            bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
         came = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
-        came = came or bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
         bench.check(came, f"the {name} of {count} records is processed", "its variable is not requested")

@@ -1,0 +1,221 @@
+"""dcp-vardis.md: Receive Path, Sequence Numbers.
+
+Older and newer in a circular number space (X28): each distance is tried from several stored numbers, so that the end of
+the range lies between the two numbers in some of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.peers import Peer
+from dcp_conformance.services import produced
+from dcp_conformance.variables import INSTRUCTIONS, modulus, named, stepped, taught_all, traces
+
+#: So many halves of the range, and so many steps more.
+Distance = tuple[int, int]
+HALF: Distance = (1, 0)
+NEWER: dict[str, Distance] = {"1": (0, 1), "2": (0, 2), "half-1": (1, -1)}
+EQUAL: dict[str, Distance] = {"0": (0, 0)}
+OLDER: dict[str, Distance] = {"half+1": (1, 1), "M-2": (0, -2), "M-1": (0, -1)}
+
+
+def _steps(bench: Bench, distance: Distance) -> int:
+    halves, more = distance
+    return halves * (modulus(bench) // 2) + more
+
+
+def _starts(bench: Bench) -> list[int]:
+    """Stored numbers: at both ends of the range, around its middle, and in between."""
+    top = modulus(bench)
+    return [0, 1, 5, top // 2 - 1, top // 2, top - 2, top - 1]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A record whose number lies at a distance from the stored one."""
+
+    make: Callable[[Peer, int, int], VardisRecord]
+    answers: tuple[ICType | None, ICType | None, ICType | None]
+    """What follows for a newer, an equal and an older number."""
+    newer_is_stored: bool
+    requirements: tuple[str, str, str]
+
+
+UPDATE = Question(
+    lambda peer, var_id, seqno: peer.update(var_id, seqno),
+    (ICType.UPDATES, None, ICType.UPDATES),
+    True,
+    ("VD-PU-07", "VD-PU-05", "VD-PU-06"),
+)
+SUMMARY = Question(
+    lambda peer, var_id, seqno: peer.summary(var_id, seqno),
+    (ICType.REQUEST_VARUPDATES, None, ICType.UPDATES),
+    False,
+    ("VD-PS-04", "VD-PS-02", "VD-PS-03"),
+)
+REQUEST = Question(
+    lambda peer, var_id, seqno: peer.request_update(var_id, seqno),
+    (None, None, ICType.UPDATES),
+    False,
+    ("VD-RU-03", "VD-RU-03", "VD-RU-04"),
+)
+
+
+def _variants(question: Question) -> dict[str, Variant]:
+    """All distances but half the range, of which the specification says nothing."""
+    return {
+        name: Variant((question, distance, which), requirements=question.requirements[which])
+        for which, distances in enumerate((NEWER, EQUAL, OLDER))
+        for name, distance in distances.items()
+    }
+
+
+def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[VarCreate], int]:
+    """Let the implementation have variables with several numbers, and send a record at the distance from each."""
+    peer, starts = bench.peer(), _starts(bench)
+    creates = [
+        peer.create(var_id, value=b"stored", seqno=seqno)
+        for var_id, seqno in zip(bench.var_ids(len(starts)), starts, strict=True)
+    ]
+    taught_all(bench, peer, creates)
+    since, step = bench.mark(), _steps(bench, distance)
+    peer.send(
+        *(question.make(peer, each.spec.var_id, stepped(bench, each.upd.seqno, step)) for each in creates),
+    )
+    return creates, since
+
+
+def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
+    question, distance, which = what
+    creates, since = _ask(bench, question, distance)
+    kind, step = question.answers[which], _steps(bench, distance)
+    if kind is not None:
+        wanted = {each.spec.var_id for each in creates}
+        bench.until(lambda heard: wanted <= {each.var_id for each in heard.instructions(kind)}, bench.reaction)
+    bench.require_alive("the records")
+    bench.beacons(1, 1.5)
+    for create in creates:
+        var_id, stored = create.spec.var_id, create.upd.seqno
+        name = f"{stored} is stored, {stepped(bench, stored, step)} comes"
+        found = traces(bench, var_id, since, INSTRUCTIONS)
+        others = [each for each in found if each.kind is not kind]
+        bench.check(
+            not others, f"{name}: nothing but {kind.label if kind else 'silence'}", named(others), frames=others
+        )
+        if kind is None:
+            continue
+        # What the implementation sends carries its own number, or the one that it has just stored.
+        number = stepped(bench, stored, step) if which == 0 and question.newer_is_stored else stored
+        numbers = [each.record.seqno for each in found if each.kind is kind]
+        bench.check(
+            numbers == [number], f"{name}: one {kind.label} with {number}", f"{numbers or 'none'}", frames=found
+        )
+
+
+@case(
+    "TC_VD_SEQ_BV_01",
+    "A VarUpdate at distance {variant} from the stored sequence number is taken for what it is, around the wrap too",
+    requirements="VD-PU-07",
+    stimulus="VarUpdates whose numbers lie at distance {variant} (mod M) from seven stored ones",
+    expect="a newer one is stored and repeated, an older one is answered with the own value, an equal one is ignored",
+    variants=_variants(UPDATE),
+)
+def updates(bench: Bench, what: tuple[Question, Distance, int]) -> None:
+    _decide(bench, what)
+
+
+@case(
+    "TC_VD_SEQ_BV_02",
+    "A summary at distance {variant} from the stored sequence number is taken for what it is, around the wrap too",
+    requirements="VD-PS-04",
+    stimulus="summaries whose numbers lie at distance {variant} (mod M) from seven stored ones",
+    expect="a newer one leads to a request, an older one to an update with the own value, an equal one to nothing",
+    variants=_variants(SUMMARY),
+)
+def summaries(bench: Bench, what: tuple[Question, Distance, int]) -> None:
+    _decide(bench, what)
+
+
+@case(
+    "TC_VD_SEQ_BV_03",
+    "A VarReqUpdate at distance {variant} from the stored sequence number is taken for what it is, around the wrap too",
+    requirements="VD-RU-04",
+    stimulus="requests whose numbers lie at distance {variant} (mod M) from seven stored ones",
+    expect="one that is behind is answered with the own value, the others are not",
+    variants=_variants(REQUEST),
+)
+def requests(bench: Bench, what: tuple[Question, Distance, int]) -> None:
+    _decide(bench, what)
+
+
+@case(
+    "TC_VD_SEQ_BO_01",
+    "What is done with a sequence number that is half the range away from the stored one is reported",
+    requirements="VD-ROB-01",
+    stimulus="a VarUpdate, a summary and a VarReqUpdate half the range away from the stored number",
+    expect="nothing in particular: the number is neither newer nor older; VarDis goes on",
+    window=8,
+)
+def half_the_range(bench: Bench) -> None:
+    heard: dict[str, str] = {}
+    for name, question in {"VarUpdate": UPDATE, "summary": SUMMARY, "VarReqUpdate": REQUEST}.items():
+        creates, since = _ask(bench, question, HALF)
+        bench.require_alive(f"a {name} half the range away")
+        bench.beacons(1, 1.5)
+        # Seven numbers, and an implementation that does not count in a circle sees some of them as newer.
+        kinds = []
+        for create in creates:
+            found = traces(bench, create.spec.var_id, since, INSTRUCTIONS)
+            moved = [each for each in found if each.kind is ICType.UPDATES and each.record.seqno != create.upd.seqno]
+            kinds.append("stored" if moved else named(found))
+        heard[name] = "/".join(dict.fromkeys(kinds))
+        bench.info(f"what follows a {name} half the range away from the stored number", heard[name])
+    own = ICType.UPDATES.label
+    if heard["VarUpdate"] == "stored" and heard["summary"] == ICType.REQUEST_VARUPDATES.label:
+        bench.reading("X28", "half-range-answered" if heard["VarReqUpdate"] == own else "half-range-neither")
+    elif heard["VarUpdate"] == own and heard["summary"] == own:
+        bench.reading("X28", "half-range-older")
+
+
+@case(
+    "TC_VD_SEQ_BV_04",
+    "A variable's sequence number starts at 0, grows by one with each update and wraps at SEQNO-MODULUS",
+    requirements="VD-TYP-03",
+    stimulus="an own variable is updated around the whole range of a one-byte number (a wider one: 20 times)",
+    expect="each update that is heard carries the number of updates so far, modulo SEQNO-MODULUS",
+    window=10,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
+)
+def counting(bench: Bench) -> None:
+    since = bench.mark()
+    var_id = produced(bench)
+    created = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    first = None if created is None else created.upd.seqno
+    bench.check(first == 0, "a new variable has sequence number 0", f"{first}")
+    top, made = modulus(bench), 0
+    targets = [1, 2, top - 2, top - 1, top, top + 1] if top == 256 else [1, 2, 20]
+    for target in targets:
+        while made < target:
+            made += 1
+            bench.must("RTDB-Update", varId=var_id, value=made.to_bytes(4, "big").hex())
+        want = made.to_bytes(4, "big")
+
+        def newest(heard: object, want: bytes = want) -> bool:  # noqa: ARG001 - every record so far is looked at
+            return any(each.record.value == want for each in bench.instructions(ICType.UPDATES, var_id, since))
+
+        came = bench.until(newest)
+        bench.require(came, f"the value of update {made} is sent", "it is not")
+    wrong = [
+        each
+        for each in bench.instructions(ICType.UPDATES, var_id, since)
+        if each.record.seqno != int.from_bytes(each.record.value, "big") % top
+    ]
+    number = f"{wrong[0].record.seqno} with value {wrong[0].record.value.hex()}" if wrong else ""
+    bench.check(not wrong, "update n carries sequence number n modulo SEQNO-MODULUS", number, frames=wrong)
