@@ -16,11 +16,11 @@ from dcp_stack.links.base import Link, LinkCounters, LinkError, Reception, Timed
 
 log = logging.getLogger(__name__)
 
-#: ns after which what was seen is handed to the system: what a node that is killed can lose. Each time ends a chunk, and
-#: the index of chunks stays in memory until the end, so long recordings do it less often: when they are a day old as
-#: often as chunks are full.
+#: ns after which what was seen is handed to the system: what a node that is killed can lose. Each time ends a chunk,
+#: and the index of chunks stays in memory until the end, so a long recording does it less often: in the end hardly
+#: more often than chunks are full.
 FLUSH_INTERVAL, LONGEST_FLUSH_INTERVAL = 1_000_000_000, 30_000_000_000
-#: The share of its age in between: a second for half an hour, then more.
+#: In between it is this share of the age of the recording: a second for half an hour, then more.
 _FLUSHES_PER_AGE = 1800
 
 
@@ -28,8 +28,8 @@ class Recorder:
     """Writes frames to an MCAP file, raw and decoded; a :class:`~dcp_stack.links.base.Watcher`.
 
     In memory is one chunk (128 KiB) and the index of chunks that stands at the end of an MCAP file: 0.6 to 1 KB for each
-    flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day, and 50 octets for each node with a
-    position. There is no thread: whoever uses it calls
+    flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day, and 50 octets for each
+    node with a position. There is no thread: whoever uses it calls
     :meth:`tick` now and then, as :class:`RecordingLink` does. What cannot be written (a full disk) is logged once,
     stands in ``problem`` and ends the recording; nothing is raised after the file was created.
     """
