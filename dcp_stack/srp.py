@@ -69,6 +69,8 @@ class BPPort(Protocol):
 
     def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm | None: ...
 
+    def query_number_buffered(self, prot_id: int) -> StatusConfirm: ...
+
 
 class UpdateSafetyDataConfirm(msgspec.Struct, frozen=True, gc=False):
     """``SRP-UpdateSafetyData.confirm``."""
@@ -185,6 +187,9 @@ class StateReporting:
 
         Raises ValueError (FieldError, EncodeError), and changes nothing, for data that do not fit the profile.
         """
+        if self._registered and self._bp.query_number_buffered(BP_PROTID_SRP).status is BPStatus.UNKNOWN_PROTOCOL:
+            # BP was restarted below us, or another client has deregistered us: BP tells nobody.
+            self._registered = False
         if not self._registered:
             if not self._initialized and self._config.reading("X10") == "no-response":
                 return None
@@ -212,10 +217,8 @@ class StateReporting:
         ##= SRP-SRV-04
         ##= SRP-RX-06
         # The only place where SRP submits anything: nothing received is ever sent on.
-        confirm = self._bp.transmit_payload(BP_PROTID_SRP, payload, now=now)
-        if confirm is not None and confirm.status is BPStatus.UNKNOWN_PROTOCOL:
-            # BP was restarted below us. This request is still confirmed as the steps say (X11).
-            self._registered = False
+        # Its confirm, which need not exist, changes nothing (X11).
+        self._bp.transmit_payload(BP_PROTID_SRP, payload, now=now)
         return UpdateSafetyDataConfirm(SRPStatus.OK)
 
     @property
