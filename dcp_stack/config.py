@@ -113,6 +113,8 @@ def sizes(config: NodeConfig) -> Sizes:
     }
     foreign = sum(member.opaque for member in profile.bp.payload_header if isinstance(member, Opaque))
     value = sum(length.width for length in types.value.lengths) + types.value.terminated
+    vardis = profile.vardis
+    list_length = vardis.list_length.width if vardis.list_length is not None else 0
     return Sizes(
         version=profile.spec_version,
         uwb_max_packet_size=profile.limits.uwb_max_packet,
@@ -121,7 +123,8 @@ def sizes(config: NodeConfig) -> Sizes:
         var_len=types.value.lengths[0].width,
         bp_header=header_size(profile),
         bp_payload_header=types.protocol_id.width + types.bp_length.width + foreign,
-        ic_header=2,
+        # Type and number of records, and what only the profile has behind them.
+        ic_header=2 + sum(each.extra.width for each in vardis.container_extra) + list_length,
         var_spec_fixed=sum(widths[name] for name in profile.vardis.var_spec),
         var_update_fixed=types.var_id.width + types.var_seqno.width + value,
         var_summ=types.var_id.width + types.var_seqno.width,

@@ -6,6 +6,7 @@ import pytest
 from dcp_spec.profile_loading import profile_names
 
 from dcp_codec import Codec
+from dcp_codec.values import Container, VarDelete
 from dcp_stack.config import NodeConfig, sizes
 
 
@@ -32,6 +33,15 @@ def test_sizes_of_records(profile, header, block, spec):
 @pytest.mark.parametrize("profile", profile_names())
 def test_every_profile_has_sizes(profile):
     assert sizes(config(profile)).version == Codec(profile).profile.spec_version
+
+
+@pytest.mark.parametrize("profile", profile_names())
+@pytest.mark.req("VD-PAY-06")
+def test_a_container_has_the_octets_that_fitting_counts_on(profile):
+    found, codec = config(profile), Codec(profile)
+    delete = codec.profile.vardis.container_types.by_name()["DELETE-VARIABLES"]
+    octets = codec.encode_containers((Container(delete, (VarDelete(1),)),))
+    assert len(octets) == sizes(found).ic_header + codec.profile.types.var_id.width
 
 
 def test_readings_are_chosen_by_name():
