@@ -212,7 +212,7 @@ def missed_creation(bench: Bench) -> None:
     "TC_NET_HAZARD_BO_07",
     "An update of an earlier creation passes for a newer value (H8)",
     requirements="VD-PC-02 VD-PU-07",
-    stimulus="a variable with number 9 is created anew with number 0; then a VarUpdate 10 of the first creation arrives",
+    stimulus="a variable with number 9 is created anew with number 0; then VarUpdate 10 of the first one arrives",
     expect="the re-creation is taken, and then the VarUpdate, as its number is newer",
     window=24,
     needs=Needs(since=SpecVersion.V2_0),

@@ -98,8 +98,8 @@ def created_in_the_other_half(bench: Bench) -> None:
     "TC_NET_PART_BV_04",
     "Many variables at once: a node that was away for long catches up with all of them",
     requirements="VD-PS-01 VD-PS-04 VD-PC-09 VD-PU-07",
-    stimulus="ten variables are known; a peer summarises these with newer numbers and ten unknown ones, and answers what"
-    " it is asked",
+    stimulus="ten variables are known; a peer summarises these with newer numbers and ten unknown ones, and answers"
+    " what it is asked",
     expect="the implementation asks for all twenty and passes each of them on",
     window=60,
 )
