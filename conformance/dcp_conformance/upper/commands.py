@@ -107,7 +107,7 @@ class CommandUpperTester:
         # What the command has no place for may be left out only if it says what then happens anyway.
         for parameter, value in params.items():
             used = {parameter, f"{parameter}Text"} & placeholders(method)
-            if not used and str(value) != method.fixed.get(parameter):
+            if not used and _text(value) != method.fixed.get(parameter):
                 fixed = method.fixed.get(parameter)
                 says = f"only with {fixed}" if fixed is not None else "not at all"
                 raise UpperTesterError(f"{where}: the command can be told {parameter} {says}, and not {value!r}")
@@ -187,7 +187,7 @@ def _texts(where: str, method: Method, params: dict[str, Any]) -> dict[str, str]
     """Parameters as they stand in commands: as in JSON, and octets under ``...Text`` as the text that they are."""
     values: dict[str, str] = {}
     for name, value in params.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
+        text = _text(value)
         values[name] = text
         if f"{name}Text" in placeholders(method):
             try:
@@ -198,6 +198,11 @@ def _texts(where: str, method: Method, params: dict[str, Any]) -> dict[str, str]
         if "\0" in text:
             raise UpperTesterError(f"{where}: a command line cannot hold the octet 0, which {name} has")
     return values
+
+
+def _text(value: Any) -> str:
+    """A parameter as it stands in JSON, without quotes."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _converted(where: str, reading: Reading, found: re.Match[str]) -> dict[str, Any]:
