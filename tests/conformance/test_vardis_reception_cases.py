@@ -16,6 +16,9 @@ MODULES = (
     "vardis_split",
     "vardis_receive",
     "vardis_seqno",
+    "vardis_forwarding",
+    "vardis_scope",
+    "vardis_pending",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
 WIRE_PROFILES = ("dcp-1.2", "cpp-2.0")

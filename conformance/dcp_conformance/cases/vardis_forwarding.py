@@ -1,0 +1,339 @@
+"""dcp-vardis.md: Global vs. Local Dissemination.
+
+Repetitions are counted per beacon, from the stimulus until the instruction has stopped, so that it does not matter when
+an implementation composes its payloads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VardisRecord
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.peers import Peer
+from dcp_conformance.services import max_repetitions, taught
+from dcp_conformance.variables import INSTRUCTIONS, ask, named, stepped, traces
+
+CREATES, UPDATES, DELETES = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
+
+Count = Callable[[Bench], int]
+_COUNTS: dict[str, Count] = {"r1": lambda _: 1, "r2": lambda _: 2, "max": max_repetitions}
+
+
+def _too_many(bench: Bench) -> str | None:
+    if bench.parameter("VARDISPAR_MAX_REPETITIONS") < 2:
+        return "VARDISPAR_MAX_REPETITIONS is 1"
+    return None
+
+
+_TWO = Needs(when=_too_many)
+_COUNT_VARIANTS = {name: Variant(count, needs=Needs() if name == "r1" else _TWO) for name, count in _COUNTS.items()}
+
+
+def _learnt(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
+    """A variable with a repetition count that the implementation has learnt and repeated to the end."""
+    var_id = bench.var_id()
+    bench.learn(peer, peer.create(var_id, rep_cnt=rep_cnt, seqno=seqno))
+    return var_id
+
+
+def _taught(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
+    """As :func:`_learnt`, while the VarCreate is still being repeated."""
+    return taught(bench, peer, rep_cnt=rep_cnt, seqno=seqno)
+
+
+def _nothing_else(bench: Bench, var_id: int, since: int, *kinds: ICType) -> None:
+    found = traces(bench, var_id, since, [each for each in INSTRUCTIONS if each not in kinds])
+    bench.check(not found, "nothing else is sent about the variable", f"{named(found)} came", frames=found)
+
+
+# -- exactly r ---------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_FWD_BV_01",
+    "A new variable's VarCreate is repeated in exactly repCnt beacons ({variant}), and then summarised",
+    requirements="VD-SCP-02 VD-PC-09",
+    stimulus="a VarCreate of an unknown variable with repCnt {variant}",
+    expect="exactly so many beacons with one VarCreate each, as it was sent; summaries with its number",
+    window=20,
+    variants=_COUNT_VARIANTS,
+)
+def creation(bench: Bench, count: Count) -> None:
+    peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()
+    record = peer.create(var_id, rep_cnt=count(bench), seqno=9)
+    peer.send(record)
+    found = bench.check_repeated(CREATES, var_id, count(bench), since)
+    wrong = [each for each in found if each.record != record]
+    bench.check(not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    _nothing_else(bench, var_id, since, CREATES)
+    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+        bench.until_instruction(ICType.SUMMARIES, var_id)
+        summaries = bench.instructions(ICType.SUMMARIES, var_id, since)
+        bench.check(summaries, "summaries of the variable follow", "there are none", "VD-PC-09")
+        numbers = {each.record.seqno for each in summaries} or {9}
+        bench.check(numbers == {9}, "they carry its number 9", f"{sorted(numbers)}", "VD-PC-09", frames=summaries)
+
+
+@case(
+    "TC_VD_FWD_BV_02",
+    "A newer VarUpdate is repeated in exactly repCnt beacons ({variant})",
+    requirements="VD-SCP-02 VD-PU-07",
+    stimulus="a newer VarUpdate of a variable with repCnt {variant}",
+    expect="exactly so many beacons with one VarUpdate each, as it was sent",
+    window=20,
+    variants=_COUNT_VARIANTS,
+)
+def update(bench: Bench, count: Count) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer, rep_cnt=count(bench))
+    since, record = bench.mark(), peer.update(var_id, 1, b"another value")
+    peer.send(record)
+    found = bench.check_repeated(UPDATES, var_id, count(bench), since)
+    wrong = [each for each in found if each.record != record]
+    bench.check(not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    _nothing_else(bench, var_id, since, UPDATES, CREATES)
+
+
+@case(
+    "TC_VD_FWD_BV_03",
+    "A VarDelete is repeated in exactly repCnt beacons ({variant}), and nothing else of the variable is sent any more",
+    requirements="VD-SCP-02 VD-PD-04",
+    stimulus="a VarDelete of a variable with repCnt {variant}",
+    expect="exactly so many beacons with one VarDelete each, and no other instruction of the variable from then on",
+    window=20,
+    variants=_COUNT_VARIANTS,
+)
+def deletion(bench: Bench, count: Count) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer, rep_cnt=count(bench))
+    since = bench.mark()
+    peer.send(peer.delete(var_id))
+    found = bench.check_repeated(DELETES, var_id, count(bench), since)
+    # A summary that was composed before the deletion may still go out.
+    first = bench.heard.index(found[0].heard) if found else since
+    others = traces(bench, var_id, first, set(ICType) - {DELETES})
+    bench.check(not others, "nothing else is sent from then on", f"{named(others)} came", "VD-PD-04", frames=others)
+
+
+_Trigger = Callable[[Bench, Peer, int], VardisRecord]
+_TRIGGERS: dict[str, tuple[str, str, ICType, _Trigger]] = {
+    "request-create": ("a VarReqCreate", "VD-RC-03", CREATES, lambda _, peer, var_id: peer.request_create(var_id)),
+    "request-update": (
+        "a VarReqUpdate that is behind",
+        "VD-RU-04",
+        UPDATES,
+        lambda bench, peer, var_id: peer.request_update(var_id, stepped(bench, 5, -1)),
+    ),
+    "older-summary": (
+        "an older summary",
+        "VD-PS-03",
+        UPDATES,
+        lambda bench, peer, var_id: peer.summary(var_id, stepped(bench, 5, -1)),
+    ),
+    "older-update": (
+        "an older VarUpdate",
+        "VD-PU-06",
+        UPDATES,
+        lambda bench, peer, var_id: peer.update(var_id, stepped(bench, 5, -1)),
+    ),
+}
+
+
+def _answers() -> dict[str, Variant]:
+    return {
+        f"{name}.{count}": Variant(
+            (trigger, kind, number),
+            purpose=f"{words[0].upper()}{words[1:]} is answered in exactly repCnt beacons ({count})",
+            requirements=requirement,
+            stimulus=f"{words} for a variable with repCnt {count}",
+            needs=Needs() if count == "r1" else _TWO,
+        )
+        for name, (words, requirement, kind, trigger) in _TRIGGERS.items()
+        for count, number in _COUNTS.items()
+    }
+
+
+@case(
+    "TC_VD_FWD_BV_04",
+    "{variant}",
+    requirements="VD-RC-03",
+    stimulus="{variant}",
+    expect="exactly repCnt beacons with one record of the kind that was asked for, with what is stored",
+    window=20,
+    variants=_answers(),
+)
+def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
+    trigger, kind, count = what
+    peer = bench.peer()
+    # Repetitions of the VarCreate itself are not to be counted.
+    learn = _learnt if kind is CREATES else _taught
+    var_id = learn(bench, peer, count(bench), 5)
+    since = bench.mark()
+    bench.peer().send(trigger(bench, peer, var_id))
+    found = bench.check_repeated(kind, var_id, count(bench), since)
+    numbers = {each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found} or {5}
+    bench.check(numbers == {5}, "the answer carries the stored number 5", f"{sorted(numbers)}", frames=found)
+    _nothing_else(bench, var_id, since, kind, CREATES)
+
+
+# -- counting again ----------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_FWD_BV_05",
+    "A newer VarUpdate in the middle of repetitions starts the counting again, with the newer value only",
+    requirements="VD-PU-07",
+    stimulus="a newer VarUpdate, and after its first repetition another one",
+    expect="repCnt beacons with the second one, one VarUpdate of the variable in a beacon at most",
+    window=20,
+    needs=_TWO,
+)
+def update_again(bench: Bench) -> None:
+    peer, count = bench.peer(), min(4, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count)
+    since = bench.mark()
+    peer.send(peer.update(var_id, 1, b"one"))
+    bench.until_instruction(UPDATES, var_id)
+    peer.send(peer.update(var_id, 2, b"two"))
+    found = bench.repeated(UPDATES, var_id, since)
+    beacons = {id(each.heard) for each in found}
+    bench.check(
+        len(found) == len(beacons), "one VarUpdate of a variable in a beacon", f"{len(found)} in {len(beacons)}"
+    )
+    second = [each for each in found if each.record.seqno == 2]
+    bench.check(
+        len(second) == count, f"{count} beacons with the second update", f"{len(second)} beacons", frames=second
+    )
+    after = [each for each in found if each.record.seqno == 1 and second and each.heard.number > second[0].heard.number]
+    bench.check(not after, "the first update does not come again", "it comes behind the second one", frames=after)
+
+
+@case(
+    "TC_VD_FWD_BV_06",
+    "While an update is being repeated, older information does not start the counting again ({variant})",
+    requirements="VD-PU-06",
+    stimulus="a newer VarUpdate, and after its first repetition older information ({variant})",
+    expect="exactly repCnt beacons with the VarUpdate",
+    window=20,
+    needs=_TWO,
+    variants={
+        "update": Variant(lambda peer, var_id: peer.update(var_id, 5, b"old"), requirements="VD-PU-06"),
+        "summary": Variant(lambda peer, var_id: peer.summary(var_id, 5), requirements="VD-PS-03"),
+    },
+)
+def not_again(bench: Bench, stimulus: Callable[[Peer, int], VardisRecord]) -> None:
+    # With four or more, one repetition at least is still queued when the first one is heard.
+    peer, count = bench.peer(), min(5, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count, seqno=5)
+    since = bench.mark()
+    peer.send(peer.update(var_id, 6))
+    bench.until_instruction(UPDATES, var_id)
+    bench.peer().send(stimulus(peer, var_id))
+    if count >= 4:
+        bench.check_repeated(UPDATES, var_id, count, since)
+        return
+    came = len(bench.repeated(UPDATES, var_id, since))
+    bench.info("repetitions with older information in between", f"{came} for repCnt {count}: it may have come too late")
+
+
+@case(
+    "TC_VD_FWD_BV_07",
+    "A request while the answer is being repeated starts the counting again ({variant})",
+    requirements="VD-RU-04",
+    stimulus="a request, and after the first repetition of the answer the same request again",
+    expect="the repetitions heard until then and repCnt more; one that was composed already counts for either",
+    window=20,
+    needs=_TWO,
+    variants={
+        "request-update": Variant((UPDATES, _TRIGGERS["request-update"][3]), requirements="VD-RU-04"),
+        "request-create": Variant((CREATES, _TRIGGERS["request-create"][3]), requirements="VD-RC-03"),
+    },
+)
+def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
+    kind, trigger = what
+    peer, count = bench.peer(), min(4, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count, seqno=5)
+    since = bench.mark()
+    bench.peer().send(trigger(bench, peer, var_id))
+    bench.until_instruction(kind, var_id)
+    bench.mark()
+    before = len(bench.instructions(kind, var_id, since))
+    bench.peer().send(trigger(bench, peer, var_id))
+    found = bench.repeated(kind, var_id, since)
+    # Payloads may be composed up to two beacons before they leave.
+    right = before + count <= len(found) <= before + count + 2
+    bench.check(right, f"{before} and {count} repetitions more", f"{len(found)} in all", frames=found)
+    beacons = {id(each.heard) for each in found}
+    bench.check(len(found) == len(beacons), "one in a beacon", f"{len(found)} in {len(beacons)} beacons")
+
+
+# -- nothing new -------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_FWD_BV_08",
+    "Information that is not new is not repeated",
+    requirements="VD-SCP-03",
+    stimulus="a VarCreate, a VarUpdate and a VarDelete, each again when the repetitions of the first are over",
+    expect="the second ones lead to nothing",
+    window=16,
+)
+def nothing_new(bench: Bench) -> None:
+    peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()
+    create, newer = peer.create(var_id), peer.update(var_id, 1)
+    for kind, record in ((CREATES, create), (UPDATES, newer), (DELETES, peer.delete(var_id))):
+        start = bench.mark()
+        peer.send(record)
+        bench.check_repeated(kind, var_id, 1, start)
+        start = bench.mark()
+        bench.peer().send(record)
+        bench.require_alive(f"a {kind.label} record that is not new")
+        bench.beacons(1, 1.5)
+        found = traces(bench, var_id, start, (CREATES, UPDATES, DELETES))
+        bench.check(not found, f"the same {kind.label} record leads to nothing", f"{named(found)} came", frames=found)
+    bench.check(len(bench.instructions(CREATES, var_id, since)) == 1, "one VarCreate in all", "there are more")
+
+
+@case(
+    "TC_VD_FWD_BV_09",
+    "The same VarUpdate from several neighbours is repeated repCnt times in all",
+    requirements="VD-SCP-03",
+    stimulus="one newer VarUpdate from five peers behind each other",
+    expect="exactly repCnt beacons with it",
+    window=20,
+)
+def from_all_sides(bench: Bench) -> None:
+    peer, count = bench.peer(), min(2, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count)
+    since = bench.mark()
+    for each in (peer, *(bench.peer() for _ in range(4))):
+        each.send(peer.update(var_id, 1))
+    bench.check_repeated(UPDATES, var_id, count, since)
+
+
+@case(
+    "TC_VD_FWD_BV_10",
+    "A VarCreate that is repeated after an update carries the newer value and number",
+    requirements="VD-RC-03",
+    stimulus="a newer VarUpdate and a VarReqCreate; then a VarCreate of the first value",
+    expect="a VarCreate with the value and the number of the update; the old VarCreate changes nothing",
+    window=10,
+)
+def newest_value(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    create = peer.create(var_id, value=b"first")
+    bench.learn(peer, create)
+    peer.send(peer.update(var_id, 1, b"newer"))
+    bench.until_instruction(UPDATES, var_id)
+    for what in ("after the update", "after its VarCreate came again"):
+        held = ask(bench, var_id)
+        upd = held.record.upd if held.record is not None else None
+        right = upd is not None and (upd.seqno, upd.value) == (1, b"newer")
+        bench.check(right, f"{what}, number and value of the update", str(held))
+        specs = held.record is None or held.record.spec == create.spec
+        bench.check(specs, "the specification as it was sent", f"{held.record.spec if held.record else ''}")
+        peer.send(create)

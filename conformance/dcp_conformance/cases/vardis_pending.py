@@ -1,0 +1,160 @@
+"""dcp-vardis.md: Queues: instructions that are overtaken before they are sent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.services import max_repetitions, taught
+from dcp_conformance.variables import named, traces
+
+
+def _attempts(attempt: Callable[[], bool], times: int = 3) -> bool:
+    """Whether it works once: a payload may be composed just between two frames of the tester's."""
+    return any(attempt() for _ in range(times))
+
+
+@case(
+    "TC_VD_PEND_BV_01",
+    "A request for an update is dropped when the update arrives before it is sent",
+    requirements="VD-PU-08",
+    stimulus="a newer summary, and at once in another beacon the VarUpdate; up to three times",
+    expect="at least once no VarReqUpdate follows",
+    window=8,
+)
+def request_dropped(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer = bench.peer()
+        var_id = taught(bench, peer)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 1))
+        peer.send(peer.update(var_id, 1))
+        bench.require_alive("summary and update")
+        bench.beacons(1, 1.5)
+        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
+
+    bench.check(_attempts(attempt), "no VarReqUpdate for what is there already", "there is one every time")
+
+
+@case(
+    "TC_VD_PEND_BV_02",
+    "A request for a variable is dropped when the variable arrives before it is sent",
+    requirements="VD-PC-08",
+    stimulus="a summary of an unknown variable, and at once in another beacon its VarCreate; up to three times",
+    expect="at least once no VarReqCreate follows",
+    window=8,
+)
+def create_request_dropped(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer, var_id = bench.peer(), bench.unknown_id()
+        bench.created.add(var_id)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 0))
+        peer.send(peer.create(var_id))
+        bench.require_alive("summary and creation")
+        bench.beacons(1, 1.5)
+        return not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
+
+    bench.check(_attempts(attempt), "no VarReqCreate for what is there already", "there is one every time")
+
+
+@case(
+    "TC_VD_PEND_BV_03",
+    "What is pending of a variable that is deleted is not sent any more",
+    requirements="VD-PD-04",
+    stimulus="requests for a variable and a newer summary of it, and at once in another beacon its VarDelete; up to "
+    "three times",
+    expect="at least once nothing but the VarDelete follows",
+    window=8,
+)
+def pending_dropped(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer = bench.peer()
+        var_id = taught(bench, peer, seqno=5)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 6), peer.request_create(var_id), peer.request_update(var_id, 4))
+        peer.send(peer.delete(var_id))
+        came = bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
+        bench.require(came, "the VarDelete is repeated", "it is not")
+        bench.beacons(1, 1.5)
+        return not traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
+
+    bench.check(_attempts(attempt), "answers and requests are dropped", "they are sent every time")
+
+
+def _three_repetitions(bench: Bench) -> str | None:
+    return None if max_repetitions(bench) >= 4 else "a deletion must be repeated four times to be overtaken"
+
+
+@case(
+    "TC_VD_PEND_BV_04",
+    "A new creation ends the repetitions of the deletion before it",
+    requirements="VD-PC-08",
+    stimulus="a VarDelete with many repetitions, and after the first of them a VarCreate with a later creationTime",
+    expect="repCnt beacons with the VarCreate, and no VarDelete in them or later",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, when=_three_repetitions),
+)
+def deletion_overtaken(bench: Bench) -> None:
+    peer, count = bench.peer(), max_repetitions(bench)
+    var_id = taught(bench, peer, rep_cnt=count)
+    peer.send(peer.delete(var_id))
+    bench.require(bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is repeated", "it is not")
+    since = bench.mark()
+    peer.send(peer.create(var_id, rep_cnt=2))
+    found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
+    first = bench.heard.index(found[0].heard) if found else since
+    late = traces(bench, var_id, first, (ICType.DELETE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
+    bench.check(not late, "no VarDelete from then on", f"{named(late)} came", frames=late)
+
+
+@case(
+    "TC_VD_PEND_BV_05",
+    "A new creation ends the repetitions of the update before it",
+    requirements="VD-PC-08",
+    stimulus="a VarUpdate with many repetitions, and after the first of them a VarCreate with a later creationTime",
+    expect="repCnt beacons with the VarCreate, and no VarUpdate in them or later",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, when=_three_repetitions),
+)
+def update_overtaken(bench: Bench) -> None:
+    peer, count = bench.peer(), max_repetitions(bench)
+    var_id = bench.var_id()
+    bench.learn(peer, peer.create(var_id, rep_cnt=count))
+    peer.send(peer.update(var_id, 1))
+    bench.require(bench.until_instruction(ICType.UPDATES, var_id), "the VarUpdate is repeated", "it is not")
+    since = bench.mark()
+    record = peer.create(var_id, rep_cnt=2, value=b"anew")
+    peer.send(record)
+    found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
+    wrong = [each for each in found if each.record != record]
+    bench.check(not wrong, "the new creation is repeated", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    first = bench.heard.index(found[0].heard) if found else since
+    late = traces(bench, var_id, first, (ICType.UPDATES, ICType.DELETE_VARIABLES))
+    bench.check(not late, "no VarUpdate from then on", f"{named(late)} came", frames=late)
+
+
+@case(
+    "TC_VD_PEND_BV_06",
+    "A request for an update is dropped when the variable is created anew before it is sent",
+    requirements="VD-PC-08",
+    stimulus="a newer summary, and at once in another beacon a VarCreate with a later creationTime; up to three times",
+    expect="at least once no VarReqUpdate follows",
+    window=8,
+    needs=Needs(since=SpecVersion.V2_0),
+)
+def request_overtaken(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer = bench.peer()
+        var_id = taught(bench, peer)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 1))
+        peer.send(peer.create(var_id))
+        bench.require_alive("summary and creation")
+        bench.beacons(1, 1.5)
+        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
+
+    bench.check(_attempts(attempt), "no VarReqUpdate for what is there anew", "there is one every time")
