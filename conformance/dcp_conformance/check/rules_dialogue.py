@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 from dcp_spec.constants import ICType
 
+from dcp_conformance.circular import Circle
 from dcp_conformance.heard import Instruction
 from dcp_conformance.results import Mark
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
-from .circular import Circle
 from .rules_vardis import Creations, seqno_of
 
 MS = 1_000_000

@@ -9,11 +9,11 @@ from typing import Any
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
+from dcp_conformance.circular import Circle
 from dcp_conformance.heard import Instruction
 from dcp_conformance.verdict import Verdict
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
-from .circular import Circle
 
 #: Values of a variable that are remembered: fewer than the circle of its numbers has.
 _VALUES = 64

@@ -56,10 +56,6 @@ def command(**options: Any) -> int:
         for case in run.selected:
             click.echo(f"{case.id}  {case.purpose}")
         return 0
-    if not (target.foreign or target.in_process):
-        from dcp_conformance.reference.process import enter_namespace
-
-        enter_namespace()
     arguments = ["-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases", "-c", os.devnull]
     arguments += ["--rootdir", str(Path(__file__).parent.parent), "-p", "no:cacheprovider", "--noconftest"]
     if extra:
