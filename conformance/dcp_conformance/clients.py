@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -308,3 +308,33 @@ def listed(payloads: Iterable[bytes], known: Sequence[bytes]) -> str:
     """Payloads by their place in a list of known ones, for messages: ``A, B, A``."""
     names = [chr(ord("A") + known.index(each)) if each in known else each[:8].hex() for each in payloads]
     return ", ".join(names) or "none"
+
+
+# -- something to send -------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def talking(bench: Bench, *, clients: int = 1) -> Iterator[list[BPClient]]:
+    """Have the implementation send a beacon in every period: clients with mode REPEAT, and a variable to summarise.
+
+    Without an upper tester there is the variable only. The clients are yielded.
+    """
+    with contextlib.ExitStack() as stack:
+        upper, made = bench.session.upper, []
+        if upper is not None and set(CLIENT) <= upper.methods:
+            for number in range(clients):
+                client = stack.enter_context(BPClient(bench, REPEAT))
+                client.transmit(client.payload(9 + 7 * number))
+                made.append(client)
+        if bench.pics.vardis is not False:
+            peer = bench.peer()
+            peer.send(peer.create(bench.var_id()))
+        yield made
+
+
+def some_beacons(bench: Bench, count: int) -> list[Heard]:
+    """So many beacons of an implementation that is talking; inconclusive if there are not even half of them."""
+    found = bench.beacons(count)
+    if len(found) * 2 < count:
+        bench.inconclusive(f"{count} beacons, which this case needs", f"{len(found)} were heard")
+    return found

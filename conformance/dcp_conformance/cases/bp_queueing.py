@@ -360,7 +360,7 @@ def check_sizes(bench: Bench, since: int) -> None:
     "TC_BP_TX_BV_03",
     "The head of a queue blocks what stands behind it, and is not overtaken",
     requirements="BP-TX-06 BP-TX-04",
-    stimulus="a client repeats a payload that fills most of each beacon; another one queues a large and a small payload",
+    stimulus="a client repeats a payload that fills most of a beacon; another one queues a large and a small payload",
     expect="the small payload never before the large one",
     needs=_FITTING,
     window=8,

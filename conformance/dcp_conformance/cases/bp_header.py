@@ -1,0 +1,421 @@
+"""dcp-bp.md: Data Types; Packet Format; Transmit Path.
+
+What stands in the headers of the implementation's beacons. The octets are read here, not by what decodes them
+elsewhere, so that a field is judged although another one is wrong.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dcp_spec.constants import (
+    BP_MAGIC_NO,
+    BP_PROTID_SRP,
+    BP_PROTID_VARDIS,
+    BP_SEQNO_MODULUS,
+    BP_VERSION,
+    SpecVersion,
+)
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.clients import (
+    CLIENT,
+    ONCE,
+    QUERY,
+    BPClient,
+    block_header_octets,
+    header_octets,
+    largest_payload,
+    some_beacons,
+    talking,
+)
+from dcp_conformance.heard import Heard
+
+V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
+#: What an Ethernet frame holds at least: shorter bearer payloads may have been padded on their way.
+_MAY_BE_PADDED = 46
+
+
+class Wire(NamedTuple):
+    """A beacon as its octets say."""
+
+    heard: Heard
+    fields: dict[str, object]
+    """The header's fields by their names in the specification."""
+    counted: Sequence[tuple[int, bytes]]
+    """As many blocks as numPayloads says, as far as they are there: protocol identifiers and payloads."""
+    end: int
+    """Where they end."""
+    whole: bool
+    """Whether all of them are there."""
+
+
+def read(bench: Bench, heard: Heard) -> Wire:
+    """Take the headers of a beacon apart."""
+    octets, types = heard.octets, bench.profile.types
+    header = bench.codec.dissect(octets).root.find("bp")
+    fields = {field.name: field.value for field in header.children} if header is not None else {}
+    number, index, blocks = fields.get("numPayloads"), header_octets(bench), []
+    size, whole = block_header_octets(bench), isinstance(number, int)
+    for _ in range(number if isinstance(number, int) else 0):
+        if index + size > len(octets):
+            whole = False
+            break
+        prot_id = int.from_bytes(octets[index : index + types.protocol_id.width], types.protocol_id.byte_order)
+        length = int.from_bytes(octets[index + types.protocol_id.width : index + size], types.bp_length.byte_order)
+        if index + size + length > len(octets):
+            whole = False
+            break
+        blocks.append((prot_id, octets[index + size : index + size + length]))
+        index += size + length
+    return Wire(heard, fields, blocks, index, whole)
+
+
+def beacons_read(bench: Bench, count: int = 6, clients: int = 2) -> list[Wire]:
+    """Beacons of an implementation that has several blocks to send."""
+    with talking(bench, clients=clients):
+        return [read(bench, heard) for heard in some_beacons(bench, count)]
+
+
+def check_field(bench: Bench, wires: Sequence[Wire], name: str, right: object, *requirements: str) -> None:
+    """Check that a header field has a value in all beacons."""
+    wrong = [each for each in wires if each.fields.get(name) != right]
+    show = (lambda value: f"{value:#x}") if isinstance(right, int) else repr
+    said = "" if not wrong else f"it is {show(wrong[0].fields.get(name) or 0)} in {len(wrong)} of {len(wires)} beacons"
+    frames = [each.heard for each in wrong[:8]]
+    bench.check(not wrong, f"{name} is {show(right)} in every beacon", said, *requirements, frames=frames)
+
+
+def _fields(*names: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
+    return Needs(since=since, entities=(), header=names)
+
+
+@case(
+    "TC_BP_HDR_BV_01",
+    "Every beacon has version 0x01 and magicNo 0x497E",
+    requirements="BP-HDR-01 BP-HDR-02",
+    stimulus="something to send in every period",
+    expect="both values in six beacons",
+    window=8,
+    needs=_fields("version", "magicNo"),
+    smoke=True,
+)
+def constants(bench: Bench) -> None:
+    wires = beacons_read(bench)
+    check_field(bench, wires, "version", BP_VERSION, "BP-HDR-01")
+    check_field(bench, wires, "magicNo", BP_MAGIC_NO, "BP-HDR-02")
+
+
+@case(
+    "TC_BP_HDR_BV_02",
+    "The fields of both headers stand in the order of the specification",
+    requirements="BP-HDR-10",
+    stimulus="something to send in every period",
+    expect="magicNo, senderId, numPayloads and the protocolIds of the blocks make sense at their places",
+    window=8,
+    needs=_fields("version", "magicNo", "senderId", "numPayloads", since=V1_1),
+)
+def order_of_fields(bench: Bench) -> None:
+    with talking(bench, clients=2) as clients:
+        wires = [read(bench, heard) for heard in some_beacons(bench, 6)]
+    check_field(bench, wires, "magicNo", BP_MAGIC_NO)
+    check_field(bench, wires, "senderId", bench.sut_id)
+    known = {BP_PROTID_SRP, BP_PROTID_VARDIS, *(client.prot_id for client in clients)}
+    strange = [each for each in wires if not each.whole or not {prot_id for prot_id, _ in each.counted} <= known]
+    ids = {prot_id for each in wires for prot_id, _ in each.counted}
+    frames = [each.heard for each in strange[:8]]
+    expected = "blocks of protocols that are registered, as long as they say"
+    bench.check(not strange, expected, f"protocols {sorted(ids)} in {len(strange)} beacons", frames=frames)
+
+
+@case(
+    "TC_BP_HDR_BV_03",
+    "protocolId has 16 bits: 2 for VarDis, 1 for SRP",
+    requirements="BP-HDR-11",
+    stimulus="something to send for VarDis, and for SRP where the upper tester can hand down safety data",
+    expect="blocks with these identifiers in two octets each",
+    window=6,
+    needs=Needs(header=("numPayloads",)),
+)
+def predefined_identifiers(bench: Bench) -> None:
+    upper = bench.session.upper
+    reports = upper is not None and "SRP-UpdateSafetyData" in upper.methods and bool(bench.profile.srp.safety_data)
+    with talking(bench, clients=0):
+        if reports:
+            fields = bench.profile.srp.safety_data
+            data = {each.name: "00" * each.octets if each.type == "opaque" else 0 for each in fields}
+            bench.must("SRP-UpdateSafetyData", sData=data)
+        wires = [read(bench, heard) for heard in some_beacons(bench, 4)]
+    ids = {prot_id for each in wires for prot_id, _ in each.counted}
+    width = bench.profile.types.protocol_id.width
+    bench.check(width == 2, "the identifier has two octets", f"it has {width} in the profile {bench.profile.name}")
+    bench.check(BP_PROTID_VARDIS in ids, "blocks of protocol 2 (VarDis)", f"there are {sorted(ids)}")
+    if reports:
+        bench.check(BP_PROTID_SRP in ids, "a block of protocol 1 (SRP)", f"there are {sorted(ids)}")
+
+
+@case(
+    "TC_BP_HDR_BV_04",
+    "senderId is the node's own identifier in every beacon, whoever it answers",
+    requirements="BP-HDR-03 BP-PAR-09",
+    stimulus="beacons of three peers that bring reactions",
+    expect="the same senderId always; the one that the upper tester names, if it names one",
+    window=12,
+    needs=_fields("senderId"),
+)
+def sender(bench: Bench) -> None:
+    wires = beacons_read(bench, 3)
+    if bench.pics.vardis is not False:
+        for _ in range(3):
+            bench.probe()
+    ids = {each.fields.get("senderId") for each in wires} | {heard.sender for heard in bench.heard}
+    bench.check(len(ids - {None}) == 1, "one senderId", f"{len(ids)} different ones")
+    upper = bench.session.upper
+    told = str(upper.about.get("nodeId", "")).replace(":", "").lower() if upper is not None else ""
+    if told:
+        heard = wires[0].fields.get("senderId")
+        said = heard.hex() if isinstance(heard, bytes) else f"{heard}"
+        bench.check(said == told, f"senderId {told}", said, "BP-HDR-03", frames=[wires[0].heard])
+    # A frame from the same address with another identifier: not recognised as the implementation's.
+    sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers_made}
+    other = [heard for heard in bench.others if heard.source in sources]
+    bench.check(
+        not other, "no beacon of the same station under another identifier", f"{len(other)} of them", frames=other
+    )
+
+
+@case(
+    "TC_BP_HDR_BV_05",
+    "networkId is BPPAR_NETWORK_ID, and has two octets or more",
+    requirements="BP-HDR-04 BP-HDR-05",
+    stimulus="something to send in every period",
+    expect="the value of the parameter in six beacons",
+    window=8,
+    needs=_fields("networkId", since=V2_0),
+)
+def network(bench: Bench) -> None:
+    wires = beacons_read(bench)
+    check_field(bench, wires, "networkId", bench.parameter("BPPAR_NETWORK_ID"), "BP-HDR-04")
+    width = bench.profile.types.network_id.width
+    bench.check(width >= 2, "networkId has 16 bits or more", f"it has {8 * width}", "BP-HDR-05")
+
+
+@case(
+    "TC_BP_HDR_BV_06",
+    "length is the sum of all blocks with their headers",
+    requirements="BP-HDR-06",
+    stimulus="several clients with something to send in every period",
+    expect="length is what numPayloads blocks have, or what follows the header in frames that are not padded",
+    window=8,
+    needs=Needs(
+        since=V1_2,
+        entities=(),
+        header=("length", "numPayloads"),
+        when=lambda bench: (
+            None if bench.profile.bp.length_means == "blocks" else f"length is something else in {bench.profile.name}"
+        ),
+    ),
+)
+def length(bench: Bench) -> None:
+    start = header_octets(bench)
+    for wire in beacons_read(bench):
+        said = wire.fields.get("length")
+        size = len(wire.heard.octets)
+        # With either of the two the beacon is consistent; if both disagree, the length is wrong.
+        right = {wire.end - start} if wire.whole else set()
+        if size > _MAY_BE_PADDED:
+            right.add(size - start)
+        expected = f"length {' or '.join(map(str, sorted(right)))}"
+        if not bench.check(said in right, expected, f"length {said}", frames=[wire.heard]):
+            return
+
+
+@case(
+    "TC_BP_HDR_BV_07",
+    "numPayloads is the number of blocks, and they follow each other without gaps",
+    requirements="BP-HDR-07 BP-FMT-01",
+    stimulus="several clients with something to send in every period",
+    expect="numPayloads blocks of known protocols, the last of which ends where the beacon ends",
+    window=8,
+    needs=_fields("numPayloads"),
+)
+def number_of_blocks(bench: Bench) -> None:
+    start = header_octets(bench)
+    for wire in beacons_read(bench):
+        length, size = wire.fields.get("length"), len(wire.heard.octets)
+        ends = {size} if size > _MAY_BE_PADDED or not isinstance(length, int) else set()
+        if isinstance(length, int) and bench.profile.bp.length_means == "blocks":
+            ends.add(start + length)
+        number = wire.fields.get("numPayloads")
+        said = f"{len(wire.counted)} blocks that end at octet {wire.end} of {size}"
+        right = wire.whole and number != 0 and (not ends or wire.end in ends)
+        if not bench.check(right, f"{number} blocks that fill the beacon", said, frames=[wire.heard]):
+            return
+
+
+@case(
+    "TC_BP_HDR_BV_08",
+    "seqno grows by one with every beacon",
+    requirements="BP-HDR-08",
+    stimulus="something to send in every period",
+    expect="consecutive numbers modulo 2^32 in ten beacons",
+    window=12,
+    needs=_fields("seqno", since=V1_1),
+)
+def consecutive(bench: Bench) -> None:
+    with talking(bench):
+        frames = some_beacons(bench, 10)
+    for before, after in itertools.pairwise(frames):
+        if before.seqno is None or after.seqno is None:
+            bench.inconclusive("beacons that can be read", f"{before.problem or after.problem}")
+        if (after.seqno - before.seqno) % BP_SEQNO_MODULUS != 1:
+            expected, said = f"{(before.seqno + 1) % BP_SEQNO_MODULUS} follows {before.seqno}", f"{after.seqno} does"
+            bench.fail_numbers(expected, said, frames=[before, after])
+    bench.check(True, "consecutive numbers")
+
+
+def first_number(bench: Bench, since: int, before: int | None) -> Heard:
+    """The first beacon after a restart that was ordered at a mark; what was sent before it goes on counting."""
+    frames = list(bench.heard[since:])
+    while frames and before is not None and frames[0].seqno == before + 1 > 1:
+        before = frames.pop(0).seqno
+    if not frames:
+        bench.inconclusive("a beacon after the restart", "there is none")
+    return frames[0]
+
+
+def check_first_number(bench: Bench, heard: Heard) -> None:
+    """Check the number of the very first beacon; which one it is in 1.1 and later is a reading."""
+    first = heard.seqno
+    if bench.features.first_beacon_seqno == 1:
+        bench.check(first == 1, "the first beacon has seqno 1", f"it has {first}", "BP-INI-02", frames=[heard])
+        return
+    bench.check(first in (0, 1), "the first beacon has seqno 0", f"it has {first}", frames=[heard])
+    if first in (0, 1):
+        bench.reading("X03", "increment-then-write" if first else "write-then-increment")
+
+
+@case(
+    "TC_BP_INI_BV_01",
+    "After a reset sequence numbers start again",
+    requirements="BP-INI-02 BP-HDR-08",
+    stimulus="some beacons, UT-Reset, a request for a beacon",
+    expect="the first beacon has seqno 0 (1 in version 1.0; X03)",
+    window=8,
+    needs=Needs(ut=("UT-Reset",), header=("seqno",)),
+)
+def numbers_after_reset(bench: Bench) -> None:
+    bench.probe()
+    bench.probe()
+    before = bench.heard[-1].seqno if bench.heard else None
+    bench.must("UT-Reset")
+    start = bench.mark()
+    bench.probe()
+    check_first_number(bench, first_number(bench, start, before))
+
+
+@case(
+    "TC_BP_INI_BV_02",
+    "After a restart sequence numbers start again",
+    requirements="BP-INI-02 BP-HDR-08 BP-INI-03",
+    stimulus="some beacons, a restart of the implementation, a request for a beacon",
+    expect="a beacon without any activation, with seqno 0 (1 in version 1.0; X03)",
+    window=8,
+    needs=Needs(header=("seqno",), restart=True),
+    destructive=True,
+)
+def numbers_after_restart(bench: Bench) -> None:
+    bench.probe()
+    before = bench.heard[-1].seqno if bench.heard else None
+    start = bench.mark()
+    bench.restart()
+    check_first_number(bench, first_number(bench, start, before))
+
+
+@case(
+    "TC_BP_HDR_BV_09",
+    "No number is used up while there is nothing to send",
+    requirements="BP-HDR-09",
+    stimulus="a beacon is provoked, then nothing for six periods, then another one",
+    expect="the number after the pause is the next one",
+    window=12,
+    needs=Needs(since=V1_1, header=("seqno",)),
+)
+def idle_gap(bench: Bench) -> None:
+    bench.require_alive("the beginning", "BP-GEN-02")
+    # What the answer has set off may take another beacon or two.
+    bench.until_quiet(lambda heard: heard.beacon is not None, 6)
+    last = bench.heard[-1]
+    pause = bench.wait(6)
+    bench.require_alive("a pause", "BP-GEN-02")
+    following = bench.heard[bench.heard.index(last) + 1]
+    if last.seqno is None or following.seqno is None:
+        bench.inconclusive("beacons that can be read", f"{last.problem or following.problem}")
+    if (following.seqno - last.seqno) % BP_SEQNO_MODULUS != 1:
+        said = f"{following.seqno}"
+        bench.fail_numbers(f"{last.seqno + 1} follows {last.seqno} after a pause", said, frames=[last, following])
+    if pause:
+        bench.inconclusive("a pause in which it has nothing to send", f"{len(pause)} beacons came")
+    bench.check(True, "consecutive numbers")
+
+
+@case(
+    "TC_BP_FMT_BV_01",
+    "Beacons are not larger than BPPAR_MAXIMUM_PACKET_SIZE",
+    requirements="BP-FMT-02",
+    stimulus="three clients submit the largest payloads they may, and VarDis has something to send",
+    expect="no larger beacon, and all payloads sooner or later",
+    window=10,
+    needs=Needs(
+        entities=(), ut=CLIENT, when=lambda bench: "blocks of fixed size" if bench.profile.bp.payload_area else None
+    ),
+)
+def largest_beacons(bench: Bench) -> None:
+    limit = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
+    size = min(largest_payload(bench), limit - header_octets(bench) - block_header_octets(bench))
+    with (
+        BPClient(bench, ONCE, size=size) as one,
+        BPClient(bench, ONCE, size=size) as two,
+        BPClient(bench, ONCE, size=size) as three,
+        talking(bench, clients=0),
+    ):
+        clients = (one, two, three)
+        start = bench.mark()
+        for client in clients:
+            client.transmit(client.payload(size))
+        bench.until(lambda _: all(client.frames(start) for client in clients), 3 * bench.reaction)
+        lost = sum(not client.frames(start) for client in clients)
+        bench.check(not lost, "each of the payloads in a beacon", f"{lost} are missing", "BP-TX-04")
+        large = [heard for heard in bench.heard[start:] if len(heard.octets) > limit]
+        most = max((len(heard.octets) for heard in bench.heard[start:]), default=0)
+        if large and most <= limit + header_octets(bench):
+            bench.reading("X04", "blocks-only")
+            large = []
+        bench.check(not large, f"beacons of at most {limit} octets", f"one has {most}", "BP-FMT-02", frames=large)
+
+
+@case(
+    "TC_BP_FMT_BV_02",
+    "Without a payload there is no beacon",
+    requirements="BP-FMT-03",
+    stimulus="none, for six periods",
+    expect="no beacon without blocks; where all buffers can be asked and are empty, no beacon at all",
+    window=6,
+    needs=Needs(entities=()),
+)
+def silence(bench: Bench) -> None:
+    heard = bench.wait(6)
+    bare = [
+        each
+        for each in heard
+        if len(each.octets) <= header_octets(bench) or read(bench, each).fields.get("numPayloads") == 0
+    ]
+    bench.check(not bare, "no beacon without blocks", f"{len(bare)} of them", frames=bare)
+    upper = bench.session.upper
+    if heard and upper is not None and {"UT-Reset", QUERY} <= upper.methods:
+        waiting = [bench.call(QUERY, protId=each).result.get("number") for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)]
+        what = f"{len(heard)} beacons came; SRP and VarDis have {waiting} payloads"
+        bench.info("Is the implementation silent after a reset?", what, frames=heard[:8])
