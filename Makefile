@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 KAITAI := node_modules/kaitai-struct-compiler/package.json
 
-.PHONY: demo test lint unit bench clean
+.PHONY: demo test lint unit bench matrix clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-codec stats captures/*.mcap
@@ -30,6 +30,10 @@ $(KAITAI): package.json
 bench: $(STAMP)
 	$(BIN)/python benchmarks/codec.py
 	$(BIN)/python benchmarks/stack.py
+
+# Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
+matrix: $(STAMP)
+	$(BIN)/python -m dcp_conformance.traceability
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

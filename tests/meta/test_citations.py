@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
+from dcp_conformance.traceability import CODE, TESTS, cited, marked, sources
 from dcp_spec.requirements import requirements
 
 ROOT = Path(__file__).parents[2]
-_CODE = [path for folder in ("spec", "dcp_codec", "dcp_stack", "conformance") for path in (ROOT / folder).rglob("*.py")]
-_TESTS = list((ROOT / "tests").rglob("*.py"))
-_CITED = re.compile(r"##= *([A-Z]+-[A-Z]+-\d+|[A-Z]+-\d+)")
-_MARKED = re.compile(r"mark\.req\(([^)]*)\)")
-_QUOTED = re.compile(r'"((?:DATA|UWB)-\d\d|(?:BP|SRP|VD)-[A-Z]+-\d\d)"')
 
 
-def cited(path: Path) -> set[str]:
-    text = path.read_text(encoding="utf-8")
-    found = set(_CITED.findall(text)) | set(_QUOTED.findall(text))
-    for group in _MARKED.findall(text):
-        found |= set(re.findall(r'"([^"]+)"', group))
-    return found
-
-
-@pytest.mark.parametrize("path", [*_CODE, *_TESTS], ids=lambda path: str(path.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "path", sources(ROOT, *CODE, "conformance", TESTS), ids=lambda path: str(path.relative_to(ROOT))
+)
 def test_cited_requirements_exist(path):
-    # Tests of the catalogue itself name ids that must not exist.
-    if path.name in ("test_requirements.py", "test_citations.py"):
-        return
-    assert cited(path) - set(requirements()) == set()
+    text = path.read_text(encoding="utf-8")
+    assert (cited(text) | marked(text)) - set(requirements()) == set()
 
 
 def test_the_schema_cites_requirements():
-    assert sum(len(cited(ROOT / "spec" / "dcp_spec" / name)) for name in ("bp.py", "srp.py", "vardis.py")) > 25
+    schema = [ROOT / "spec" / "dcp_spec" / name for name in ("bp.py", "srp.py", "vardis.py")]
+    assert sum(len(cited(path.read_text(encoding="utf-8"))) for path in schema) > 25
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("    ##= BP-RX-15\n    ##= DATA-01 | exception: none\n", {"BP-RX-15", "DATA-01"}),
+        ('rule = Rule("VD-IC-03", "UWB-02")', {"VD-IC-03", "UWB-02"}),
+        ("# BP-RX-15 in a comment, X34 and 'VD-IC-03'", set()),
+    ],
+)
+def test_what_counts_as_a_citation(text, found):
+    assert cited(text) == found
+
+
+def test_what_counts_as_a_mark():
+    text = '@pytest.mark.req("BP-RX-01", "VD-IC-03")\nparam(1, marks=pytest.mark.req("DATA-02"))\n'
+    assert marked(text) == {"BP-RX-01", "VD-IC-03", "DATA-02"}

@@ -1,0 +1,327 @@
+"""The traceability matrix: requirement x code x unit test x conformance case.
+
+It is made from what stands in the repository: ``##= ID`` in the code, the marker ``req`` of the tests, the
+requirements that cases name, and ``data/undecided.toml`` with the reasons for which a requirement has no case.
+``python -m dcp_conformance.traceability`` (``make matrix``) writes ``docs/traceability.md`` and adds new cases to
+``data/case-ids.txt``, which remembers every identifier that a case ever had, so that none is used for another one.
+
+Lines are not part of the matrix: it changes when a relation changes, not when code moves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Final
+
+import msgspec
+from dcp_spec.requirements import Requirement, requirements
+
+from .case import Case, all_cases
+from .errors import UsageError
+
+CODE: Final = ("spec/dcp_spec", "dcp_codec", "dcp_stack")
+"""Where what fulfils a requirement stands."""
+TESTS: Final = "tests"
+DOCUMENT: Final = "docs/traceability.md"
+UNDECIDED: Final = "conformance/dcp_conformance/data/undecided.toml"
+LEDGER: Final = "conformance/dcp_conformance/data/case-ids.txt"
+RETIRED: Final = "retired"
+
+_CITED = re.compile(r"##= *([A-Z]+-[A-Z]+-\d+|[A-Z]+-\d+)")
+_QUOTED = re.compile(r'"((?:DATA|UWB)-\d\d|(?:BP|SRP|VD)-[A-Z]+-\d\d)"')
+_MARKED = re.compile(r"mark\.req\(([^)]*)\)")
+_STRING = re.compile(r'"([^"]+)"')
+#: Tests of the catalogue name ids that must not exist.
+_NOT_SCANNED = frozenset({"test_requirements.py", "test_citations.py", "test_traceability.py"})
+
+
+# -- what stands in the files ------------------------------------------------------------------------------------------
+
+
+def cited(text: str) -> set[str]:
+    """The requirement ids that Python source cites or names in a string: what it fulfils."""
+    return set(_CITED.findall(text)) | set(_QUOTED.findall(text))
+
+
+def marked(text: str) -> set[str]:
+    """The requirement ids that tests are marked with: what they decide."""
+    return {each for group in _MARKED.findall(text) for each in _STRING.findall(group)}
+
+
+def sources(root: Path, *folders: str) -> list[Path]:
+    """The Python files below folders of the repository, sorted, but for tests of the catalogue and of this."""
+    return sorted(path for folder in folders for path in (root / folder).rglob("*.py") if path.name not in _NOT_SCANNED)
+
+
+class Undecided(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A requirement that no case decides, and why."""
+
+    id: str
+    why: str
+
+
+class _UndecidedFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    undecided: tuple[Undecided, ...] = ()
+
+
+def read_undecided(path: Path) -> tuple[Undecided, ...]:
+    """The reasons in ``undecided.toml``; none if there is no file. Raises :class:`UsageError` with file and key."""
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=_UndecidedFile).undecided
+    except FileNotFoundError:
+        return ()
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def read_ledger(path: Path) -> dict[str, bool]:
+    """All identifiers that cases ever had, and whether each is retired. Raises :class:`UsageError` for other lines."""
+    found: dict[str, bool] = {}
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    for number, line in enumerate(lines, 1):
+        identifier, _, rest = line.partition(" ")
+        if rest not in ("", RETIRED) or not identifier:
+            raise UsageError(
+                f"{path}, line {number}: {line!r}; a line is an identifier, or one followed by {RETIRED!r}"
+            )
+        if identifier in found:
+            raise UsageError(f"{path}, line {number}: {identifier} stands there twice")
+        found[identifier] = bool(rest)
+    return found
+
+
+def ledger_text(ledger: Mapping[str, bool], used: Iterable[str]) -> str:
+    """The ledger with the identifiers that are used now added, one per line, sorted. It only ever grows."""
+    merged = {**dict.fromkeys(used, False), **ledger}
+    return "".join(f"{name} {RETIRED}\n" if retired else f"{name}\n" for name, retired in sorted(merged.items()))
+
+
+# -- the matrix --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What there is about one requirement."""
+
+    requirement: Requirement
+    code: tuple[str, ...]
+    """The files that cite it, relative to the repository, without ``.py``."""
+    tests: tuple[str, ...]
+    """The test files with tests that decide it, relative to ``tests``, without ``.py``."""
+    cases: tuple[str, ...]
+    """The cases that decide it, without their variants."""
+    why: str = ""
+    """Why no case decides it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix:
+    """All requirements in the order of the catalogue, and what does not fit."""
+
+    rows: tuple[Row, ...]
+    undecided: tuple[Undecided, ...]
+    ledger: Mapping[str, bool]
+    case_ids: tuple[str, ...]
+    unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Ids that the catalogue does not have, and where they stand."""
+
+    def problems(self) -> list[str]:
+        """What must not be, each with what to do about it; empty if the matrix is complete."""
+        return [*self._citations(), *self._coverage(), *self._reasons(), *self._identifiers()]
+
+    def _citations(self) -> Iterable[str]:
+        for name, places in self.unknown.items():
+            yield f"{name} is no requirement, but stands in {', '.join(places)}"
+
+    def _coverage(self) -> Iterable[str]:
+        for row in self.rows:
+            needed = row.requirement
+            if needed.level == "mandatory" and not row.code and not row.tests:
+                yield f"{needed.id} is mandatory, but no code cites it and no test is marked with it"
+            if not row.cases and not row.why:
+                places = " and ".join(needed.observable)
+                yield f"{needed.id} ({places}): no case decides it; write one, or the reason why not in {UNDECIDED}"
+
+    def _reasons(self) -> Iterable[str]:
+        for before, after in pairwise(each.id for each in self.undecided):
+            if after <= before:
+                yield f"{UNDECIDED}: {after} stands behind {before}; entries are sorted by id, one for each"
+        for row in self.rows:
+            if row.why and row.cases:
+                yield f"{UNDECIDED} has {row.requirement.id}, but {', '.join(row.cases)} decide it; take it out"
+        for each in self.undecided:
+            if not each.why.strip():
+                yield f"{UNDECIDED}: {each.id} has no reason"
+
+    def _identifiers(self) -> Iterable[str]:
+        used = set(self.case_ids)
+        if new := [name for name in self.case_ids if name not in self.ledger]:
+            more = f" and {len(new) - 3} more" if len(new) > 3 else ""
+            yield f"not in {LEDGER}: {', '.join(new[:3])}{more}; make matrix adds them"
+        for name in self.case_ids:
+            if self.ledger.get(name):
+                yield f"{name} is retired in {LEDGER}: identifiers are never used again, take the next number"
+        for name, retired in self.ledger.items():
+            if name not in used and not retired:
+                yield f"{name} is in {LEDGER}, but there is no such case: mark it {RETIRED!r}, or bring it back"
+
+
+def matrix(repo_root: Path, cases: Mapping[str, Case] | None = None) -> Matrix:
+    """Look at a repository. ``cases`` are those to look at, by default all of them.
+
+    Raises :class:`UsageError` if there is no repository at that place, or for a data file that cannot be read.
+    """
+    if not all((repo_root / folder).is_dir() for folder in (*CODE, TESTS)):
+        raise UsageError(
+            f"{repo_root} is no checkout of this repository: {', '.join((*CODE, TESTS))} are not all there"
+        )
+    catalogue = requirements()
+    chosen = all_cases() if cases is None else cases
+    unknown: dict[str, list[str]] = {}
+
+    def collect(paths: Iterable[Path], find: str, base: Path) -> dict[str, list[str]]:
+        found: dict[str, list[str]] = {}
+        for path in paths:
+            text = path.read_text(encoding="utf-8")
+            name = path.relative_to(base).with_suffix("").as_posix()
+            for each in sorted(cited(text) if find == "cited" else marked(text)):
+                (found if each in catalogue else unknown).setdefault(each, []).append(name)
+        return found
+
+    code = collect(sources(repo_root, *CODE), "cited", repo_root)
+    tests = collect(sources(repo_root, TESTS), "marked", repo_root / TESTS)
+    undecided = read_undecided(repo_root / UNDECIDED)
+    reasons = {each.id: each.why for each in undecided}
+    for name in reasons.keys() - catalogue.keys():
+        unknown.setdefault(name, []).append(UNDECIDED)
+    deciding: dict[str, dict[str, None]] = {}
+    for each in chosen.values():
+        for name in each.requirements:
+            deciding.setdefault(name, {})[each.base] = None
+    rows = tuple(
+        Row(
+            requirement,
+            tuple(code.get(name, ())),
+            tuple(tests.get(name, ())),
+            tuple(sorted(deciding.get(name, ()))),
+            reasons.get(name, ""),
+        )
+        for name, requirement in catalogue.items()
+    )
+    ledger = read_ledger(repo_root / LEDGER)
+    found = {name: tuple(places) for name, places in sorted(unknown.items())}
+    return Matrix(rows, undecided, ledger, tuple(sorted(chosen)), found)
+
+
+# -- as a document -----------------------------------------------------------------------------------------------------
+
+_INTRODUCTION = """\
+# Traceability
+
+Generated by `make matrix`; do not edit. Each requirement of the catalogue (`spec/dcp_spec/data/requirements.toml`), the
+code that cites it (`##= ID`), the tests that are marked with it (below `tests/`), and the conformance cases that decide
+it (without `TC_`, and without their variants), or the reason why none does. *Seen* is where a violation shows: on the
+wire, at the upper interface, or only inside.
+"""
+
+
+def render(matrix: Matrix) -> str:
+    """The matrix as Markdown, the same for the same repository."""
+    parts = [_INTRODUCTION, _summary(matrix)]
+    for protocol, group in groupby(matrix.rows, lambda row: row.requirement.protocol):
+        parts.append(f"## {protocol}\n")
+        lines = ["| requirement | level | seen | code | tests | cases |", "|---|---|---|---|---|---|"]
+        lines += [_line(row) for row in group]
+        parts.append("\n".join(lines) + "\n")
+    return "\n".join(parts)
+
+
+def _summary(matrix: Matrix) -> str:
+    lines = [
+        "| | requirements | cited in code | with a test | with a case | with a reason |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    groups: list[tuple[str, list[Row]]] = [
+        (protocol, list(group)) for protocol, group in groupby(matrix.rows, lambda row: row.requirement.protocol)
+    ]
+    for name, rows in [*groups, ("all", list(matrix.rows))]:
+        counts = (
+            len(rows),
+            sum(bool(row.code) for row in rows),
+            sum(bool(row.tests) for row in rows),
+            sum(bool(row.cases) for row in rows),
+            sum(bool(row.why) for row in rows),
+        )
+        lines.append(f"| {name} | " + " | ".join(map(str, counts)) + " |")
+    bases = {name.partition("-")[0] for name in matrix.case_ids}
+    lines.append("")
+    lines.append(f"{len(bases)} cases, {len(matrix.case_ids)} with their variants.")
+    return "\n".join(lines) + "\n"
+
+
+def _line(row: Row) -> str:
+    needed = row.requirement
+    cases = ", ".join(each.removeprefix("TC_") for each in row.cases) or f"*{_cell(row.why)}*"
+    cells = (
+        needed.id,
+        needed.level[0].upper(),
+        ", ".join(each[0].upper() for each in needed.observable),
+        ", ".join(_short(row.code)),
+        ", ".join(row.tests),
+        cases if cases != "**" else "",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def _short(paths: Sequence[str]) -> list[str]:
+    """File names without their package, where that leaves no doubt."""
+    return list(dict.fromkeys(path.removeprefix("spec/").partition("/")[2] or path for path in paths))
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("|", r"\|").split())
+
+
+def write(repo_root: Path) -> Matrix:
+    """Bring ledger and document up to date; the matrix. Raises :class:`UsageError` as :func:`matrix` does."""
+    found = matrix(repo_root)
+    (repo_root / LEDGER).write_text(ledger_text(found.ledger, found.case_ids), encoding="utf-8")
+    (repo_root / DOCUMENT).write_text(render(found), encoding="utf-8")
+    return matrix(repo_root)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """``python -m dcp_conformance.traceability [--check] [ROOT]``: 0 if complete, 1 with problems, 2 for misuse."""
+    parser = argparse.ArgumentParser(
+        prog="dcp_conformance.traceability", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("root", nargs="?", type=Path, default=Path(), help="the checkout (default: here)")
+    parser.add_argument("--check", action="store_true", help="write nothing, only say what is missing or outdated")
+    options = parser.parse_args(arguments)
+    try:
+        found = matrix(options.root) if options.check else write(options.root)
+        problems = found.problems()
+        if options.check and outdated(options.root, found):
+            problems.append(f"{DOCUMENT} is not what the repository gives: run make matrix")
+    except UsageError as error:
+        print(error, file=sys.stderr)
+        return 2
+    for each in problems:
+        print(each, file=sys.stderr)
+    return 1 if problems else 0
+
+
+def outdated(repo_root: Path, found: Matrix) -> bool:
+    """Whether the committed document is another than the matrix gives."""
+    path = repo_root / DOCUMENT
+    return not path.exists() or path.read_text(encoding="utf-8") != render(found)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
