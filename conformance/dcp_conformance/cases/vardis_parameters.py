@@ -180,6 +180,8 @@ def repetitions(bench: Bench) -> None:
     stimulus="set what fits into a packet beside both headers, one more, and 0",
     expect="the first is taken, the others not; 1.0 has only the lower bound",
     needs=_PARAMETERS,
+    # It may be registered for larger payloads afterwards.
+    destructive=True,
 )
 def payload_size(bench: Bench) -> None:
     with _kept(bench, _PAYLOAD):

@@ -1,0 +1,104 @@
+"""Cases about SRP and about the services of VarDis: what they say of our node, of slow ones, and of wrong ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from dcp_conformance.bench import Session
+from dcp_conformance.pics import Pics
+from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
+from dcp_conformance.results import CaseResult
+from dcp_conformance.runner import Runner
+from dcp_conformance.upper import Answer
+from dcp_conformance.verdict import Verdict
+
+from .rig import OTHER_PROFILES, PROFILES, codec_of, ids_of, known_cases, one_case
+
+MODULES = (
+    "srp_record",
+    "srp_table",
+    "srp_forwarding",
+    "srp_init",
+    "vardis_create",
+    "vardis_recreate",
+    "vardis_update",
+    "vardis_delete",
+    "vardis_read",
+    "vardis_management",
+    "vardis_parameters",
+    "vardis_init",
+)
+CASES = ids_of(*MODULES)
+GOOD = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
+MS = 1_000_000
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("case_id", CASES)
+def test_our_node_passes(case_id, profile):
+    result = one_case(case_id, profile)
+    assert result.verdict in (Verdict.PASS, Verdict.NOT_APPLICABLE), f"{result.reason}\n{result.error_detail}"
+
+
+@pytest.mark.parametrize("profile", OTHER_PROFILES)
+@pytest.mark.parametrize("case_id", CASES)
+def test_no_case_stumbles_over_a_profile(case_id, profile):
+    result = one_case(case_id, profile)
+    assert result.verdict is not Verdict.ERROR, f"{result.reason}\n{result.error_detail}"
+
+
+@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-2.0"])
+@pytest.mark.parametrize("case_id", CASES)
+def test_the_wire_alone_is_enough_for_those_that_say_so(case_id, profile):
+    assert one_case(case_id, profile, upper=False).verdict in GOOD
+
+
+def test_every_case_applies_to_some_profile():
+    versions = ("dcp-1.0", "dcp-1.3", "dcp-2.0")
+    never = [
+        case_id
+        for case_id in CASES
+        if all(one_case(case_id, profile).verdict is Verdict.NOT_APPLICABLE for profile in versions)
+    ]
+    assert never == []
+
+
+# -- slow ones ---------------------------------------------------------------------------------------------------------
+
+
+class SlowUpperTester(VirtualUpperTester):
+    """Each request takes 60 ms on its way to the node and back, as with a command that has to be started."""
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        self._pass(30 * MS)
+        answer = super().call(method, params)
+        self._pass(30 * MS)
+        return answer
+
+    def another(self) -> SlowUpperTester:
+        return SlowUpperTester(self._sut)
+
+    def _pass(self, duration: int) -> None:
+        sut = self._sut
+        end = sut.now + duration
+        while (due := sut.node.poll_timeout()) is not None and due <= end:
+            sut.now = max(sut.now, due)
+            sut.guarded(lambda: sut.node.handle_timeout(sut.now, sut.wall()))
+        sut.now = max(sut.now, end)
+
+
+def slow_case(case_id: str, profile: str) -> CaseResult:
+    codec = codec_of(profile)
+    sut = InProcess(reference_config(codec))
+    session = Session(codec, sut.lower_tester(), SlowUpperTester(sut), Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    return runner.run(known_cases()[case_id])
+
+
+@pytest.mark.parametrize("profile", ["dcp-1.1", "dcp-1.3", "dcp-2.0"])
+@pytest.mark.parametrize("case_id", CASES)
+def test_slow_services_pass_too(case_id, profile):
+    result = slow_case(case_id, profile)
+    assert result.verdict in GOOD, f"{result.reason}\n{result.error_detail}"
