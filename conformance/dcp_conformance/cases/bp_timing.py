@@ -1,0 +1,232 @@
+"""dcp-bp.md: Transmit Path, timing of beacons.
+
+The specification says what the number of beacons tends to, not when a single one is due. The verdict is therefore
+statistical: it needs an interval of confidence, and one that cannot be told yet is no failure.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import statistics
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.cases.bp_indications import no_indication
+from dcp_conformance.clients import (
+    CLIENT,
+    ONCE,
+    REGISTER,
+    REPEAT,
+    TRANSMITTED,
+    BPClient,
+    indications,
+    talking,
+)
+from dcp_conformance.heard import Heard
+from dcp_conformance.services import parameters_set
+
+PERIOD = "BPPAR_BEACON_PERIOD"
+#: Of a normal distribution: 99 % of it lie within so many standard deviations. The means of samples are normal enough.
+QUANTILE = 2.576
+CONFIDENCE = "99 %"
+#: Fewer intervals say too little about how much they vary.
+LEAST = 25
+MOST = 300
+
+
+class Estimate(NamedTuple):
+    """The mean interval between beacons with its interval of confidence, in ns."""
+
+    mean: float
+    margin: float
+    intervals: Sequence[float]
+
+    def __str__(self) -> str:
+        size, mean, margin = len(self.intervals), self.mean / MS, self.margin / MS
+        return f"a mean of {mean:.2f} ms \u00b1 {margin:.2f} ms ({size} intervals, {CONFIDENCE} confidence)"
+
+
+def estimate(frames: Sequence[Heard]) -> Estimate:
+    """The mean interval between these beacons, at least three of them.
+
+    Sequence numbers say how many beacons lie between two that were heard, so that a beacon that the tester has missed
+    does not make the mean larger.
+    """
+    intervals, beacons = [], 0
+    for before, after in itertools.pairwise(frames):
+        count = 1
+        if before.seqno is not None and after.seqno is not None:
+            count = (after.seqno - before.seqno) % BP_SEQNO_MODULUS or 1
+        beacons += count
+        intervals.append((after.time - before.time) / count)
+    mean = (frames[-1].time - frames[0].time) / beacons
+    return Estimate(mean, QUANTILE * statistics.stdev(intervals) / math.sqrt(len(intervals)), intervals)
+
+
+def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST) -> Estimate | None:
+    """Listen until the mean can be said to be the period within the tolerance, or not to be; None if nothing comes.
+
+    After ``most`` intervals the estimate is returned as it is then.
+    """
+    tolerance = bench.pixit.period_tolerance * period
+    frames = bench.beacons(least + 1, 3 * least + bench.reaction)
+    while len(frames) >= 3:
+        found = estimate(frames)
+        off = abs(found.mean - period)
+        if off + found.margin <= tolerance or off - found.margin > tolerance or len(found.intervals) >= most:
+            return found
+        more = bench.beacons(10, 30)
+        if not more:
+            break
+        frames += more
+    return None
+
+
+def check_mean(bench: Bench, found: Estimate | None, period: float, *requirements: str, sure: bool = True) -> None:
+    """Check a mean. Only one that lies outside of the tolerance for certain is a failure.
+
+    ``sure``: whether there was always something to send; else too few beacons are none.
+    """
+    if found is None:
+        bench.inconclusive("enough beacons for a mean", "there are too few", *requirements)
+    tolerance = bench.pixit.period_tolerance * period
+    low, high = found.mean - found.margin, found.mean + found.margin
+    expected = f"a mean interval of {period / MS:g} ms \u00b1 {bench.pixit.period_tolerance:.0%}"
+    if low > period + tolerance and not sure:
+        said = f"{found}; but it may have had nothing to send (with an upper tester this can be decided)"
+        bench.inconclusive(expected, said, *requirements)
+    if low > period + tolerance or high < period - tolerance:
+        bench.check(False, expected, str(found), *requirements)
+    elif low < period - tolerance or high > period + tolerance:
+        bench.inconclusive(expected, f"{found}: the sample is too small for how much they vary", *requirements)
+    else:
+        bench.check(True, f"{expected}; measured: {found}", "", *requirements)
+
+
+@case(
+    "TC_BP_TX_TI_01",
+    "In the long run there is one beacon per period",
+    requirements="BP-TX-01 BP-TX-02",
+    stimulus="something to send all the time; at least 25 intervals between beacons, more until the verdict is certain",
+    expect="the mean interval is BPPAR_BEACON_PERIOD within the tolerance (PIXIT), with 99 % confidence; jitter is "
+    "reported",
+    window=300,
+    needs=Needs(entities=()),
+)
+def mean_period(bench: Bench) -> None:
+    period = bench.parameter(PERIOD) * MS
+    with talking(bench) as clients:
+        bench.until(lambda heard: heard.octets)
+        found = measure(bench, period)
+    if found is not None:
+        spread = statistics.stdev(found.intervals) / found.mean
+        least, most = min(found.intervals) / MS, max(found.intervals) / MS
+        said = f"{least:.1f} to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
+        bench.info("How much do the intervals between beacons vary?", said, "BP-TX-02")
+        if bench.pics.jitter:
+            bench.check(spread > 0.002, "intervals that vary, as the PICS claims", said, "BP-TX-02")
+    check_mean(bench, found, period, "BP-TX-01", sure=bool(clients))
+
+
+@case(
+    "TC_BP_TX_TI_02",
+    "Another beacon period takes effect ({variant})",
+    requirements="BP-PAR-02 BP-PAR-03",
+    stimulus="BPPAR_BEACON_PERIOD is multiplied by {variant} while a client repeats a payload",
+    expect="the mean interval follows, with 99 % confidence",
+    window=60,
+    needs=Needs(since=SpecVersion.V1_1, entities=(), ut=(*CLIENT, "BP-SetParameter")),
+    variants={"0.5": 0.5, "2": 2.0},
+)
+def other_period(bench: Bench, factor: float) -> None:
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        bench.require(client.until_sent(), "beacons before", "there are none in time", "BP-GEN-02")
+        value = round(bench.parameter(PERIOD) * factor)
+        with parameters_set(bench, "BP", **{PERIOD: value}):
+            # The beacon that was due already comes when it was due, the next one is the first of the new period.
+            bench.beacons(1)
+            found = measure(bench, value * MS, least=15)
+            check_mean(bench, found, value * MS)
+
+
+@case(
+    "TC_BP_TX_TI_03",
+    "What a new payload does to the time of the next beacon",
+    requirements="BP-TXP-07 BP-TX-02",
+    stimulus="a client submits a payload five times, in different phases of the period, when nothing else is sent",
+    expect="a beacon with it each time; the delays are reported",
+    window=20,
+    needs=Needs(entities=(), ut=CLIENT),
+)
+def delay_of_payloads(bench: Bench) -> None:
+    delays = []
+    with BPClient(bench, ONCE) as client:
+        for number in range(5):
+            payload = client.payload()
+            start = bench.now()
+            client.transmit(payload)
+            heard = client.until_sent(payload)
+            if heard is None:
+                bench.inconclusive("a beacon with each payload", f"{number} of 5 came in time")
+            delays.append(max(0, heard.time - start) / MS)
+            bench.wait(0.3 + 0.2 * number)
+    said = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms at a period of {bench.parameter(PERIOD)} ms"
+    bench.info("How long does a payload wait for its beacon?", said)
+    triggered = statistics.median(delays) < bench.parameter(PERIOD) / 10
+    bench.info("Does a new payload bring the next beacon forward?", "it seems so" if triggered else "no", "BP-TXP-07")
+
+
+@case(
+    "TC_BP_PTI_TI_01",
+    "nextBeaconGenerationEpoch is when the next beacon is prepared",
+    requirements="BP-PTI-02",
+    stimulus="a client repeats a payload; ten indications and the beacons that follow them",
+    expect="most epochs are nearer to the beacon that follows than to any other, by the implementation's own clock",
+    window=14,
+    needs=Needs(entities=(), ut=(*CLIENT, "BP-ListRegisteredProtocols"), when=no_indication),
+)
+def epoch_of_next_beacon(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        offset = clock_offset(bench, client)
+        client.transmit(client.payload())
+        for _ in range(11):
+            client.until_sent()
+        bench.wait(0.3)
+        frames = client.frames()
+        told = indications(bench, TRANSMITTED, client.prot_id)
+        bench.require(told, "indications", "there are none", "BP-PTI-01")
+        epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
+        numbers = [each - offset for each in epochs if isinstance(each, int)]
+        bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}")
+        walls = [heard.wall for heard in frames]
+        pairs = list(zip(numbers, walls[1:], strict=False))
+        if len(pairs) < 8 or abs(len(told) - len(frames)) > 1:
+            bench.inconclusive("an indication for each of ten beacons", f"{len(told)} for {len(frames)} beacons")
+        errors = [(epoch - wall) / MS for epoch, wall in pairs]
+        middle, limit = statistics.median(errors), bench.parameter(PERIOD) / 2
+        said = f"{middle:.1f} ms from it (median of {len(errors)}), {min(errors):.1f} to {max(errors):.1f} ms"
+        bench.check(abs(middle) < limit, f"epochs within {limit:g} ms of the next beacon", said, frames=frames[:8])
+        bench.info("How exact is nextBeaconGenerationEpoch?", said)
+
+
+def clock_offset(bench: Bench, client: BPClient) -> int:
+    """How far the implementation's clock is ahead of the tester's in ns, by the time stamp of a registration."""
+    stamps = []
+    for _ in range(5):
+        bench.call("BP-DeregisterProtocol", protId=client.prot_id)
+        before = bench.lower.wall()
+        bench.must(REGISTER, **client.registration)
+        after = bench.lower.wall()
+        stamp = (client.entry() or {}).get("timeStampRegistration")
+        if isinstance(stamp, int):
+            stamps.append((after - before, stamp - (before + after) // 2))
+    if not stamps:
+        bench.inconclusive("the time of a registration", "BP-ListRegisteredProtocols does not tell it")
+    # The shortest call is the most exact one.
+    return min(stamps)[1]

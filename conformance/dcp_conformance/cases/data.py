@@ -1,0 +1,399 @@
+"""dcp-datatypes.md: Basic Data Types and Conventions; dcp-architecture.md: the wireless bearer (UWB).
+
+Octets of numbers, text and identifiers in what the implementation sends, and what it makes of them when it receives.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+from dcp_spec.constants import (
+    BP_MAGIC_NO,
+    BP_SEQNO_MODULUS,
+    ETHERTYPE_MIN,
+    UWB_MIN_MTU,
+    ICType,
+    SpecVersion,
+)
+from dcp_spec.profile import Opaque
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.cases.bp_receive import check_dropped, check_processed
+from dcp_conformance.clients import header_octets, some_beacons, talking, unused_protocol_id
+from dcp_conformance.forge import Block
+from dcp_conformance.heard import Heard
+from dcp_conformance.peers import Peer
+from dcp_conformance.services import create_request, longest_description, nanoseconds, safety_data
+
+V1_1, V2_0 = SpecVersion.V1_1, SpecVersion.V2_0
+CREATE = "RTDB-Create"
+DESCRIPTION_TOO_LONG = "VARDIS-STATUS-VARIABLE-DESCRIPTION-TOO-LONG"
+_HEADER = Needs(entities=(), header=("magicNo",))
+
+
+def swapped(value: int, width: int) -> int:
+    """The number with its octets in the other order."""
+    return int.from_bytes(value.to_bytes(width, "big"), "little")
+
+
+# -- integers ----------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_DCP_DATA_BV_01",
+    "Integers in the headers of beacons have their most significant octet first",
+    requirements="DATA-01",
+    stimulus="something to send in every period",
+    expect="magicNo, length, protocolId and seqno that make sense, and none that only does with swapped octets",
+    window=8,
+    needs=_HEADER,
+)
+def byte_order(bench: Bench) -> None:
+    with talking(bench, clients=2):
+        frames = some_beacons(bench, 6)
+    types, start = bench.profile.types, header_octets(bench)
+    for heard in frames:
+        root = bench.codec.dissect(heard.octets).root
+        says = {field.path: field.value for field in root.walk() if isinstance(field.value, int)}
+        checks: list[tuple[str, int, int]] = [("bp.magicNo", types.magic_no.width, BP_MAGIC_NO)]
+        if len(heard.octets) > 46 and bench.profile.bp.length_means == "blocks":
+            checks.append(("bp.length", types.bp_length.width, len(heard.octets) - start))
+        for path, width, right in checks:
+            value = says.get(path)
+            if value is not None and value != right and swapped(value, width) == right:
+                bench.fail(f"{path} is {right:#x}", f"it is {value:#x}: the octets are swapped", frames=[heard])
+        ids = [value for path, value in says.items() if path.endswith(".protocolId")]
+        odd = [value for value in ids if value > 0xFF and swapped(value, 2) in (1, 2)]
+        bench.require(not odd, "protocolId 1 or 2", f"{odd}: the octets are swapped", frames=[heard])
+    numbers = [heard.seqno for heard in frames if heard.seqno is not None]
+    steps = {(after - before) % BP_SEQNO_MODULUS for before, after in itertools.pairwise(numbers)}
+    bench.check(1 << 24 not in steps, "seqno counts in its last octet", "it counts in its first", frames=frames[:2])
+    fields = [name for name, field in _integers(bench) if field != "big"]
+    if fields:
+        bench.info("Which integers does the profile send least significant octet first?", ", ".join(fields))
+
+
+def _integers(bench: Bench) -> list[tuple[str, str]]:
+    """The integers of the profile with their byte order."""
+    types = bench.profile.types
+    names = ("timestamp", "magic_no", "protocol_id", "bp_length", "network_id", "bp_seqno", "srp_seqno", "var_timeout")
+    return [(name, str(getattr(types, name).byte_order)) for name in names if getattr(types, name).width > 1]
+
+
+@case(
+    "TC_DCP_DATA_BV_02",
+    "Received lengths of more than 255 octets are read with their most significant octet first",
+    requirements="DATA-01",
+    stimulus="a beacon with a block of 258 octets for nobody, and a VarDis block with a summary of an unknown variable",
+    expect="a request for the variable",
+)
+def long_block(bench: Bench) -> None:
+    peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
+    peer.send(Block(unused_protocol_id(bench), bytes(258)), peer.summary(var_id, 1))
+    check_processed(bench, [var_id], start, "the block behind one of 258 octets")
+
+
+@case(
+    "TC_DCP_DATA_BV_03",
+    "Received creationTimes are compared as numbers, not octet by octet from the wrong end",
+    requirements="DATA-01",
+    stimulus="a VarCreate, and another one whose creationTime is larger by one, but smaller with swapped octets",
+    expect="the second one replaces the first, and is passed on",
+    window=10,
+    needs=Needs(
+        since=V2_0, when=lambda bench: None if "creationTime" in bench.profile.vardis.var_spec else "no creationTime"
+    ),
+)
+def order_of_creation_times(bench: Bench) -> None:
+    first = (bench.creation_time() >> 16 << 16) + 0x1FF
+    bench.session.creation_time = first + 1
+    peer, var_id = bench.peer(), bench.var_id()
+    bench.learn(peer, peer.create(var_id, creation_time=first, value=b"first"))
+    start = bench.mark()
+    peer.send(peer.create(var_id, creation_time=first + 1, value=b"second"))
+    passed = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
+    expected = f"the variable created at {first + 1:#x} replaces that of {first:#x}"
+    bench.check(passed is not None and passed.upd.value == b"second", expected, "it does not", frames=found)
+
+
+@case(
+    "TC_DCP_DATA_BV_04",
+    "creationTime and timeout of the node's own variables are numbers in the profile's byte order",
+    requirements="DATA-01 DATA-05",
+    stimulus="RTDB-Create with timeout 4660 ms (0x1234)",
+    expect="a VarCreate with timeout 4660 and a creationTime of now, as far as the profile's clock tells time of day",
+    needs=Needs(since=V2_0, ut=(CREATE,)),
+)
+def own_creation_time(bench: Bench) -> None:
+    var_id = bench.var_id()
+    wall = bench.lower.wall()
+    bench.must(CREATE, **create_request(bench, var_id, timeout=0x1234))
+    record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    bench.require(record is not None, "a VarCreate", "there is none in time", "VD-CRE-12")
+    assert record is not None
+    bench.check(record.spec.timeout == 0x1234, "timeout 0x1234", f"{record.spec.timeout:#x}", "DATA-01")
+    check_time(bench, record.spec.creation_time, wall, "creationTime")
+
+
+@case(
+    "TC_DCP_DATA_BV_05",
+    "tStamp of state reports is the time in the profile's byte order",
+    requirements="DATA-01 DATA-05",
+    stimulus="SRP-UpdateSafetyData",
+    expect="a state report with a tStamp of now, as far as the profile's clock tells time of day",
+    needs=Needs(entities=("srp",), ut=("SRP-UpdateSafetyData",)),
+)
+def own_time_stamp(bench: Bench) -> None:
+    wall = bench.lower.wall()
+    bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 3))
+    report = bench.until(lambda heard: heard.report)
+    bench.require(report is not None, "a state report", "there is none in time", "SRP-SRV-03")
+    assert report is not None
+    check_time(bench, report.t_stamp, wall, "tStamp")
+
+
+def check_time(bench: Bench, stamp: int, wall: int, name: str) -> None:
+    """Check a time stamp that was taken at a wall time in ns; one without a known epoch is only reported."""
+    layout = bench.profile.types.timestamp
+    if layout.epoch not in ("unix", "gps"):
+        bench.info(f"Where does the clock of {name} begin?", f"{layout.epoch}: it says {stamp}", "DATA-05")
+        return
+    epoch = 315_964_800 * 10**9 if layout.epoch == "gps" else 0
+    told = nanoseconds(bench, stamp) + epoch
+    turned = nanoseconds(bench, swapped(stamp % (1 << (8 * layout.width)), layout.width)) + epoch
+    day = 86_400 * 10**9
+    if abs(told - wall) > day:
+        what = "only the swapped octets are a time of today" if abs(turned - wall) <= day else "no time of today"
+        bench.check(False, f"{name} is a time of today", f"it is {stamp:#x}, {what}", "DATA-01", "DATA-05")
+        return
+    bench.check(True, f"{name} is a time of today", "", "DATA-01")
+    off, limit = (told - wall) / MS, bench.pixit.clock_tolerance_ms
+    # It may have been taken at any time while the request was on its way.
+    near = -limit <= off <= limit
+    bench.check(near, f"{name} is within {limit:g} ms of the tester's clock", f"it is {off:.1f} ms off", "DATA-05")
+
+
+# -- records -----------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_DCP_DATA_BV_06",
+    "Every beacon can be read with the profile, without octets left over",
+    requirements="DATA-02 DATA-03 UWB-04",
+    stimulus="clients, variables and, where the upper tester can hand them down, state reports",
+    expect="ten beacons without a fault, and nothing behind the last block of those that are not padded",
+    window=14,
+    needs=Needs(since=V1_1),
+)
+def packed(bench: Bench) -> None:
+    upper = bench.session.upper
+    with talking(bench, clients=2):
+        if upper is not None and "SRP-UpdateSafetyData" in upper.methods and bench.profile.srp.safety_data:
+            bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 5))
+        peer = bench.peer()
+        for length in (1, 3):
+            var_id = bench.var_id()
+            peer.send(peer.create(var_id, value=bytes(length), descr=b"d" * length))
+            peer.send(peer.update(var_id, 1, bytes(length + 1)), peer.summary(bench.unknown_id(), 1))
+        frames = some_beacons(bench, 10)
+    broken = [heard for heard in frames if heard.beacon is None]
+    said = f"{len(broken)} beacons cannot: {broken[0].problem}" if broken else ""
+    bench.check(not broken, "beacons that the profile can read", said, "DATA-02", "DATA-03", frames=broken[:4])
+    behind = [heard for heard in frames if heard.beacon is not None and _trailing(bench, heard)]
+    octets = _trailing(bench, behind[0]).hex() if behind else ""
+    bench.check(not behind, "nothing behind the last block", f"{octets}", "UWB-04", "DATA-02", frames=behind[:4])
+    if any(isinstance(each, Opaque) for each in bench.profile.srp.record):
+        what = "its state reports are images of a structure in memory: octets between the fields"
+        bench.info("Where does the profile itself leave packed records?", what, "DATA-02")
+
+
+def _trailing(bench: Bench, heard: Heard) -> bytes:
+    """What stands behind a beacon in a frame that is too long to have been padded."""
+    return bench.codec.dissect(heard.octets).padding if len(heard.octets) > 46 else b""
+
+
+@case(
+    "TC_DCP_DATA_BV_07",
+    "Node identifiers are compared for equality and nothing else ({variant})",
+    requirements="DATA-04",
+    stimulus="a beacon with the summary of an unknown variable and the senderId {variant}",
+    expect="a request for the variable",
+    needs=Needs(
+        header=("senderId",),
+        when=lambda bench: "identifiers are text" if bench.profile.types.node_id.representation == "text" else None,
+    ),
+    variants={
+        "zeros": lambda own: bytes(len(own)),
+        "ones": lambda own: b"\xff" * len(own),
+        "group-address": lambda own: b"\x01" + own[1:],
+        "own-but-for-the-first-bit": lambda own: bytes([own[0] ^ 0x80]) + own[1:],
+        "own-but-for-the-last-bit": lambda own: own[:-1] + bytes([own[-1] ^ 1]),
+        "own-backwards": lambda own: own[::-1] if own[::-1] != own else own[:-1] + bytes([own[-1] ^ 2]),
+    },
+)
+def any_identifier(bench: Bench, made: Callable[[bytes], bytes]) -> None:
+    if bench.session.sut_id is None:
+        bench.probe()
+    peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
+    peer.send(peer.summary(var_id, 1), sender=made(bench.sut_id))
+    check_processed(bench, [var_id], start, "a beacon of that sender")
+
+
+# -- octets and text ---------------------------------------------------------------------------------------------------
+
+
+def check_passed_on(bench: Bench, value: bytes, descr: bytes, *requirements: str) -> None:
+    """Check that a variable with this value and description is taken and passed on as it is."""
+    peer, var_id = bench.peer(), bench.var_id()
+    peer.send(peer.create(var_id, value=value, descr=descr))
+    record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    bench.require(record is not None, "the variable is taken and passed on", "it is not", *requirements)
+    assert record is not None
+    same = record.upd.value == value and record.spec.descr == descr
+    said = f"value {record.upd.value.hex()}, description {record.spec.descr.hex()}"
+    bench.check(same, f"value {value.hex()} and description {descr.hex()} as received", said, *requirements)
+
+
+@case(
+    "TC_DCP_DATA_BV_08",
+    "Values are as many octets as their length says: {variant}",
+    requirements="DATA-06",
+    stimulus="a VarCreate with a value of {variant} length, of octets that mean something elsewhere",
+    expect="the same VarCreate in a beacon of the implementation",
+    needs=Needs(since=V1_1),
+    variants={"least": 1, "medium": 7, "greatest": None},
+)
+def memory_blocks(bench: Bench, length: int | None) -> None:
+    longest = max(1, min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255))
+    octets = bytes([0, 0xFF, 0x0A, 0x05, 0x49, 0x7E, 0x0D]) * 40
+    check_passed_on(bench, octets[: longest if length is None else min(length, longest)], b"octets")
+
+
+@case(
+    "TC_DCP_DATA_BV_09",
+    "Descriptions are octets with a length, whatever they are: {variant}",
+    requirements="DATA-07",
+    stimulus="a VarCreate with a description of {variant}",
+    expect="the same VarCreate in a beacon of the implementation",
+    needs=Needs(
+        since=V1_1,
+        when=lambda bench: "strings of the profile end with NUL" if bench.profile.types.string.terminated else None,
+    ),
+    variants={
+        "one-octet": b"d",
+        "a-NUL-in-the-middle": b"a\0b",
+        "a-NUL-at-the-end": b"ab\0",
+        "no-UTF-8": b"\xff\xfe\x80",
+        "UTF-8": Variant("h\u00f6he \u2264 \U0001f681".encode(), requirements="DATA-07 DATA-08"),
+    },
+)
+def descriptions(bench: Bench, descr: bytes) -> None:
+    check_passed_on(bench, b"value", descr)
+
+
+@case(
+    "TC_DCP_DATA_BV_10",
+    "The length of a description counts octets, not characters",
+    requirements="DATA-08 DATA-07",
+    stimulus="RTDB-Create with characters of two octets: as many as fit, and one more",
+    expect="the description in as many octets, without a NUL behind it; VARIABLE-DESCRIPTION-TOO-LONG for the longer",
+    needs=Needs(since=V1_1, ut=(CREATE,)),
+)
+def length_of_text(bench: Bench) -> None:
+    longest = min(longest_description(bench), 254)
+    text = "\u00e9" * (longest // 2)
+    var_id, other = bench.var_ids(2)
+    bench.expect_status("VARDIS-STATUS-OK", CREATE, "DATA-08", **create_request(bench, var_id, descr=text))
+    record: Any = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    bench.require(record is not None, "a VarCreate of it", "there is none in time", "DATA-08")
+    descr = record.spec.descr
+    bench.check(descr == text.encode(), f"{len(text.encode())} octets of UTF-8", f"{descr.hex()}", "DATA-07", "DATA-08")
+    # Fewer characters than the limit, but more octets.
+    longer = "\u00e9" * (longest // 2 + 1)
+    bench.expect_status(DESCRIPTION_TOO_LONG, CREATE, "DATA-08", **create_request(bench, other, descr=longer))
+
+
+# -- the bearer --------------------------------------------------------------------------------------------------------
+
+
+def ethernet_frames(bench: Bench) -> list[tuple[int, bytes]]:
+    """Numbers and octets of the frames that were heard of the implementation with an Ethernet header."""
+    return [
+        (each.number, each.frame) for each in bench.traffic.events if each.direction == "heard" and each.start == 14
+    ]
+
+
+def no_ethernet(bench: Bench) -> str | None:
+    """For ``Needs.when``: why frames cannot be looked at."""
+    if bench.profile.link.transport != "ethernet" or bench.lower.name.startswith("udp"):
+        return f"the link is no Ethernet: {bench.lower.name}"
+    return None
+
+
+@case(
+    "TC_DCP_UWB_BV_01",
+    "Every beacon is a local broadcast with an EtherType of its own",
+    requirements="UWB-01 UWB-02 BP-PAR-10",
+    stimulus="something to send in every period",
+    expect="frames to the broadcast address, with the type of the profile, which is none of a length",
+    window=6,
+    needs=Needs(entities=(), when=no_ethernet),
+)
+def broadcast(bench: Bench) -> None:
+    with talking(bench):
+        some_beacons(bench, 4)
+    frames = ethernet_frames(bench)
+    if not frames:
+        bench.inconclusive("Ethernet frames", "the link does not show them")
+    other = [frame[:6].hex(":") for _, frame in frames if frame[:6] != b"\xff" * 6]
+    bench.check(not other, "frames to ff:ff:ff:ff:ff:ff", f"to {', '.join(sorted(set(other)))}", "UWB-01")
+    types = {int.from_bytes(frame[12:14], "big") for _, frame in frames}
+    said = ", ".join(f"{each:#06x}" for each in sorted(types))
+    bench.check(len(types) == 1, "one type for all beacons", said, "UWB-02")
+    bench.check(min(types) >= ETHERTYPE_MIN, f"a type of at least {ETHERTYPE_MIN:#06x}", said, "BP-PAR-10")
+
+
+@case(
+    "TC_DCP_UWB_BI_01",
+    "Frames of another EtherType are not for BP",
+    requirements="UWB-02",
+    stimulus="a good beacon with the summary of an unknown variable in a frame of another type; then an honest one",
+    expect="no request for the first variable, a request for the second",
+    needs=Needs(when=no_ethernet),
+    variants={"next": 1, "IPv4": 0x0800, "experimental": 0x88B5},
+)
+def other_type(bench: Bench, number: int) -> None:
+    own = bench.profile.link.ether_type or 0x4953
+
+    def send(peer: Peer, summary: Any) -> None:
+        ether_type = own + 1 if number == 1 else number
+        head = b"\xff" * 6 + peer.address + ether_type.to_bytes(2, "big")
+        bench.transmit_frame(head + peer.beacon(summary), len(head))
+
+    check_dropped(bench, send, "a frame of another type")
+
+
+@case(
+    "TC_DCP_UWB_BV_02",
+    "The bearer carries at least 256 octets, and BP knows how many",
+    requirements="UWB-03",
+    stimulus="BP-GetParameters; something to send",
+    expect="UWB-MaxPacketSize of at least 256, no beacon that is larger",
+    window=6,
+    needs=Needs(since=V1_1, entities=(), ut=("BP-GetParameters",)),
+)
+def packet_size(bench: Bench) -> None:
+    known = bench.must("BP-GetParameters").result.get("parameters")
+    told = known.get("UWB-MaxPacketSize") if isinstance(known, dict) else None
+    with talking(bench):
+        sizes = sorted({len(heard.octets) for heard in some_beacons(bench, 4)})
+    bench.info("How large are beacons?", f"{sizes[0]} to {sizes[-1]} octets", "UWB-05")
+    if not isinstance(told, int):
+        bench.info("Does the implementation say how much the bearer carries?", "no", "UWB-03")
+        told = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
+    bench.check(told >= UWB_MIN_MTU, f"{UWB_MIN_MTU} octets or more", f"{told}", "UWB-03")
+    bench.check(sizes[-1] <= told, f"beacons of at most {told} octets", f"one has {sizes[-1]}", "UWB-03")
