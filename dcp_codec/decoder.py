@@ -356,7 +356,8 @@ class _Generator:
             self.partial = self.partial_root(f"tuple({items})") if self.partial_root else f"tuple({items})"
         append = source.fresh("a")
         source.add(f"{append} = {items}.append")
-        loop = f"for _ in range({count}):" if count else f"while o < {end}:"
+        more = f"o < {end} or not {items}" if node.nonempty else f"o < {end}"
+        loop = f"for _ in range({count}):" if count else f"while {more}:"
         with source.block(loop):
             source.add(f"{append}({self.group(node.element, path.item(f'len({items})'), end)})")
         if node.agrees:

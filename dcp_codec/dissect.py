@@ -131,6 +131,8 @@ class _Walker:
         self.shift = base - start
         self.problems: list[Problem] = []
         self.quiet = 0
+        # Whether the region around is cut off at its end.
+        self.clipped = False
 
     def problem(
         self,
@@ -251,7 +253,9 @@ class _Walker:
         start, going = self.o, True
         whole = self.field(node.name, path, node, start, 0)
         count = _resolve(scope, node.count).value if node.count else None
-        while going and (self.o < end if count is None else len(whole.children) < count):
+        while going and (
+            self.o < end or (node.nonempty and not whole.children) if count is None else len(whole.children) < count
+        ):
             part, going = self.group(node.element, f"{path}[{len(whole.children)}]", end, {})
             whole.children.append(part)
         if going and node.agrees:
@@ -268,9 +272,11 @@ class _Walker:
         if stop > end:
             self.problem(node.reason, length.path, length.offset, length.value, end - start, node.requirement)
             stop, clipped = end, True
+        outer, self.clipped = self.clipped, clipped
         content = node.content
         here = path if isinstance(content, Select) else f"{path}.{content.name}" if path else content.name
         part, going = self.visit(content, here, stop, scope)
+        self.clipped = outer
         if going and not clipped and self.o < stop:
             self.problem("leftover", part.path, self.o, 0, stop - self.o, node.requirement)
         self.o = stop
@@ -278,9 +284,9 @@ class _Walker:
 
     def exact(self, node: Exact, path: str, end: int) -> tuple[Field, bool]:
         wrong = end - self.o != node.size
-        if wrong:
+        # What is there is still shown, but the one mistake is reported once, which may be that the region is cut off.
+        if wrong and not self.clipped:
             self.problem(node.reason, path, self.o, node.size, end - self.o, node.requirement)
-        # What is there is still shown, but the one mistake is reported once.
         self.quiet += wrong
         part, _ = self.group(node.content, path, end, {})
         self.quiet -= wrong
@@ -301,7 +307,9 @@ class _Walker:
         used, start = _resolve(scope, node.used), self.o
         if used.value > node.total:
             self.problem(node.reason, used.path, used.offset, used.value, node.total, node.requirement)
-            return self.field(node.name, path, node, start, 0, b""), False
+            # Where the next block would be is not known: what is left belongs to the area that is none.
+            self.o = end
+            return self.field(node.name, path, node, start, end - start), False
         stop = start + node.total - used.value
         if stop > end:
             self.problem("truncated", path, start, stop - start, end - start, node.requirement)

@@ -86,7 +86,7 @@ class _Generator:
     def __init__(self, plan: Node, types: ValueTypes) -> None:
         self.types = types
         self.source = Source("encode(v)")
-        self.source.namespace.update(join=b"".join)
+        self.source.namespace.update(join=b"".join, octets=(bytes, bytearray))
         derived = [node.derived for node in walk(plan) if isinstance(node, Scalar) and node.derived is not None]
         self.counted = {each.of.rsplit(".", 1)[-1] for each in derived if each.kind == "count"}
         self.measured = {each.of.rsplit(".", 1)[-1] for each in derived if each.kind == "size"}
@@ -180,9 +180,15 @@ class _Generator:
             self._pack(run, out)
         run.append((scalar, expression))
 
+    def _only_octets(self, variable: str) -> None:
+        """Refuse other buffers: what ``len`` counts in them need not be octets."""
+        with self.source.block(f"if type({variable}) is not bytes and not isinstance({variable}, octets):"):
+            self.source.add("raise TypeError")
+
     def _text(self, text: Text, expression: str, run: list[tuple[Scalar, str]], out: _Out) -> None:
         variable = self.source.fresh()
         self.source.add(f"{variable} = {expression}")
+        self._only_octets(variable)
         if text.terminated:
             with self.source.block(f"if 0 in {variable}:"):
                 self.source.add("raise ValueError")
@@ -196,6 +202,7 @@ class _Generator:
     def _fill(self, fill: Fill, content: _Member, given: _Member, out: _Out) -> None:
         rest = self.source.fresh("o")
         self.source.add(f"{rest} = {given.value} or bytes({fill.total} - len({content.octets}))")
+        self._only_octets(rest)
         with self.source.block(f"if len({rest}) + len({content.octets}) != {fill.total}:"):
             self.source.add("raise ValueError")
         out.add(rest)
@@ -239,6 +246,7 @@ class _Generator:
                 out.open()
                 self._choose(node, scope, lambda case: self.write(case, value, scope, out))
             case Rest():
+                self._only_octets(value)
                 out.add(value)
             case _:
                 raise TypeError(f"{type(node).__name__} is no structural member")
@@ -259,7 +267,7 @@ class _Generator:
         """Write a list, record by record: measured to be quicker than any bulk conversion of usual lists."""
         source, element = self.source, node.element
         cls = source.constant("T", self.types[element.type_name], element.type_name)
-        empty = f"not {items} or " if node.name in self.counted else ""
+        empty = f"not {items} or " if node.name in self.counted or node.nonempty else ""
         with source.block(f"if {empty}type({items}) is not tuple and not isinstance({items}, list):"):
             source.add("raise TypeError")
         out.open()

@@ -185,6 +185,8 @@ class _Explainer:
     def many(self, many: Many, value: Any, path: str) -> int:
         if not isinstance(value, tuple | list):
             raise EncodeError(path, f"needs a tuple of {many.element.type_name}, not {type(value).__name__}")
+        if many.nonempty and not value:
+            raise EncodeError(path, f"needs at least one {many.element.type_name}")
         size = 0
         for index, element in enumerate(value):
             if type(element) is not self.types[many.element.type_name]:

@@ -13,6 +13,9 @@ in ``dcp_spec``. Node types:
 ``Region``   a content that must fill as many octets as a field says
 ``Exact``    a group of fixed size that must fill its region
 ``Select``   one of several contents, chosen by a field
+
+``requirement`` is what octets break that do not fit the node; ``field_requirement`` is what speaks of a member of that
+form, where it is not the same: a record has one of its own wherever it stands.
 """
 
 from __future__ import annotations
@@ -87,6 +90,7 @@ class Rest:
     """All octets that are left in the region."""
 
     name: str
+    field_requirement: str | None = None
     doc: str = ""
 
 
@@ -99,6 +103,7 @@ class Fill:
     used: str
     reason: str = "area-overrun"
     requirement: str = "BP-RX-09"
+    field_requirement: str | None = None
     doc: str = ""
 
 
@@ -111,13 +116,15 @@ class Group:
     members: tuple[Node, ...]
     size: int | None
     requirement: str | None = None
+    field_requirement: str | None = None
     doc: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Many:
     """A list of ``element``. ``count`` names the counting field (None: up to the end of the region);
-    ``agrees`` names a field that must equal the number of elements."""
+    ``agrees`` names a field that must equal the number of elements. ``nonempty``: up to the end of the region, but
+    never none."""
 
     name: str
     element: Group
@@ -125,6 +132,8 @@ class Many:
     agrees: str | None = None
     reason: str = "count-mismatch"
     requirement: str | None = None
+    nonempty: bool = False
+    field_requirement: str | None = None
     doc: str = ""
 
 
@@ -137,6 +146,7 @@ class Region:
     content: Node
     reason: str
     requirement: str
+    field_requirement: str | None = None
     doc: str = ""
 
 
@@ -149,6 +159,7 @@ class Exact:
     size: int
     reason: str
     requirement: str
+    field_requirement: str | None = None
     doc: str = ""
 
 
@@ -162,6 +173,7 @@ class Select:
     default: Node | None
     reason: str
     requirement: str | None
+    field_requirement: str | None = None
     doc: str = ""
 
 
@@ -192,7 +204,7 @@ def lower(subcon: Any, name: str = "") -> Node:
         case dc.Counted():
             return Many(name, _element(subcon), subcon.count)
         case dc.UntilEnd():
-            return Many(name, _element(subcon), None, subcon.count, subcon.reason, subcon.requirement)
+            return Many(name, _element(subcon), None, subcon.count, subcon.reason, subcon.requirement, subcon.nonempty)
         case dc.Sized():
             return Region(name, subcon.size, lower(subcon.subcon, name), subcon.reason, subcon.requirement)
         case dc.Choice():
@@ -220,7 +232,7 @@ def _lower_field(field: dc.Field) -> Node:
         node = replace(node, prefixes=tuple(replace(each, requirement=field.requirement) for each in node.prefixes))
     if isinstance(node, Scalar | Text):
         return replace(node, requirement=field.requirement, role=field.role, unit=field.unit, doc=field.docs)
-    return replace(node, doc=field.docs)
+    return replace(node, field_requirement=field.requirement, doc=field.docs)
 
 
 def _element(subcon: Any) -> Group:

@@ -117,7 +117,8 @@ def _shape(node: Node, types: ValueTypes, counts: tuple[int, int] = (0, LONGEST_
         case Exact():
             return _GroupShape(node.content, types)
         case Many():
-            return _ManyShape(_GroupShape(node.element, types), *counts)
+            fewest, most = counts
+            return _ManyShape(_GroupShape(node.element, types), max(fewest, int(node.nonempty)), most)
         case Region():
             return _shape(node.content, types, counts)
         case _:

@@ -112,7 +112,7 @@ class RecordSchemas:
         """How many elements a well-formed list has, from the field that counts them."""
         counter = _find(scope, node.count or node.agrees)
         if self.style != "strict" or counter is None:
-            return {}
+            return {"minItems": 1} if self.style == "strict" and node.nonempty else {}
         least = 1 if counter.rule is not None and counter.rule.value is None else 0
         return {"minItems": least, "maxItems": int_range(counter)[1]}
 

@@ -217,7 +217,8 @@ class _Builder:
 
     def repetition(self, node: Many, inside: int) -> _Entry:
         if node.count is None:
-            return {"repeat": "eos"}
+            # "until" looks behind an element, so there is at least one.
+            return {"repeat": "until", "repeat-until": "_io.eof"} if node.nonempty else {"repeat": "eos"}
         return {"repeat": "expr", "repeat-expr": _reference(node.count, inside)}
 
     def chosen_lists(self, node: Select, inside: int) -> _Entry:

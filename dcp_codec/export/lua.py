@@ -152,6 +152,7 @@ class _Layout:
                     "name": node.name,
                     "count": node.count,
                     "agrees": node.agrees,
+                    **({"nonempty": True} if node.nonempty else {}),
                     **(_blame(node) if node.agrees else {}),
                     "element": self.group(node.element, path),
                 }

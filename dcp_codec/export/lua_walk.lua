@@ -225,7 +225,9 @@ function visit.fill(s, node, tree, path, stop, scope)
     local used, start = resolve(scope, node.used), s.pos
     if used.n > node.total then
         problem(s, used.item, node.reason, used.path, used.offset, used.text, node.total, node.requirement)
-        return false, { path = path, offset = start, item = tree:add(F[node.field], s.buf(start, 0)) }
+        -- Where the next block would be is not known: what is left belongs to the area that is none.
+        s.pos = stop
+        return false, { path = path, offset = start, item = tree:add(F[node.field], s.buf(start, stop - start)) }
     end
     local size = node.total - used.n
     if start + size > stop then
@@ -272,7 +274,7 @@ end
 function visit.many(s, node, tree, path, stop, scope)
     local list, going = {}, true
     local count = node.count and resolve(scope, node.count).n
-    while going and #list < (count or math.huge) and (count or s.pos < stop) do
+    while going and #list < (count or math.huge) and (count or s.pos < stop or (node.nonempty and #list == 0)) do
         local number = #list
         going, list[number + 1] = record(s, node.element, tree, string.format("%s[%d]", path, number), stop, {})
         list[number + 1].number = number + 1
@@ -292,11 +294,14 @@ function visit.region(s, node, tree, path, stop, scope)
         problem(s, length.item, node.reason, length.path, length.offset, length.text, stop - start, node.requirement)
         ends, clipped = stop, true
     end
+    local outer = s.clipped
+    s.clipped = clipped
     local here = path
     if content.kind ~= "select" then
         here = path == "" and content.name or path .. "." .. content.name
     end
     local going, found = visit[content.kind](s, content, tree, here, ends, scope)
+    s.clipped = outer
     if going and not clipped and s.pos < ends then
         if content.kind == "select" then
             here = (path == "" and "" or path .. ".") .. found.label
@@ -310,11 +315,11 @@ end
 function visit.exact(s, node, tree, path, stop)
     local start, size = s.pos, stop - s.pos
     local wrong = size ~= node.size
-    -- What is there is still shown, but the one mistake is reported once.
+    -- What is there is still shown, but the one mistake is reported once, which may be that the region is cut off.
     s.quiet = s.quiet + (wrong and 1 or 0)
     local _, found = record(s, node.content, tree, path, stop, {})
     s.quiet = s.quiet - (wrong and 1 or 0)
-    if wrong then
+    if wrong and not s.clipped then
         problem(s, found.item, node.reason, path, start, node.size, size, node.requirement)
     end
     s.pos = stop

@@ -16,6 +16,8 @@ _EPOCHS = {
 
 def requirement_of(node: Node) -> str | None:
     """The requirement that a field or record follows, as far as the schema names one."""
+    if not isinstance(node, Scalar | Text) and node.field_requirement is not None:
+        return node.field_requirement
     if isinstance(node, Region | Exact):
         return requirement_of(node.content) or node.requirement
     return None if isinstance(node, Rest) else node.requirement

@@ -108,6 +108,7 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
             "content",
             Sized("length", content, reason="block-overrun", requirement="BP-RX-09"),
             requirement="BP-FMT-01",
+            doc="payload of the client protocol",
         )
     )
     if profile.bp.payload_area:
@@ -126,7 +127,8 @@ def beacon(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> Record:
     """A whole bearer payload. Octets behind it are padding of the bearer (BP-RX-14)."""
     block = payload_block(profile, clients)
     if not profile.bp.header:
-        return Record("Beacon", Field("payloads", UntilEnd(block), doc="payload blocks"))
+        ##= BP-FMT-03
+        return Record("Beacon", Field("payloads", UntilEnd(block, nonempty=True), doc="payload blocks"))
     if "length" in profile.bp.header and profile.bp.length_means == "blocks":
         payloads: Any = UntilEnd(block, count="bp.numPayloads", requirement="BP-HDR-07")
         region: Any = Sized("bp.length", payloads, reason="beacon-overrun", requirement="BP-RX-15")

@@ -262,24 +262,30 @@ class Counted(cs.Subconstruct):
 class UntilEnd(cs.Subconstruct):
     """Elements up to the last octet of the region; a cut-off element is an error, not the end.
 
-    ``count`` names a field that should agree with the number of elements.
+    ``count`` names a field that should agree with the number of elements. ``nonempty``: the first element is missing,
+    where there are no octets, as any other that is cut off.
     """
 
-    def __init__(self, subcon: Any, *, count: str | None = None, requirement: str | None = None) -> None:
+    def __init__(
+        self, subcon: Any, *, count: str | None = None, requirement: str | None = None, nonempty: bool = False
+    ) -> None:
         super().__init__(subcon)
         self.count = count
+        self.nonempty = nonempty
         self.reason = "count-mismatch"
         self.requirement = requirement
 
     def _parse(self, stream: Any, context: Any, path: str) -> list[Any]:
-        elements = []
-        while remaining(stream):
+        elements: list[Any] = []
+        while remaining(stream) or (self.nonempty and not elements):
             elements.append(self.subcon._parsereport(stream, context, path))
         if self.count is not None and look_up(context, self.count) != len(elements):
             raise SchemaViolation(self.reason, self.requirement, path)
         return elements
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        if self.nonempty and not obj:
+            raise SchemaViolation("truncated", self.requirement, path)
         for element in obj:
             self.subcon._build(element, stream, context, path)
         return obj

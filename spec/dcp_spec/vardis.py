@@ -125,7 +125,7 @@ def container(profile: Profile) -> Record:
             Field("listLength", SizeOf(integer(layout.list_length), of="records", target=records), unit="octets")
         )
         records = Sized("listLength", records, reason="list-overrun", requirement="VD-RX-07")
-    members.append(Field("records", records, requirement="VD-RX-07", doc="instruction records"))
+    members.append(Field("records", records, requirement="VD-IC-01", doc="instruction records"))
     return Record("Container", *members, requirement="VD-RX-07")
 
 

@@ -186,6 +186,23 @@ def test_a_report_of_another_size_is_one_mistake(size: int) -> None:
     assert (found.end, found.padding) == (len(octets), b"")
 
 
+@pytest.mark.parametrize("there", [0, 1, 41])
+@pytest.mark.parametrize("announced", [42, 43])
+def test_a_report_that_is_cut_off_is_one_mistake(there: int, announced: int) -> None:
+    octets = bytes.fromhex("01497e0200000000bb1111") + (there + 4).to_bytes(2, "big") + bytes.fromhex("0100000029 0001")
+    octets += announced.to_bytes(2, "big") + bytes(there)
+    found = of(octets)
+    assert found.errors == [Problem("block-overrun", "payloads[0].length", 20, announced, there, "BP-RX-09")]
+    assert field(found, "payloads[0].srp").length == there
+
+
+@pytest.mark.req("SRP-RX-01")
+def test_a_whole_report_of_another_size_in_a_beacon_that_is_cut_off_is_two() -> None:
+    octets = bytes.fromhex("01497e0200000000bb1111 00ff 01 00000029 0001 0029") + bytes(41)
+    found = [(problem.reason, problem.path) for problem in of(octets).errors]
+    assert found == [("beacon-overrun", "bp.length"), ("wrong-length", "payloads[0].srp")]
+
+
 def test_a_number_of_payloads_that_is_wrong() -> None:
     octets = bytearray(BEACON)
     octets[13] = 5
@@ -218,17 +235,24 @@ def test_an_area_that_is_too_small_ends_the_walk() -> None:
     found = of(octets, "student-2024")
     assert reasons(found)[0] == ("area-overrun", "payloads[0].length")
     assert field(found, "payloads[0].data").length == 1001
-    # What lies behind is not known to be padding.
+    # What lies behind is not known to be padding, but it is shown.
     assert (found.end, found.padding) == (len(octets), b"")
+    area = field(found, "payloads[0].area")
+    assert (area.offset, area.length, area.value) == (12 + 1001, len(octets) - 1013, None)
+    assert field(found, "payloads[0]").length == len(octets)
 
 
 def test_nothing_at_all() -> None:
     found = of(b"")
     assert found.errors == [Problem("truncated", "bp.version", 0, 1, 0, "BP-HDR-01")]
     assert found.root.length == 0
+
+
+@pytest.mark.req("BP-FMT-03")
+def test_a_beacon_without_header_has_a_block_all_the_same() -> None:
     empty = of(b"", "student-2024")
-    assert empty.problems == []
-    assert field(empty, "payloads").children == []
+    assert empty.problems == [Problem("truncated", "payloads[0].protocolId", 0, 1, 0, "BP-HDR-11")]
+    assert (empty.end, empty.root.length) == (0, 0)
 
 
 @pytest.mark.req("BP-RX-16")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from typing import Any, NamedTuple
 
 import construct as cs
@@ -538,6 +539,39 @@ def test_strings_that_end_with_nul_hold_none() -> None:
                 else:
                     with pytest.raises(EncodeError, match="at most 254 can be announced"):
                         codec.encode_containers(containers)
+
+
+@pytest.mark.parametrize(
+    "buffer",
+    [array("I", [1, 2]), memoryview(array("I", [1, 2])), memoryview(b"ab"), array("B", b"ab"), "ab", None, [1, 2]],
+    ids=lambda buffer: f"{type(buffer).__name__}",
+)
+@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-2.0", "student-2024"])
+def test_only_octets_are_octets(profile: str, buffer: Any) -> None:
+    codec = get_codec(profile)
+    update = Container(codec.profile.vardis.container_types.by_name()["UPDATES"], (VarUpdate(1, 2, buffer),))
+    with pytest.raises(EncodeError, match=r"\[0\]\.records\[0\]\.value: needs bytes, not "):
+        codec.encode_containers((update,))
+    header = BPHeader(PRODUCER, 1, *([0x1111] if profile == "dcp-2.0" else [])) if codec.profile.bp.header else None
+    with pytest.raises(EncodeError, match=r"payloads\[0\]\.data: needs bytes, not "):
+        codec.encode(Beacon(header, (Payload(9, buffer),)))
+    if profile == "student-2024":
+        with pytest.raises(EncodeError, match=r"payloads\[0\]\.area: needs bytes, not "):
+            codec.encode(Beacon(None, (Payload(9, b"x", extra=(bytes(6), b"\0", buffer or array("I", [1]))),)))
+
+
+@pytest.mark.req("BP-FMT-03")
+def test_a_beacon_without_a_block_is_none() -> None:
+    codec = get_codec("student-2024")
+    with pytest.raises(DecodeError) as caught:
+        codec.decode(b"")
+    assert caught.value.problem == Problem("truncated", "payloads[0].protocolId", 0, 1, 0, "BP-HDR-11")
+    with pytest.raises(EncodeError, match="payloads: needs at least one Payload"):
+        codec.encode(Beacon(None, ()))
+    with pytest.raises(cs.ConstructError):
+        codec.schema.beacon.parse(b"")
+    with pytest.raises(SchemaViolation):
+        codec.schema.beacon.build({"payloads": []})
 
 
 def test_encoding_leaves_the_value_as_it_is() -> None:

@@ -42,6 +42,13 @@ def record_tables(text):
     return tables
 
 
+def test_members_that_are_records_have_a_requirement_and_a_meaning():
+    tables = record_tables(format_tables(get_codec("dcp-2.0")))
+    assert tables["VarCreate"]["spec"]["Requirement"] == "VD-TYP-07"
+    assert tables["Payload"]["srp"]["Meaning"] == "if protocolId is 1: payload of the client protocol"
+    assert tables["Container"]["records"]["Requirement"] == "VD-IC-01"
+
+
 @pytest.mark.parametrize("profile", profile_names())
 def test_every_line_of_a_table_is_rendered_as_one(profile):
     text = format_tables(get_codec(profile))
