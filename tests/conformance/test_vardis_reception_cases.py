@@ -19,6 +19,8 @@ MODULES = (
     "vardis_forwarding",
     "vardis_scope",
     "vardis_pending",
+    "vardis_lengths",
+    "vardis_robustness",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
 WIRE_PROFILES = ("dcp-1.2", "cpp-2.0")

@@ -1,0 +1,200 @@
+"""dcp-vardis.md: Receive Path, lengths and repetition counts at their bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.services import longest_description, taught
+from dcp_conformance.variables import INSTRUCTIONS, ask, named, traces
+
+_ANY, _V1_1, _V1_2 = SpecVersion.V1_0, SpecVersion.V1_1, SpecVersion.V1_2
+Bound = Callable[[int], int]
+#: Lengths and counts by the maximum, whether they are allowed, and since when the others are refused.
+_BOUNDS: dict[str, tuple[Bound, bool, SpecVersion]] = {
+    "0": (lambda _: 0, False, _V1_2),
+    "1": (lambda _: 1, True, _ANY),
+    "max": (lambda most: most, True, _ANY),
+    "max+1": (lambda most: most + 1, False, _V1_1),
+    "255": (lambda _: 255, False, _V1_1),
+}
+
+
+def _field(bench: Bench, what: str) -> tuple[int, int]:
+    """The largest value that is allowed, and the largest that the field can express."""
+    types = bench.profile.types
+    if what == "repCnt":
+        return bench.parameter("VARDISPAR_MAX_REPETITIONS"), (1 << 8 * types.var_rep_cnt.width) - 1
+    if what == "description":
+        return longest_description(bench), 254
+    return bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255
+
+
+def _requirement(what: str) -> str:
+    return {"value": "VD-PC-04", "description": "VD-PC-05", "repCnt": "VD-PC-06"}[what]
+
+
+def _variants() -> dict[str, Variant]:
+    found = {}
+    for what in ("value", "description", "repCnt"):
+        for name, (bound, allowed, since) in _BOUNDS.items():
+            # Version 1.1 does not look at repetition counts.
+            refused = max(since, _V1_2) if what == "repCnt" else since
+            found[f"{what}-{name}"] = Variant(
+                (what, bound, allowed, refused),
+                purpose=f"A VarCreate with {what} {name} is {'accepted' if allowed else 'ignored'}",
+                requirements=_requirement(what),
+                stimulus=f"a VarCreate of an unknown variable with {what} {name} (length or count; max: the parameter)",
+                expect="it is repeated and stored" if allowed else "nothing; the variable stays unknown",
+            )
+    return found
+
+
+@case(
+    "TC_VD_LEN_BI_01",
+    "{variant}",
+    requirements="VD-PC-04",
+    stimulus="{variant}",
+    expect="{variant}",
+    window=6,
+    variants=_variants(),
+)
+def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
+    field, bound, allowed, refused = what
+    most, widest = _field(bench, field)
+    number = bound(most)
+    if not _expressible(bench, number, most, widest, allowed=allowed):
+        return
+    peer, var_id = bench.peer(), bench.unknown_id()
+    bench.created.add(var_id)
+    record = peer.create(
+        var_id,
+        value=b"v" * (number if field == "value" else 3),
+        descr=b"d" * (number if field == "description" else 3),
+        rep_cnt=number if field == "repCnt" else 1,
+    )
+    since = bench.mark()
+    peer.send(record)
+    if allowed:
+        came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+        bench.check(came == record, "the VarCreate is accepted and repeated as it came", f"{came}")
+        return
+    bench.require_alive("the VarCreate")
+    bench.beacons(2, 2.5)
+    found = traces(bench, var_id, since, ICType)
+    if bench.profile.spec_version < refused:
+        bench.info(f"what a VarCreate with a {field} of {number} leads to, which no rule forbids", named(found))
+        return
+    bench.check(not found, f"a VarCreate with a {field} of {number} is ignored", f"{named(found)} came", frames=found)
+    held = ask(bench, var_id)
+    bench.check(held.state == "unknown", "the variable is unknown", str(held))
+
+
+def _expressible(bench: Bench, number: int, most: int, widest: int, *, allowed: bool) -> bool:
+    """Whether a number is one that can be sent and that is on the right side of the bound; says so if not."""
+    if number > widest:
+        bench.info("the bound", f"{number} cannot be expressed: the field holds at most {widest}")
+        return False
+    if not allowed and 0 < number <= most:
+        bench.info("the bound", f"{number} is allowed here: the maximum is {most}")
+        return False
+    return True
+
+
+def _updates() -> dict[str, Variant]:
+    return {
+        name: Variant(
+            what,
+            purpose=f"A VarUpdate with a value of length {name} is {'accepted' if what[1] else 'ignored'}",
+            expect="it is repeated and stored" if what[1] else "nothing; the old value stays",
+        )
+        for name, what in _BOUNDS.items()
+    }
+
+
+@case(
+    "TC_VD_LEN_BI_02",
+    "{variant}",
+    requirements="VD-PU-04",
+    stimulus="a newer VarUpdate of a known variable with a value of length {variant}",
+    expect="{variant}",
+    window=6,
+    variants=_updates(),
+)
+def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
+    bound, allowed, refused = what
+    most, widest = _field(bench, "value")
+    number = bound(most)
+    if not _expressible(bench, number, most, widest, allowed=allowed):
+        return
+    peer = bench.peer()
+    var_id = taught(bench, peer, value=b"stored")
+    record, since = peer.update(var_id, 1, b"v" * number), bench.mark()
+    peer.send(record)
+    if allowed:
+        came = bench.until_instruction(ICType.UPDATES, var_id)
+        bench.check(came == record, "the VarUpdate is accepted and repeated as it came", f"{came}")
+        return
+    bench.require_alive("the VarUpdate")
+    bench.beacons(1, 1.5)
+    found = traces(bench, var_id, since)
+    if bench.profile.spec_version < refused:
+        bench.info(f"what a VarUpdate with a value of {number} octets leads to, which no rule forbids", named(found))
+        return
+    bench.check(not found, f"a VarUpdate with a value of {number} octets is ignored", named(found), frames=found)
+    held = ask(bench, var_id)
+    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, b"stored")
+    bench.check(stored, "the old value and number are stored", str(held))
+
+
+@case(
+    "TC_VD_LEN_BI_03",
+    "Records that are ignored for their lengths do not take others of the same container with them",
+    requirements="VD-PC-04 VD-PC-06 VD-PU-04",
+    stimulus="a container with a good VarCreate between two with empty values and one with repCnt 0; then a container "
+    "with a good VarUpdate between two with empty values",
+    expect="the good ones are repeated, the others leave no trace",
+    window=8,
+    needs=Needs(since=_V1_2),
+)
+def among_others(bench: Bench) -> None:
+    peer, (one, good, two, three) = bench.peer(), bench.unknown_ids(4)
+    bench.created.update((one, good, two, three))
+    record = peer.create(good)
+    since = bench.mark()
+    peer.send(peer.create(one, value=b""), peer.create(three, rep_cnt=0), record, peer.create(two, value=b""))
+    came = bench.until_instruction(ICType.CREATE_VARIABLES, good)
+    bench.check(came == record, "the good VarCreate is repeated", f"{came}", "VD-PC-04")
+    newer = peer.update(good, 2, b"good")
+    peer.send(peer.update(good, 1, b""), newer, peer.update(good, 3, b""))
+    came = bench.until_instruction(ICType.UPDATES, good)
+    bench.check(came == newer, "the good VarUpdate is repeated", f"{came}", "VD-PU-04")
+    bench.require_alive("the containers")
+    for var_id, requirement in ((one, "VD-PC-04"), (two, "VD-PC-04"), (three, "VD-PC-06")):
+        found = traces(bench, var_id, since, INSTRUCTIONS)
+        bench.check(not found, "the others leave no trace", f"{named(found)} came", requirement, frames=found)
+
+
+@case(
+    "TC_VD_LEN_BV_01",
+    "The longest VarCreate is accepted and passed on: longest value, longest description, most repetitions",
+    requirements="VD-PC-04 VD-PC-05 VD-PC-06",
+    stimulus="a VarCreate with all three at their maximum",
+    expect="it is repeated as it came",
+)
+def longest(bench: Bench) -> None:
+    peer = bench.peer()
+    value, description = _field(bench, "value")[0], _field(bench, "description")[0]
+    record: VarCreate = peer.create(
+        bench.var_id(),
+        value=b"v" * min(value, 255),
+        descr=b"d" * min(description, 254),
+        rep_cnt=_field(bench, "repCnt")[0],
+    )
+    peer.send(record)
+    came: VardisRecord | None = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
+    bench.check(came == record, "the VarCreate is repeated as it came", f"{came}")
