@@ -284,6 +284,27 @@ def own_data(bench: Bench) -> None:
     bench.check(_entry(bench, bench.sut_id) is None, "the table does not contain the own node", "it does")
 
 
+@case(
+    "TC_SRP_NT_BV_03",
+    "Which further fields the entries of the table have",
+    requirements="SRP-NT-04",
+    stimulus="a record of a neighbour; SRP-NeighbourTable",
+    expect="nothing: it is reported; a claim of the PICS must be true",
+    needs=_TABLE,
+)
+def extra_fields(bench: Bench) -> None:
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, 1))
+    entry = _until_entry(bench, peer.node_id)
+    if entry is None:
+        bench.inconclusive("the neighbour is in the table", "it is not")
+    extra = sorted(set(entry) - {"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
+    bench.info("fields of the neighbour table beside those of the specification", ", ".join(extra) or "none")
+    claimed = bench.pics.neighbour_statistics
+    if claimed is not None:
+        bench.check(bool(extra) == claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}", f"{extra}")
+
+
 def _lifetime(bench: Bench, peers: list[Peer], begun: int, timeout: int) -> None:
     """Watch the entries that were made at ``begun`` until they are gone; all times in ns."""
     latest = timeout + timeout // 5 + round(bench.pixit.timer_tolerance_ms * MS)

@@ -53,6 +53,7 @@ def announced(bench: Bench) -> None:
     record = bench.until_instruction(_V, var_id)
     if record is None:
         bench.fail("a VarCreate of the variable is sent", "none is", "VD-CRE-12")
+    bench.check(True, "a VarCreate of the variable is sent", "", "VD-CRE-12")
     frames = bench.instructions(_V, var_id)
     spec, upd = record.spec, record.upd
     for name, expected, observed, requirement in (
@@ -154,6 +155,7 @@ def entry(bench: Bench) -> None:
     found = entry_of(bench, var_id)
     if found is None:
         bench.fail("the variable is there when the request is confirmed", "it is not", "VD-CRE-14")
+    bench.check(True, "the variable is there when the request is confirmed", "", "VD-CRE-14")
     for name, values in (
         ("seqno", (0,)),
         ("countCreate", tuple(range(max(0, count - 2), count + 1))),

@@ -145,16 +145,24 @@ def database(bench: Bench) -> None:
             continue
         shown = (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr"))
         bench.check(shown == (producer.hex(), 1, descr), f"prodId, repCnt, descr of {var_id}", f"{shown}")
-    _extra_fields(bench, table.get(first, {}))
 
 
-def _extra_fields(bench: Bench, found: dict[str, Any]) -> None:
-    """Fields beyond the VarSpec are allowed; a claim about them is checked."""
+@case(
+    "TC_VD_DDB_BV_02",
+    "Which further fields the description of the database has",
+    requirements="VD-DDB-03",
+    stimulus="RTDB-Create; RTDB-DescribeDatabase",
+    expect="nothing: it is reported; a claim of the PICS must be true",
+    needs=Needs(ut=("RTDB-Create", "RTDB-DescribeDatabase")),
+)
+def extra_fields(bench: Bench) -> None:
+    var_id = produced(bench)
+    found = listed(bench).get(var_id, {})
     spec = {"varId", "prodId", "repCnt", "descr", "descrHex", "creationTime", "timeout"}
     extra, claimed = sorted(set(found) - spec), bench.pics.describe_extra_fields
+    bench.info("fields of RTDB-DescribeDatabase beside the VarSpec", ", ".join(extra) or "none")
     if claimed is not None:
         bench.check(bool(extra) == claimed, f"[pics] describe_extra_fields = {str(claimed).lower()}", f"{extra}")
-    bench.info("fields of RTDB-DescribeDatabase beside the VarSpec", ", ".join(extra) or "none")
 
 
 @case(

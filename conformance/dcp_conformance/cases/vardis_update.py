@@ -167,7 +167,7 @@ def _newest(record: object, value: bytes, seqno: int) -> bool:
 @case(
     "TC_VD_UPD_BV_05",
     "Of two quick updates each beacon carries one VarUpdate, with the newest value",
-    requirements="VD-UPD-09 VD-UPD-08 VD-UPD-07",
+    requirements="VD-UPD-09 VD-UPD-08",
     stimulus="two RTDB-Updates at once, right after a beacon",
     expect="exactly repCnt beacons with one VarUpdate: the second value under seqno 2",
     window=30,
