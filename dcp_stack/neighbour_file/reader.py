@@ -1,0 +1,239 @@
+"""Those who read a neighbour file, as often as they like."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import struct
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import msgspec
+
+from dcp_stack.positions.geometry import Vector
+
+from .layout import (
+    CHECKSUM,
+    CLOSED,
+    CREATED,
+    ENTRY,
+    ENTRY_FIXED,
+    FIELD,
+    FIELD_SIZE,
+    HAS_POSITION,
+    HAS_VELOCITY,
+    HEADER,
+    HEADER_SIZE,
+    HEARTBEAT_MONO,
+    HEARTBEAT_WALL,
+    LATEST,
+    LAYOUT_VERSION,
+    MAGIC,
+    SLOT,
+    SLOT_HEADER_SIZE,
+    STATE,
+    UNKNOWN_TIME,
+    VELOCITY_ESTIMATED,
+    Layout,
+    NeighbourFileError,
+    fence,
+    little_endian_only,
+)
+
+_ATTEMPTS: Final = 10_000
+"""A reader fails an attempt only when it is overtaken twice while copying; this often is damage, not bad luck."""
+
+
+class FileEntry(msgspec.Struct, frozen=True, gc=False):
+    """One neighbour of a snapshot. Position in m and velocity in m/s, None where unknown; times in ns."""
+
+    node_id: bytes
+    position: Vector | None
+    velocity: Vector | None
+    velocity_estimated: bool
+    reception_wall: int
+    reception_mono: int
+    stamp_wall: int | None
+    """When the neighbour made the report by its own clock; None where stamps are no wall time."""
+    seqno: int
+    received: int
+    lost: int
+    repeated: int
+    restarts: int
+    mean_gap: float
+    mean_interval: int | None
+    values: Mapping[str, float]
+    """The safety data by field name, in the profile's units."""
+
+
+class NeighbourFileSnapshot(msgspec.Struct, frozen=True, gc=False):
+    """A table as it was published at one moment. Times in ns."""
+
+    profile: str
+    node_id: bytes
+    generation: int
+    """Counts the tables of one writer from 1; 0 if it has not published any."""
+    created_wall: int
+    """When the writer started: with ``generation`` this identifies a table."""
+    published_wall: int
+    published_mono: int
+    heartbeat_wall: int
+    heartbeat_mono: int
+    closed: bool
+    """The writer has ended; a new one makes a new file, which the next snapshot is taken from."""
+    omitted: int
+    """Neighbours for which the file had no room."""
+    entries: tuple[FileEntry, ...]
+
+    def silence(self, wall: int) -> int:
+        """Time in ns since the writer last showed that it lives. Do not fly by a table whose writer is silent."""
+        return wall - self.heartbeat_wall
+
+
+class NeighbourFileReader:
+    """Reads what a :class:`NeighbourFileWriter` writes, without asking or disturbing it."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Raises NeighbourFileError if there is no such file or it is none of this layout."""
+        little_endian_only()
+        self.path = Path(path)
+        self._attach()
+
+    def _attach(self) -> None:
+        try:
+            with self.path.open("rb") as file:
+                status = os.fstat(file.fileno())
+                mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "it is empty"
+            raise NeighbourFileError(f"{self.path}: cannot be read ({reason}); is the node running?") from None
+        header = HEADER.unpack_from(mapped) if len(mapped) >= HEADER_SIZE else (b"",)
+        if header[0] != MAGIC or header[1] != LAYOUT_VERSION:
+            mapped.close()
+            raise NeighbourFileError(f"{self.path}: is no neighbour table of layout version {LAYOUT_VERSION}")
+        _, _, slots, slot_size, slot_header, entry_size, capacity, field_count, id_length, node_id, profile = header
+        layout = Layout.of(capacity, field_count)
+        if (slots, slot_size, slot_header, entry_size) != (
+            layout.slots,
+            layout.slot_size,
+            SLOT_HEADER_SIZE,
+            layout.entry_size,
+        ) or len(mapped) != layout.file_size:
+            mapped.close()
+            raise NeighbourFileError(f"{self.path}: the sizes in its header contradict each other")
+        self._identity = (status.st_dev, status.st_ino)
+        self._map, self._layout = mapped, layout
+        self._numbers = memoryview(mapped).cast("Q")
+        self._signed = memoryview(mapped).cast("q")
+        self._profile, self._node_id = _untext(profile), node_id[:id_length]
+        records = (FIELD.unpack_from(mapped, HEADER_SIZE + FIELD_SIZE * number) for number in range(field_count))
+        self._names = tuple(_untext(name) for name, *_ in records)
+        self._values = struct.Struct(f"<{field_count}d")
+
+    def _follow(self) -> None:
+        """Change over to the file of a new writer. While there is none, the last one stays."""
+        with contextlib.suppress(OSError, NeighbourFileError):
+            status = self.path.stat()
+            if (status.st_dev, status.st_ino) != self._identity:
+                old = (self._numbers, self._signed, self._map)
+                self._attach()
+                for each in old[:2]:
+                    each.release()
+                old[2].close()
+
+    def snapshot(self) -> NeighbourFileSnapshot:
+        """The latest table. Raises NeighbourFileError for a file that was damaged by others."""
+        self._follow()
+        for attempt in range(_ATTEMPTS):
+            generation = self._numbers[LATEST // 8]
+            fence()
+            if generation == 0:
+                return self._made(SLOT.pack(0, self._signed[CREATED // 8], 0, 0, 0), b"")
+            taken = self._copy(generation)
+            if taken is not None:
+                return self._made(*taken)
+            if attempt % 16 == 15:
+                os.sched_yield()
+        raise NeighbourFileError(f"{self.path}: is damaged: no table in it fits its checksum")
+
+    def _copy(self, generation: int) -> tuple[bytes, bytes] | None:
+        layout = self._layout
+        start = layout.slots + (generation & 1) * layout.slot_size
+        if self._numbers[start // 8] != 2 * generation:
+            return None
+        fence()
+        head = self._map[start + 8 : start + 8 + SLOT.size]
+        found, _, _, count, _ = SLOT.unpack(head)
+        if count > layout.capacity:
+            return None
+        checksum = int.from_bytes(self._map[start + CHECKSUM : start + CHECKSUM + 4], "little")
+        begin = start + SLOT_HEADER_SIZE
+        entries = self._map[begin : begin + count * layout.entry_size]
+        fence()
+        if self._numbers[start // 8] != 2 * generation:
+            return None
+        fits = found == generation and zlib.crc32(entries, zlib.crc32(head)) == checksum
+        return (head, entries) if fits else None
+
+    def _made(self, head: bytes, entries: bytes) -> NeighbourFileSnapshot:
+        generation, published_wall, published_mono, _, omitted = SLOT.unpack(head)
+        size = self._layout.entry_size
+        return NeighbourFileSnapshot(
+            profile=self._profile,
+            node_id=self._node_id,
+            generation=generation,
+            created_wall=self._signed[CREATED // 8],
+            published_wall=published_wall,
+            published_mono=published_mono,
+            heartbeat_wall=self._signed[HEARTBEAT_WALL // 8],
+            heartbeat_mono=self._signed[HEARTBEAT_MONO // 8],
+            closed=self._numbers[STATE // 8] == CLOSED,
+            omitted=omitted,
+            entries=tuple(self._entry(entries, offset) for offset in range(0, len(entries), size)),
+        )
+
+    def _entry(self, entries: bytes, offset: int) -> FileEntry:
+        (node_id, id_length, flags, px, py, pz, vx, vy, vz, wall, mono, stamp, *counts) = ENTRY.unpack_from(
+            entries, offset
+        )
+        received, lost, repeated, interval, gap, seqno, restarts = counts
+        values: tuple[Any, ...] = self._values.unpack_from(entries, offset + ENTRY_FIXED)
+        return FileEntry(
+            node_id=node_id[:id_length],
+            position=(px, py, pz) if flags & HAS_POSITION else None,
+            velocity=(vx, vy, vz) if flags & HAS_VELOCITY else None,
+            velocity_estimated=bool(flags & VELOCITY_ESTIMATED),
+            reception_wall=wall,
+            reception_mono=mono,
+            stamp_wall=None if stamp == UNKNOWN_TIME else stamp,
+            seqno=seqno,
+            received=received,
+            lost=lost,
+            repeated=repeated,
+            restarts=restarts,
+            mean_gap=gap,
+            mean_interval=None if interval < 0 else interval,
+            values=dict(zip(self._names, values, strict=True)),
+        )
+
+    def close(self) -> None:
+        """Let go of the file. May be called twice."""
+        self._numbers.release()
+        self._signed.release()
+        self._map.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _untext(octets: bytes) -> str:
+    return octets.split(b"\0", 1)[0].decode(errors="replace")

@@ -1,0 +1,251 @@
+"""The one who writes a neighbour file."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import math
+import mmap
+import os
+import stat
+import struct
+import zlib
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from dcp_spec.profile import Profile
+
+from dcp_stack.neighbours import NeighbourTable, NeighbourTableEntry
+from dcp_stack.positions.fields import ROLES
+
+from .layout import (
+    CLOSED,
+    CREATED,
+    ENTRY,
+    ENTRY_FIXED,
+    FIELD,
+    FIELD_SIZE,
+    HAS_POSITION,
+    HAS_VELOCITY,
+    HEADER,
+    HEADER_SIZE,
+    HEARTBEAT_MONO,
+    HEARTBEAT_WALL,
+    LATEST,
+    LAYOUT_VERSION,
+    MAGIC,
+    MAX_CAPACITY,
+    NODE_ID_SIZE,
+    PID,
+    RUNNING,
+    SLOT,
+    SLOT_HEADER_SIZE,
+    STATE,
+    UNKNOWN_TIME,
+    VELOCITY_ESTIMATED,
+    Layout,
+    NeighbourFileError,
+    fence,
+    little_endian_only,
+)
+
+_ROLE_NUMBERS: Final = {role: 1 + number for number, role in enumerate(sorted(ROLES))}
+_NOWHERE: Final = (math.nan, math.nan, math.nan)
+
+
+class NeighbourFileWriter:
+    """Writes the table of one node to ``path``. One thread of one process may write; any number may read."""
+
+    def __init__(
+        self, path: str | Path, profile: Profile, node_id: bytes, *, capacity: int = 1024, now: int, wall: int
+    ) -> None:
+        """Create the file, with mode 0644 and complete from the moment it has its name; an old one is replaced.
+
+        ``capacity`` is the number of entries that have room, 1..65536: a file has about 2 * 192 octets for each.
+        Raises NeighbourFileError if another process writes it, if something else has that name, or if the system
+        refuses. /dev/shm or /run are the places to put it: elsewhere its pages go to the disk now and then.
+        """
+        little_endian_only()
+        if not 1 <= capacity <= MAX_CAPACITY:
+            raise NeighbourFileError(f"{path}: the capacity is 1 to {MAX_CAPACITY} entries, not {capacity}")
+        if len(node_id) > NODE_ID_SIZE:
+            raise NeighbourFileError(f"{path}: a node identifier has at most {NODE_ID_SIZE} octets here")
+        self.path = Path(path)
+        self._fields = tuple(field.name for field in profile.srp.safety_data if field.type != "opaque")
+        self._layout = Layout.of(capacity, len(self._fields))
+        self._values = struct.Struct(f"<{len(self._fields)}d")
+        self._padding = bytes(self._layout.entry_size - ENTRY_FIXED - self._values.size)
+        self._generation = 0
+        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}")
+        try:
+            _refuse_foreign(self.path)
+            with contextlib.suppress(FileNotFoundError):
+                temporary.unlink()
+            self._fd = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise NeighbourFileError(f"{path}: cannot be created ({error.strerror})") from None
+        try:
+            # Whoever has the file open to write holds this lock, and loses it when it dies.
+            fcntl.flock(self._fd, fcntl.LOCK_EX)
+            os.fchmod(self._fd, 0o644)
+            # Room that is promised: writing into a mapping of a full file system would be fatal.
+            os.posix_fallocate(self._fd, 0, self._layout.file_size)
+            self._map = mmap.mmap(self._fd, self._layout.file_size)
+            self._numbers = memoryview(self._map).cast("Q")
+            self._signed = memoryview(self._map).cast("q")
+            self._write_header(profile, node_id, now, wall)
+            temporary.rename(self.path)
+        except OSError as error:
+            os.close(self._fd)
+            temporary.unlink(missing_ok=True)
+            raise NeighbourFileError(f"{path}: cannot be created ({error.strerror})") from None
+        self._closed = False
+
+    def _write_header(self, profile: Profile, node_id: bytes, now: int, wall: int) -> None:
+        layout = self._layout
+        self._map[: HEADER.size] = HEADER.pack(
+            MAGIC,
+            LAYOUT_VERSION,
+            layout.slots,
+            layout.slot_size,
+            SLOT_HEADER_SIZE,
+            layout.entry_size,
+            layout.capacity,
+            layout.field_count,
+            len(node_id),
+            node_id,
+            _text(profile.name, 56),
+        )
+        numeric = [field for field in profile.srp.safety_data if field.type != "opaque"]
+        for number, field in enumerate(numeric):
+            record = FIELD.pack(
+                _text(field.name, 40),
+                _text(field.unit, 16),
+                ENTRY_FIXED + 8 * number,
+                _ROLE_NUMBERS.get(field.role, 0),
+            )
+            start = HEADER_SIZE + FIELD_SIZE * number
+            self._map[start : start + FIELD_SIZE] = record
+        self._signed[CREATED // 8] = wall
+        self._numbers[PID // 8] = os.getpid()
+        self._numbers[STATE // 8] = RUNNING
+        self.heartbeat(now=now, wall=wall)
+
+    def heartbeat(self, *, now: int, wall: int) -> None:
+        """Show that the writer lives, also when there is nothing new to say."""
+        # Through a view of numbers, not struct: that is one store, which cannot be seen half done.
+        self._signed[HEARTBEAT_WALL // 8] = wall
+        self._signed[HEARTBEAT_MONO // 8] = now
+
+    def publish(self, table: NeighbourTable, *, now: int, wall: int) -> None:
+        """Make ``table`` the latest, and a heartbeat.
+
+        Entries without room, and those whose node identifier has more than 32 octets, are left out and counted. The
+        time is that of making the entries, microseconds for each; the slot is locked for a copy of memory only.
+        """
+        layout = self._layout
+        made: list[bytes] = []
+        omitted = 0
+        for entry in table:
+            if len(made) < layout.capacity and len(entry.node_id) <= NODE_ID_SIZE:
+                made.append(self._entry(table, entry))
+            else:
+                omitted += 1
+        self._generation += 1
+        generation = self._generation
+        head = SLOT.pack(generation, wall, now, len(made), omitted)
+        entries = b"".join(made)
+        head += struct.pack("<I", zlib.crc32(entries, zlib.crc32(head)))
+        start = layout.slots + (generation & 1) * layout.slot_size
+        lock = start // 8
+        self._numbers[lock] = 2 * generation - 1
+        fence()
+        self._map[start + 8 : start + 8 + len(head)] = head
+        begin = start + SLOT_HEADER_SIZE
+        self._map[begin : begin + len(entries)] = entries
+        fence()
+        self._numbers[lock] = 2 * generation
+        fence()
+        self._numbers[LATEST // 8] = generation
+        self.heartbeat(now=now, wall=wall)
+
+    def _entry(self, table: NeighbourTable, entry: NeighbourTableEntry) -> bytes:
+        motion = table.motion(entry)
+        position = motion.position if motion is not None else None
+        velocity = motion.velocity if motion is not None else None
+        flags = HAS_POSITION * (position is not None) | HAS_VELOCITY * (velocity is not None)
+        if velocity is not None and motion is not None and motion.estimated:
+            flags |= VELOCITY_ESTIMATED
+        report = entry.ext_sd
+        delay = table.delay(entry)
+        packed = ENTRY.pack(
+            entry.node_id,
+            len(entry.node_id),
+            flags,
+            *(position or _NOWHERE),
+            *(velocity or _NOWHERE),
+            entry.reception_time,
+            entry.received_at,
+            UNKNOWN_TIME if delay is None else _clamped(entry.reception_time - delay),
+            entry.received,
+            entry.lost,
+            entry.repeated,
+            -1 if entry.mean_interval is None else _clamped(round(entry.mean_interval)),
+            entry.mean_gap,
+            report.seqno & 0xFFFFFFFF,
+            entry.restarts,
+        )
+        values = self._values.pack(*(getattr(report.s_data, name) for name in self._fields))
+        return packed + values + self._padding
+
+    def close(self) -> None:
+        """Say that this was all, and remove the file; readers keep the last table. May be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        self._numbers[STATE // 8] = CLOSED
+        with contextlib.suppress(OSError):
+            ours, named = os.fstat(self._fd), self.path.stat()
+            # A successor may have put its own file in the place of ours.
+            if (ours.st_dev, ours.st_ino) == (named.st_dev, named.st_ino):
+                self.path.unlink()
+        self._numbers.release()
+        self._signed.release()
+        self._map.close()
+        os.close(self._fd)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Raise for a name that is taken by something else, or by a file that somebody is writing."""
+    try:
+        status = os.lstat(path)
+    except FileNotFoundError:
+        return
+    if not stat.S_ISREG(status.st_mode):
+        raise NeighbourFileError(f"{path}: is no regular file, and is not replaced")
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise NeighbourFileError(f"{path}: is no neighbour table, and is not replaced")
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise NeighbourFileError(f"{path}: is being written by another node") from None
+
+
+def _text(text: str, size: int) -> bytes:
+    """UTF-8 that ends with NUL, cut at a character."""
+    octets = text.encode()[: size - 1].decode(errors="ignore").encode()
+    return octets.ljust(size, b"\0")
+
+
+def _clamped(number: int) -> int:
+    return min(max(number, -(1 << 63) + 1), (1 << 63) - 1)
