@@ -96,13 +96,17 @@ def sample(frames: Iterable[Frame], limit: int = SAMPLE) -> tuple[list[Frame], I
 def guess(
     frames: Sequence[Frame],
     *,
-    profiles: Sequence[str] = BUILTIN_PROFILES,
+    profiles: Sequence[str | Codec] = BUILTIN_PROFILES,
     framed: bool = True,
     ether_type: int | None = None,
 ) -> Guess:
-    """Rank ``profiles`` for ``frames``. ``framed`` false: the frames are bare bearer payloads."""
+    """Rank ``profiles`` (names, or codecs of others) for ``frames``.
+
+    ``framed`` false: the frames are bare bearer payloads.
+    """
     likely = ether_type if ether_type is not None else _ether_type_of(frames) if framed else None
-    candidates = [_judge(get_codec(name), frames, framed, likely) for name in profiles]
+    codecs = [each if isinstance(each, Codec) else get_codec(each) for each in profiles]
+    candidates = [_judge(codec, frames, framed, likely) for codec in codecs]
     rank = {name: place for place, name in enumerate(_PREFERENCE)}
     candidates.sort(key=lambda c: (-round(c.score, 9), rank.get(c.profile.name, len(rank))))
     return Guess(tuple(candidates))

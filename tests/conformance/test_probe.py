@@ -1,0 +1,308 @@
+"""Drafting a PICS: what is seen and told is stated, everything else is a question."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from typing import Any
+
+import msgspec
+import pytest
+from dcp_conformance.errors import UsageError
+from dcp_conformance.forge import Block, Forge
+from dcp_conformance.lower import Arrival
+from dcp_conformance.pics import Pics, load_pics
+from dcp_conformance.pics_file import QUESTIONS, pics_text
+from dcp_conformance.probe import Period, draft, looks_like, measured_period, rounded, write_pics
+from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
+from dcp_conformance.upper import Answer
+from dcp_spec.profile_loading import BUILTIN_PROFILES
+
+from dcp_codec import Codec
+from dcp_codec.values import Beacon, BPHeader, VarSumm
+
+
+@cache
+def codec(name: str) -> Codec:
+    return Codec(name)
+
+
+CANDIDATES = [codec(name) for name in BUILTIN_PROFILES]
+
+
+def node(profile: str, **options: Any) -> InProcess:
+    return InProcess(reference_config(codec(profile), **options))
+
+
+def busy(sut: InProcess, count: int = 3) -> None:
+    """Give the node variables to talk about."""
+    upper = sut.upper_tester()
+    for var_id in range(1, count + 1):
+        params = {"varId": var_id, "repCnt": 3, "descr": f"variable {var_id}", "value": "0102"}
+        assert upper.call("RTDB-Create", params).ok
+    upper.close()
+
+
+def test_what_an_upper_tester_tells():
+    sut = node("cpp-1.3", beacon_period_ms=250)
+    busy(sut)
+    pics, remarks = draft(sut.lower_tester(), sut.upper_tester(), CANDIDATES, 20)
+    assert (pics.sut.name, pics.pixit.profile, pics.pixit.node_id) == ("dcp-node", "cpp-1.3", "02:00:00:00:00:01")
+    assert pics.pixit.beacon_period_ms == 250
+    assert pics.pixit.max_summaries == 20
+    assert pics.pixit.max_value_length == codec("cpp-1.3").profile.limits.max_value_length
+    assert (pics.pics.srp, pics.pics.vardis, pics.pics.runtime_parameters, pics.pics.jitter) == (True,) * 4
+    (measured,) = [each for each in remarks if each.startswith("the beacon period was measured")]
+    assert measured.endswith("it says 250 ms")
+    # Nothing speaks against anything else, so nothing is said of it.
+    assert pics.pics.parameter_feedback is None
+    assert pics.pixit.reaction_periods == 4.0
+
+
+def test_what_is_seen_without_one():
+    sut = node("dcp-2.0", beacon_period_ms=50)
+    busy(sut)
+    safety_data = {"x": 1, "y": 2, "z": 3}
+    assert sut.upper_tester().call("SRP-UpdateSafetyData", {"sData": safety_data}).ok
+    pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 30)
+    assert pics.pixit.profile == "dcp-2.0"
+    assert pics.pixit.node_id == "02:00:00:00:00:01"
+    assert pics.pixit.beacon_period_ms == 50
+    assert (pics.pics.vardis, pics.pics.jitter) == (True, True)
+    assert pics.pics.several_containers is None
+    assert pics.pics.runtime_parameters is None
+    assert pics.sut == Pics().sut
+    assert "there is no upper tester: what can only be asked stays open" in remarks
+    assert any(each.startswith("pixit.profile: a guess from ") for each in remarks)
+    # The network identifier is in the beacons of this profile only.
+    if codec("dcp-2.0").profile.has_header_field("networkId"):
+        assert pics.pixit.network_id is not None
+
+
+def test_a_silent_node_is_asked():
+    sut = node("dcp-2.0", beacon_period_ms=100)
+    pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 20)
+    assert any("it was silent, and has been asked" in each for each in remarks)
+    assert pics.pixit.node_id == "02:00:00:00:00:01"
+    assert pics.pixit.beacon_period_ms == 100
+    assert pics.pics.vardis is True
+
+
+class Silent(VirtualLowerTester):
+    """A link that must not be sent on."""
+
+    def send(self, octets: bytes, source: bytes) -> bytes:
+        raise AssertionError("something was sent")
+
+
+def test_nothing_is_sent_unless_it_may():
+    pics, remarks = draft(Silent(node("dcp-2.0")), None, CANDIDATES, 5, ask=False)
+    assert pics == Pics()
+    assert remarks[-1].startswith("nothing was heard on in process in 5 s: is the implementation running")
+
+
+def test_silence():
+    sut = node("dcp-2.0")
+    # A node that cannot understand what it is asked.
+    pics, remarks = draft(sut.lower_tester(), None, [codec("sim-1.0")], 5)
+    assert pics == Pics()
+    assert any(each.startswith("nothing was heard") for each in remarks)
+
+
+def test_an_upper_tester_that_names_another_profile():
+    sut = node("cpp-1.3")
+    busy(sut)
+    upper = sut.upper_tester()
+    upper.about["profile"] = "sim-2.0"
+    pics, remarks = draft(sut.lower_tester(), upper, CANDIDATES, 10)
+    assert pics.pixit.profile == "sim-2.0"
+    assert any(
+        each.startswith("UT-Hello says that the profile is sim-2.0, but its frames look like") for each in remarks
+    )
+
+
+class Air:
+    """A lower tester with beacons that were made up."""
+
+    name = "made up"
+
+    def __init__(self, arrivals: list[Arrival]) -> None:
+        self._arrivals = arrivals
+        self._now = 0
+
+    def now(self) -> int:
+        return self._now
+
+    def receive(self, until: int, also: Any = ()) -> Arrival | None:
+        if self._arrivals and self._arrivals[0].time < until:
+            arrival = self._arrivals.pop(0)
+            self._now = max(self._now, arrival.time)
+            return arrival
+        self._now = max(self._now, until)
+        return None
+
+
+def heard_from(sut: InProcess, seconds: float) -> list[Arrival]:
+    lower, found = sut.lower_tester(), []
+    end = lower.now() + round(seconds * 1e9)
+    while (arrival := lower.receive(end)) is not None:
+        found.append(arrival)
+    return found
+
+
+def test_several_senders():
+    one = node("dcp-2.0")
+    other = InProcess(msgspec.structs.replace(reference_config(codec("dcp-2.0")), node_id=b"\x02\0\0\0\0\x02"))
+    for each in (one, other):
+        busy(each)
+    both = sorted(heard_from(one, 5) + heard_from(other, 5))
+    pics, remarks = draft(Air(list(both)), None, CANDIDATES, 5)  # type: ignore[arg-type]
+    assert pics.pixit.node_id is None
+    assert any(each.startswith("several senders were heard: ") and "02:00:00:00:00:02" in each for each in remarks)
+    assert any("which of the senders is the implementation?" in each for each in remarks)
+    # With its identifier known, it is told from the other one.
+    pics, _ = draft(Air(list(both)), one.upper_tester(), CANDIDATES, 5)  # type: ignore[arg-type]
+    assert pics.pixit.node_id == "02:00:00:00:00:01"
+    assert pics.pics.vardis is True
+
+
+def test_several_of_one_kind():
+    made = codec("dcp-2.0")
+    forge = Forge(made)
+    twice = forge.vardis(forge.container(VarSumm(1, 1)), forge.container(VarSumm(2, 1)))
+    blocks = [twice, Block(5, b"a"), Block(5, b"b")]
+    arrivals = [Arrival(at, at, forge.beacon(b"\x02" * 6, at, blocks, network_id=7), b"", b"") for at in range(20)]
+    pics, remarks = draft(Air(arrivals), None, [made], 1)  # type: ignore[arg-type]
+    assert (pics.pics.several_containers, pics.pics.multiple_payloads, pics.pics.srp) == (True, True, None)
+    assert "pics.several_containers: seen in 20 of 20 beacons" in remarks
+
+
+def test_garbage_is_no_profile():
+    arrivals = [Arrival(at, at, bytes(range(at, at + 60)), b"", b"\x02" * 6) for at in range(1, 20)]
+    pics, remarks = draft(Air(list(arrivals)), None, CANDIDATES, 1)  # type: ignore[arg-type]
+    assert pics == Pics()
+    assert any(each.startswith("none of the profiles explains what was heard") for each in remarks)
+    assert "its frames look like no profile that is known here" in looks_like(arrivals, codec("dcp-2.0"))
+
+
+class Lying(VirtualUpperTester):
+    """An upper tester whose parameters make no sense."""
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        answer = super().call(method, params)
+        if method == "BP-GetParameters":
+            wrong = {"BPPAR_BEACON_PERIOD": 0, "BPPAR_NETWORK_ID": -4, "BPPAR_MAXIMUM_PACKET_SIZE": "many"}
+            return msgspec.structs.replace(answer, result={"parameters": wrong})
+        if method == "SRP-GetParameters":
+            return msgspec.structs.replace(answer, result={"parameters": 5})
+        return answer
+
+
+def test_parameters_that_make_no_sense():
+    sut = node("dcp-2.0")
+    pics, remarks = draft(sut.lower_tester(), Lying(sut), CANDIDATES, 1)
+    # What is on the air is not taken for what it says.
+    assert pics.pixit.network_id == codec("dcp-2.0").profile.bp.network_id
+    assert pics.pixit.max_packet_size is None
+    assert any("BPPAR_BEACON_PERIOD = 0, which makes no sense" in each for each in remarks)
+    assert any("SRP-GetParameters is answered with" in each for each in remarks)
+
+
+@pytest.mark.parametrize("profile", BUILTIN_PROFILES)
+def test_which_profile_frames_look_like(profile):
+    sut = node(profile)
+    busy(sut)
+    if "SRP-UpdateSafetyData" in sut.upper_tester().methods:
+        fields = [each for each in codec(profile).profile.srp.safety_data if each.type != "opaque"]
+        data = {each.name: 1 for each in fields}
+        sut.upper_tester().call("SRP-UpdateSafetyData", {"sData": data})
+    heard = heard_from(sut, 5)
+    assert heard
+    # Nothing speaks against the right one.
+    assert looks_like(heard, codec(profile)) == ""
+
+
+def test_another_profile_is_named():
+    sut = node("cpp-1.3")
+    busy(sut)
+    found = looks_like(heard_from(sut, 5), codec("dcp-2.0"))
+    assert found.startswith("its frames look like cpp-1.3 (")
+    assert found.endswith("; try --profile cpp-1.3")
+    assert looks_like([], codec("dcp-2.0")) == ""
+
+
+def beacons_at(times: list[float], seqnos: list[int]) -> list[tuple[Arrival, Any]]:
+    return [
+        (Arrival(round(at * 1e6), 0, b"", b"", b""), Beacon(BPHeader(b"\x02" * 6, seqno, None), ()))
+        for at, seqno in zip(times, seqnos, strict=True)
+    ]
+
+
+def test_measuring_a_period():
+    assert measured_period([]) is None
+    assert measured_period(beacons_at([100.0 * n for n in range(10)], list(range(10)))) is None
+    steady = measured_period(beacons_at([100.0 * n for n in range(21)], list(range(21))))
+    assert steady is not None
+    assert (steady.mean, steady.deviation, steady.intervals) == (100, 0, 20)
+    # Every other beacon was not heard.
+    lost = measured_period(beacons_at([100.0 * n for n in range(0, 40, 2)], list(range(0, 40, 2))))
+    assert lost is not None
+    assert lost.mean == 100
+    # A pause is no interval, and a new start of the sequence numbers is none either.
+    times = [100.0 * n for n in range(12)] + [5000 + 100.0 * n for n in range(12)]
+    paused = measured_period(beacons_at(times, list(range(24))))
+    assert paused is not None
+    assert (paused.mean, paused.intervals) == (100, 22)
+    restarted = measured_period(beacons_at(times, [*range(12), *range(12)]))
+    assert restarted is not None
+    assert restarted.mean == 100
+
+
+@pytest.mark.parametrize(
+    ("mean", "deviation", "result"),
+    [
+        (100.4, 5, 100),
+        (103, 5, 103),
+        (98.6, 9, 100),
+        (51.2, 7, 50),
+        (33.33, 0.01, 33),
+        (0.4, 0.001, 0.4),
+        (249, 8, 250),
+    ],
+)
+def test_rounding(mean, deviation, result):
+    assert rounded(Period(mean, deviation, 100)) == result
+
+
+def test_every_key_has_a_question_or_a_value():
+    text = pics_text(Pics())
+    tables = msgspec.structs.asdict(Pics())
+    keys = {f"{table}.{name}" for table, part in tables.items() for name in part.__struct_fields__}
+    assert keys == set(QUESTIONS)
+    for key in keys:
+        assert f"# {QUESTIONS[key]}\n# {key.split('.')[1]} =" in text
+    assert tomllib.loads(text) == {"sut": {}, "pics": {}, "pixit": {}}
+
+
+def test_a_written_file_reads_back(tmp_path, capsys):
+    sut = node("cpp-2.0")
+    busy(sut)
+    pics, remarks = draft(sut.lower_tester(), sut.upper_tester(), CANDIDATES, 10)
+    pics = msgspec.structs.replace(
+        pics,
+        sut=msgspec.structs.replace(pics.sut, notes='a "quoted"\nline \x7f\\ é'),
+        pixit=msgspec.structs.replace(pics.pixit, var_ids=(3, 9)),
+    )
+    remarks = [*remarks, "something\nelse = 5"]
+    path = tmp_path / "pics.toml"
+    write_pics(pics, path, remarks)
+    assert load_pics(path) == pics
+    text = path.read_text()
+    assert '# as UT-Hello says\nname = "dcp-node"\n' in text
+    assert "# Note: something else = 5\n" in text
+    with pytest.raises(UsageError, match="exists already"):
+        write_pics(pics, path)
+    with pytest.raises(UsageError, match="cannot be written: No such file"):
+        write_pics(pics, tmp_path / "nowhere" / "pics.toml")
+    write_pics(pics, None, remarks)
+    assert capsys.readouterr().out == text
