@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.lower import Arrival
+from dcp_conformance.probe import looks_like
 
 
 @case(
@@ -22,9 +24,17 @@ def sanity(bench: Bench) -> None:
         return
     # On the air something can get lost: three attempts, one answer.
     answered = any(bench.probe(8) for _ in range(3))
-    bench.require(
-        answered,
-        "a beacon that requests the variable",
-        f"no such beacon after three attempts; {len(bench.heard)} beacons were heard"
-        + ("" if bench.heard else ": is it running, on this link, with this profile and network identifier?"),
-    )
+    why = "" if answered else _why(bench)
+    bench.require(answered, "a beacon that requests the variable", f"no such beacon after three attempts; {why}")
+
+
+def _why(bench: Bench) -> str:
+    """What may be the matter, as far as the frames tell that were heard from whomever."""
+    frames = [each for each in bench.traffic.events if each.direction in ("heard", "other")]
+    if not frames:
+        return "nothing was heard: is it running, on this link, with this EtherType or port?"
+    arrivals = [Arrival(0, each.wall, each.frame[each.start :], each.frame, b"") for each in frames]
+    count = f"{len(frames)} frames were heard, {len(bench.heard)} of them its own"
+    if other := looks_like(arrivals, bench.codec):
+        return f"{count}; {other}"
+    return f"{count}: is this its network identifier, and does it have VarDis?"
