@@ -21,6 +21,9 @@ MODULES = (
     "vardis_pending",
     "vardis_lengths",
     "vardis_robustness",
+    "vardis_creation",
+    "vardis_hazards",
+    "vardis_types",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
 WIRE_PROFILES = ("dcp-1.2", "cpp-2.0")

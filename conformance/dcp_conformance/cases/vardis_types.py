@@ -1,0 +1,294 @@
+"""dcp-vardis.md: Data Types, Instruction Containers, Real-Time Database."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
+
+from dcp_codec.errors import DecodeError
+from dcp_codec.values import VarCreate
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.heard import Heard
+from dcp_conformance.peers import Peer
+from dcp_conformance.services import create_request, entry_of, longest_description, produced, taught
+from dcp_conformance.variables import ask, taught_all
+
+_DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))
+_SINCE_1_1 = SpecVersion.V1_1
+
+
+def _everything(bench: Bench, peer: Peer) -> int:
+    """Have the implementation send containers of all six types; where that began."""
+    known = [peer.create(var_id, seqno=5) for var_id in bench.var_ids(3)]
+    since = bench.mark()
+    taught_all(bench, peer, known)
+    updated, behind, doomed = (create.spec.var_id for create in known)
+    unknown = bench.unknown_id()
+    peer.send(peer.delete(doomed), peer.update(updated, 6), peer.summary(behind, 6), peer.summary(unknown, 1))
+    wanted = {
+        (ICType.DELETE_VARIABLES, doomed),
+        (ICType.UPDATES, updated),
+        (ICType.REQUEST_VARUPDATES, behind),
+        (ICType.REQUEST_VARCREATES, unknown),
+    }
+    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+        wanted.add((ICType.SUMMARIES, behind))
+
+    def complete() -> bool:
+        return all(bench.instructions(kind, var_id, since) for kind, var_id in wanted)
+
+    bench.until(lambda _: complete(), 2 * bench.reaction)
+    missing = ", ".join(sorted({kind.label for kind, var_id in wanted if not bench.instructions(kind, var_id, since)}))
+    bench.check(not missing, "records of all six types are provoked", f"not {missing}", "VD-TYP-07", "VD-IC-02")
+    return since
+
+
+def _blocks(bench: Bench, heard: Heard) -> list[bytes]:
+    """The VarDis payloads of a beacon as octets."""
+    try:
+        envelope, _ = bench.codec.decode_envelope(heard.octets)
+    except DecodeError:
+        return []
+    return [each.data or b"" for each in envelope.payloads if each.protocol_id == BP_PROTID_VARDIS]
+
+
+@case(
+    "TC_VD_TYP_BV_01",
+    "Containers and records of all six types have the layout of the profile",
+    requirements="VD-TYP-01 VD-TYP-05 VD-TYP-07 VD-IC-01 VD-IC-02 VD-IC-03",
+    stimulus="records that make the implementation send a container of each type",
+    expect="all of its beacons can be taken apart completely by the profile; no container is empty, and each type has "
+    "its number",
+    window=10,
+    smoke=True,
+)
+def layout(bench: Bench) -> None:
+    since = _everything(bench, bench.peer())
+    frames = bench.heard[since:]
+    broken = [heard for heard in frames if heard.problem is not None and heard.problem.reason != "zero-count"]
+    problem = broken[0].problem if broken else None
+    for requirement in ("VD-TYP-01", "VD-TYP-07", "VD-IC-01"):
+        what = "all beacons have the layout of the profile"
+        bench.check(not broken, what, f"{problem}", requirement, frames=broken[:5])
+    if bench.features.creation_time:
+        specs = bench.instructions(ICType.CREATE_VARIABLES, since=since)
+        bench.check(specs, "a VarSpecT has varId, prodId, repCnt, creationTime, timeout, descr", "none", "VD-TYP-05")
+    empty = [heard for heard in frames if heard.problem is not None and heard.problem.reason == "zero-count"]
+    empty += [heard for heard in frames if any(not each.records for each in heard.containers)]
+    bench.check(not empty, "every container has a record", "there is an empty one", "VD-IC-03", frames=empty[:5])
+    types = {each.ic_type for heard in frames for each in heard.containers}
+    strange = types - {bench.forge.ic_type(kind) for kind in ICType}
+    bench.check(not strange, "icType is one of the six", f"{sorted(strange)}", "VD-IC-02")
+
+
+@case(
+    "TC_VD_TYP_BV_02",
+    "Values may change their length with every update, up to the maximum",
+    requirements="VD-TYP-02",
+    stimulus="VarUpdates of a variable with values of 1, the maximum, 2, the maximum less 1 and 1 octets",
+    expect="each is repeated with its length, and the last one is stored",
+    window=12,
+)
+def lengths(bench: Bench) -> None:
+    peer, most = bench.peer(), min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255)
+    var_id = taught(bench, peer)
+    value = b""
+    for seqno, length in enumerate((1, most, min(2, most), max(1, most - 1), 1), 1):
+        value = bytes(0x40 + index % 64 for index in range(length))
+        peer.send(peer.update(var_id, seqno, value))
+        came = bench.until_instruction(ICType.UPDATES, var_id)
+        bench.check(came is not None and came.value == value, f"a value of {length} octets is repeated", f"{came}")
+    held = ask(bench, var_id)
+    stored = held.record is not None and held.record.upd.value == value
+    bench.check(stored, f"the last value {value.hex()} is stored", str(held))
+
+
+@case(
+    "TC_VD_TYP_BV_03",
+    "A VarCreate carries the timeout that the application gave",
+    requirements="VD-TYP-04",
+    stimulus="RTDB-Create with timeout 0, 1000 and the largest there is",
+    expect="VarCreates with these timeouts",
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
+)
+def timeouts(bench: Bench) -> None:
+    largest = (1 << 8 * bench.profile.types.var_timeout.width) - 1
+    for timeout in (0, 1000, min(largest, 0xFFFFFFFF)):
+        var_id = produced(bench, timeout=timeout)
+        came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+        observed = came.spec.timeout if isinstance(came, VarCreate) else None
+        bench.check(observed == timeout, f"a VarCreate with timeout {timeout}", f"{observed}")
+
+
+@case(
+    "TC_VD_IC_BV_01",
+    "No VarDis payload is longer than VARDISPAR_MAX_PAYLOAD_SIZE, however much there is to send",
+    requirements="VD-IC-05",
+    stimulus="so many variables with the longest values that their VarCreates need three payloads, requested together",
+    expect="payloads of at most that many octets that bring all of them",
+    window=12,
+)
+def payload_size(bench: Bench) -> None:
+    peer, limit = bench.peer(), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    value = b"v" * min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    descr = b"d" * min(longest_description(bench), 200)
+    size = bench.forge.record_size(peer.create(0, value=value, descr=descr))
+    count = min(64, 5 * limit // (2 * size) + 1)
+    since = bench.mark()
+    creates = taught_all(bench, peer, (peer.create(each, value=value, descr=descr) for each in bench.var_ids(count)))
+    peer.send(*(peer.request_create(each.spec.var_id) for each in creates))
+    wanted = {each.spec.var_id for each in creates}
+    start = bench.mark()
+    bench.until(
+        lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)},
+        bench.reaction + 6,
+    )
+    came = {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)}
+    bench.check(wanted <= came, f"all {count} VarCreates come", f"{len(wanted - came)} do not")
+    blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(bench, heard)]
+    long = [heard for heard, octets in blocks if octets > limit]
+    longest = max((octets for _, octets in blocks), default=0)
+    bench.check(not long, f"no payload is longer than {limit} octets", f"one has {longest}", frames=long[:3])
+    several = any(
+        count > 1 for heard in bench.heard for count in Counter(each.ic_type for each in heard.containers).values()
+    )
+    if bench.profile.spec_version >= _SINCE_1_1:
+        bench.info("several containers of a type in a payload", "there are" if several else "none seen", "VD-IC-04")
+
+
+# -- the database ------------------------------------------------------------------------------------------------------
+
+
+def _entry(bench: Bench, var_id: int) -> dict[str, Any]:
+    entry = entry_of(bench, var_id)
+    if entry is None:
+        bench.fail(f"RTDB-DescribeVariable tells of variable {var_id}", "it does not")
+    return entry
+
+
+def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requirements: str) -> None:
+    for name, value in expected.items():
+        bench.check(entry.get(name) == value, f"{name} is {value!r}", f"{entry.get(name)!r}", *requirements)
+
+
+@case(
+    "TC_VD_DB_BV_01",
+    "The database entry of a received variable has all that its VarCreate says",
+    requirements="VD-DB-01 VD-PC-07",
+    stimulus="a VarCreate of another node, then RTDB-DescribeVariable; once more after its repetitions",
+    expect="specification, value and number as received; counters: at most repCnt creations, nothing else; not deleted",
+    needs=_DESCRIBE,
+)
+def entry_of_received(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    record = peer.create(var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.rep_cnt(2))
+    bench.learn(peer, record)
+    entry, spec = _entry(bench, var_id), record.spec
+    expected: dict[str, Any] = {
+        "varId": var_id,
+        "prodId": spec.prod_id.hex(":"),
+        "repCnt": spec.rep_cnt,
+        "descr": spec.descr.decode(),
+        "value": "00ff",
+        "seqno": 7,
+        "isDeleted": False,
+        "countCreate": 0,
+        "countUpdate": 0,
+        "countDelete": 0,
+    }
+    if spec.creation_time is not None:
+        expected |= {"creationTime": spec.creation_time, "timeout": spec.timeout}
+    _expect(bench, entry, expected)
+    peer.send(peer.request_create(var_id))
+    bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    count = _entry(bench, var_id).get("countCreate")
+    right = isinstance(count, int) and 0 <= count <= spec.rep_cnt
+    bench.check(right, f"countCreate is at most repCnt {spec.rep_cnt}", f"{count}", "VD-DB-01")
+
+
+@case(
+    "TC_VD_DB_BV_02",
+    "There is one entry for a variable, whatever becomes of it",
+    requirements="VD-DB-01",
+    stimulus="a variable that is received, updated and requested",
+    expect="one entry with its identifier in RTDB-DescribeDatabase",
+    needs=Needs(ut=("RTDB-DescribeDatabase",)),
+)
+def one_entry(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer)
+    peer.send(peer.update(var_id, 1), peer.request_create(var_id), peer.create(var_id))
+    bench.require_alive("the records")
+    found = bench.must("RTDB-DescribeDatabase").result.get("variables")
+    same = [each for each in found if each.get("varId") == var_id] if isinstance(found, list) else []
+    bench.check(len(same) == 1, "one entry with the identifier", f"{len(same)} entries")
+
+
+@case(
+    "TC_VD_DB_BV_03",
+    "A deleted variable stays in the database and is flagged as deleted ({variant})",
+    requirements="VD-DB-02",
+    stimulus="a variable is deleted ({variant}); its repetitions end",
+    expect="RTDB-DescribeDatabase lists it, deleted",
+    window=8,
+    needs=Needs(
+        since=SpecVersion.V2_0, ut=("RTDB-DescribeDatabase", "RTDB-DescribeVariable", "RTDB-Create", "RTDB-Delete")
+    ),
+    variants={"own": True, "received": False},
+)
+def stays(bench: Bench, own: bool) -> None:
+    peer = bench.peer()
+    if own:
+        var_id = bench.var_id()
+        bench.must("RTDB-Create", **create_request(bench, var_id))
+        bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+        bench.must("RTDB-Delete", varId=var_id)
+    else:
+        var_id = taught(bench, peer)
+        peer.send(peer.delete(var_id))
+    bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
+    bench.wait(2)
+    found = bench.must("RTDB-DescribeDatabase").result.get("variables")
+    listed = found if isinstance(found, list) else []
+    entry: dict[str, Any] = next((each for each in listed if each.get("varId") == var_id), {})
+    bench.check(entry.get("isDeleted") is True, "it is listed and flagged as deleted", f"{entry}")
+    _expect(bench, _entry(bench, var_id), {"isDeleted": True, "countDelete": 0, "countCreate": 0, "countUpdate": 0})
+
+
+@case(
+    "TC_VD_DB_BV_04",
+    "tStamp is the local time of the last accepted creation or update",
+    requirements="VD-DB-03",
+    stimulus="a VarCreate, a newer VarUpdate and records that are not accepted, with time in between",
+    expect="tStamp is renewed by the first two only, to the time at which they came",
+    window=12,
+    needs=_DESCRIBE,
+)
+def time_stamp(bench: Bench) -> None:
+    peer, tolerance = bench.peer(), round(bench.pixit.clock_tolerance_ms * MS)
+
+    def stamp(after: int) -> int:
+        """The time stamp, which lies between ``after`` and now."""
+        found = _entry(bench, var_id).get("tStamp")
+        if not isinstance(found, int):
+            bench.fail("tStamp is a number of nanoseconds", f"{found!r}")
+        now = bench.lower.wall()
+        right = after - tolerance <= found <= now + tolerance
+        bench.check(right, f"tStamp lies between {after} and {now} (+- {tolerance} ns)", f"{found}")
+        return found
+
+    begun = bench.lower.wall()
+    var_id = taught(bench, peer, seqno=5)
+    created = stamp(begun)
+    bench.wait(2)
+    peer.send(peer.update(var_id, 5, b"equal"), peer.update(var_id, 4, b"older"), peer.summary(var_id, 5))
+    bench.require_alive("records that are not accepted")
+    bench.check(stamp(begun) == created, "records that are not accepted do not renew it", "they do")
+    before = bench.lower.wall()
+    peer.send(peer.update(var_id, 6))
+    bench.until_instruction(ICType.UPDATES, var_id)
+    updated = stamp(before)
+    bench.check(updated > created, "a newer VarUpdate renews it", f"{updated} after {created}")
