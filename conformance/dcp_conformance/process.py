@@ -206,7 +206,7 @@ class ProcessControl:
             return
         deadline = time.monotonic() + patience
         while True:
-            with contextlib.suppress(OSError, ValueError):
+            with contextlib.suppress(OSError, ValueError, IndexError):
                 pid = int(self._pidfile.read_text().split()[0])
                 started = started_at(pid)
                 if started is not None:
