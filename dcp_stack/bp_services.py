@@ -40,6 +40,8 @@ class Registration(msgspec.Struct, frozen=True, rename="camel"):
     max_payload_size: int
     queue_mode: QueueingMode | str | int
     time_stamp_registration: int
+    ##= DATA-09
+    # Counts are Python integers, which have no upper end.
     max_entries: int
     allow_multiple_payloads: bool
 

@@ -91,6 +91,8 @@ class EthernetLink(SocketLink):
             )
         self._mtu = interfaces.mtu(interface)
         self._source = self._given_source or _usable(address) or self._source or _random_address()
+        ##= UWB-01
+        ##= UWB-02
         self._header = BROADCAST + self._source + struct.pack(">H", self._ether_type)
         self._layer2 = _layer2_socket(self._name, interface, self._ether_type)
         opened: socket.socket = self._layer2.ins
