@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_conformance.pics import Capabilities, Pics
 from dcp_conformance.verdict import Verdict
 from dcp_spec.constants import ICType
 
@@ -34,6 +35,8 @@ MODULES = (
 )
 CASES = ids_of(*MODULES)
 GOOD = (Verdict.PASS, Verdict.NOT_APPLICABLE)
+"""And ``info`` where the PICS says nothing."""
+OPEN = ("TC_VD_PAY_BV_08",)
 MS = 1_000_000
 
 
@@ -41,6 +44,8 @@ MS = 1_000_000
 @pytest.mark.parametrize("case_id", CASES)
 def test_our_node_passes(case_id, profile):
     result = one_case(case_id, profile)
+    if case_id in OPEN and result.verdict is Verdict.INFO:
+        return
     assert result.verdict in GOOD, f"{result.reason}\n{result.error_detail}"
 
 
@@ -65,6 +70,20 @@ def test_every_case_applies_to_some_profile():
         if all(one_case(case_id, profile).verdict is Verdict.NOT_APPLICABLE for profile in ("dcp-1.3", "dcp-2.0"))
     ]
     assert never == []
+
+
+@pytest.mark.parametrize(
+    ("claim", "profile", "verdict"),
+    [
+        (True, "dcp-2.0", Verdict.PASS),
+        (False, "dcp-2.0", Verdict.FAIL),
+        (None, "dcp-2.0", Verdict.INFO),
+        (True, "dcp-1.0", Verdict.PASS),
+    ],
+)
+def test_a_claim_about_several_containers_is_checked(claim, profile, verdict):
+    pics = Pics(pics=Capabilities(several_containers=claim))
+    assert one_case("TC_VD_PAY_BV_08", profile, pics=pics).verdict is verdict
 
 
 # -- nodes that differ -------------------------------------------------------------------------------------------------

@@ -359,3 +359,36 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
     )
     largest = max(_size(bench, each) for each in frames)
     bench.check(largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames)
+
+
+@case(
+    "TC_VD_PAY_BV_08",
+    "Whether a payload holds several containers of one type is as the PICS says; up to 1.0 it never does",
+    requirements="VD-IC-04",
+    stimulus="summaries of 256 unknown variables: more than one container can hold",
+    expect="with several_containers denied, and in 1.0, one container of a type in a payload; claimed: two in one",
+    window=8,
+    needs=Needs(ut=("UT-Reset",), when=_room_for_256),
+)
+def several_containers(bench: Bench) -> None:
+    peer = bench.peer()
+    peer.send_all([peer.summary(each, 1) for each in range(IC_MAX_RECORDS + 1)])
+    bench.until_quiet(lambda heard: heard.instructions(ICType.REQUEST_VARCREATES), 12)
+    several = [each for each in bench.heard if _repeats_a_type(each)]
+    text = f"{len(several)} payloads with more"
+    if not bench.features.several_containers_per_type:
+        bench.check(not several, "one container of a type in a payload (1.0)", text, frames=several[:2])
+    elif bench.pics.several_containers is False:
+        bench.check(not several, "one container of a type in a payload, as the PICS says", text, frames=several[:2])
+    elif bench.pics.several_containers:
+        if not several:
+            bench.inconclusive("several containers of a type in a payload, as the PICS says", "none was seen")
+        bench.check(True, "several containers of a type in a payload, as the PICS says", "", frames=several[:2])
+    else:
+        does = "it does" if several else "it was not seen to"
+        bench.info("whether it sends several containers of a type in a payload", does)
+
+
+def _repeats_a_type(heard: Heard) -> bool:
+    types = [each.ic_type for each in heard.containers]
+    return len(types) != len(set(types))
