@@ -223,7 +223,6 @@ def deleted_not_summarised(bench: Bench) -> None:
     bench.check(not late, "no summary of a deleted variable", f"{len(late)}", frames=late[:4])
     still = {each.var_id for each in bench.instructions(_SUMMARY, since=begun)} & set(left)
     bench.check(still == set(left), "summaries of the variables that are left", f"only of {sorted(still)}")
-    bench.reading("X17", "no deleted variable is left in summaryQ")
 
 
 @case(
