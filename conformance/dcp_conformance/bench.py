@@ -68,6 +68,8 @@ class Session:
         self.next_unknown = 0
         self.known: set[int] = set()
         """Variables that the implementation has sent something about that only its database can have told it."""
+        self.leaving: dict[int, int] = {}
+        """Those of them that were deleted and, up to 1.3, leave the database: the time (ns) when they will have."""
         self.creation_time = 0
 
 
@@ -92,6 +94,8 @@ class Bench:
         self.readings: dict[str, str] = {}
         self.peers_made: list[Peer] = []
         self.created: set[int] = set()
+        self.produced: set[int] = set()
+        """Those of the variables that the implementation's application has created."""
         self.dropped = 0
         self.late_ns = 0
 
@@ -177,8 +181,14 @@ class Bench:
         first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
         size = last - first + 1
         # Since 2.0 nothing is ever forgotten: the upper half is for those that must be unknown.
-        number = first + self.session.next_var_id % (size // 2 if size >= 128 else size)
-        self.session.next_var_id += 1
+        usable = size // 2 if size >= 128 else size
+        number = first
+        for _ in range(usable):
+            number = first + self.session.next_var_id % usable
+            self.session.next_var_id += 1
+            # One that is on its way out of the database cannot be created.
+            if self.session.leaving.get(number, 0) <= self.now():
+                break
         self.created.add(number)
         return number
 
@@ -197,6 +207,9 @@ class Bench:
                 return found
             number = last - self.session.next_unknown % size
             self.session.next_unknown += 1
+            if self.session.leaving.get(number, self.now() + 1) <= self.now():
+                del self.session.leaving[number]
+                self.session.known.discard(number)
             if number not in self.session.known and number not in self.created:
                 found.append(number)
         if len(found) < count:
@@ -209,6 +222,12 @@ class Bench:
     def unknown_id(self) -> int:
         """One of them."""
         return self.unknown_ids(1)[0]
+
+    def own_var_id(self) -> int:
+        """An identifier for a variable of the implementation's application: one that no other node ever had (X20)."""
+        number = self.unknown_id()
+        self.created.add(number)
+        return number
 
     def var_ids(self, count: int) -> list[int]:
         """Several of them, ascending unless the range ends in between."""
@@ -300,7 +319,7 @@ class Bench:
 
         Frames that came before are not asked. ``periods`` is :attr:`reaction` unless given.
         """
-        deadline = self.now() + round((self.reaction if periods is None else periods) * self.period)
+        deadline = self.now() + self._patience(self.reaction if periods is None else periods)
         for heard in self._listen(deadline):
             if found := wanted(heard):
                 return found
@@ -320,7 +339,7 @@ class Bench:
                     return each
             return None
 
-        deadline = self.now() + round((self.reaction if periods is None else periods) * self.period)
+        deadline = self.now() + self._patience(self.reaction if periods is None else periods)
         while self.now() < deadline:
             if (notification := found()) is not None:
                 return notification
@@ -330,12 +349,16 @@ class Bench:
     def beacons(self, count: int, periods: float | None = None) -> list[Heard]:
         """Wait for so many beacons; those that came, which may be fewer at the end of the time."""
         before = len(self.heard)
-        deadline = self.now() + round((2 * count + self.reaction if periods is None else periods) * self.period)
+        deadline = self.now() + self._patience(2 * count + self.reaction if periods is None else periods)
         if count > 0:
             for _ in self._listen(deadline):
                 if len(self.heard) - before >= count:
                     break
         return self.heard[before:]
+
+    def _patience(self, periods: float) -> int:
+        """How long to wait, in ns, for what ends the wait when it comes: never less than a busy machine may sleep."""
+        return max(round(periods * self.period), round(self.pixit.least_patience_ms * MS))
 
     def until_quiet(
         self, present: Callable[[Heard], object], periods: float = 60, since: int | None = None
@@ -414,7 +437,10 @@ class Bench:
             heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
             if ours:
                 self.heard.append(heard)
-                self.session.known.update(heard.known)
+                for var_id in heard.known:
+                    self.session.known.add(var_id)
+                    if heard.about(ICType.DELETE_VARIABLES, var_id) is None:
+                        self.session.leaving.pop(var_id, None)
                 yield heard
             else:
                 self.others.append(heard)
@@ -479,6 +505,8 @@ class Bench:
         answer = upper.call(method, params)
         data = answer.result if answer.code is None else {"code": answer.code, "message": answer.message}
         self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)
+        if method == "RTDB-Create" and answer.ok:
+            self.produced.add(params["varId"])
         self._take_notifications()
         return answer
 

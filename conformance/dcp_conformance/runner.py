@@ -166,13 +166,20 @@ class Runner:
 
     def _clean(self, bench: Bench) -> None:
         """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up."""
-        if self._reset_mode() != "none" or not bench.created or not bench.traffic.frames:
+        made = bench.created | bench.produced
+        if self._reset_mode() != "none" or not made or not bench.traffic.frames:
             return
+        upper = self.session.upper
         try:
+            if upper is not None and "RTDB-Delete" in upper.methods:
+                for var_id in sorted(bench.produced):
+                    upper.call("RTDB-Delete", {"varId": var_id})
             peer = bench.peer()
-            for var_id in sorted(bench.created):
-                peer.send(peer.delete(var_id))
+            peer.send_all(peer.delete(var_id) for var_id in sorted(made))
             bench.wait(1)
+            if bench.features.removed_after_deletion:
+                gone = bench.now() + (bench.parameter("VARDISPAR_MAX_REPETITIONS") + 4) * bench.period
+                self.session.leaving.update(dict.fromkeys(made, gone))
         except (LowerTesterError, UpperTesterError):
             # What is wrong will show in the next case.
             return

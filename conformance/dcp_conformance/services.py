@@ -95,7 +95,7 @@ def longest_description(bench: Bench) -> int:
 
 def produced(bench: Bench, **request: Any) -> int:
     """A new variable of the implementation's own; its identifier. Stops as inconclusive if that does not work."""
-    var_id = bench.var_id()
+    var_id = bench.own_var_id()
     bench.must("RTDB-Create", **create_request(bench, var_id, **request))
     return var_id
 

@@ -114,7 +114,7 @@ def _until_deleted(situation: Situation) -> None:
 
 def own(bench: Bench, state: str) -> Situation:
     """A variable of the implementation's application, with sequence number 2."""
-    var_id, rep_cnt, since = bench.var_id(), _repetitions(bench, state), bench.mark()
+    var_id, rep_cnt, since = bench.own_var_id(), _repetitions(bench, state), bench.mark()
     bench.must("RTDB-Create", **create_request(bench, var_id, rep_cnt=rep_cnt))
     created = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     for value in (b"first", b"second"):

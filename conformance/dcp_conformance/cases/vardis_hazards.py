@@ -107,7 +107,7 @@ def clock_ahead(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
 )
 def taken_over(bench: Bench) -> None:
-    peer, var_id = bench.peer(), bench.var_id()
+    peer, var_id = bench.peer(), bench.own_var_id()
     bench.must("RTDB-Create", **create_request(bench, var_id))
     own = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     if own is None:

@@ -61,9 +61,10 @@ def _sent(bench: Bench, var_id: int) -> VarCreate:
 
 def place(bench: Bench, state: str, *, timeout: int = 0) -> Place:
     """Bring a variable into a state."""
-    var_id, own = bench.var_id(), state.endswith("producer")
+    own = state.endswith("producer")
     if state == "unknown":
-        return Place(bench.unknown_id(), state, None)
+        return Place(bench.own_var_id(), state, None)
+    var_id = bench.own_var_id() if own else bench.var_id()
     removed = bench.features.removed_after_deletion
     rep_cnt = bench.rep_cnt(_LASTING) if state.startswith("deleted") and removed else 1
     peer, since = bench.peer(), bench.mark()

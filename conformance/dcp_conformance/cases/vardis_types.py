@@ -242,7 +242,7 @@ def one_entry(bench: Bench) -> None:
 def stays(bench: Bench, own: bool) -> None:
     peer = bench.peer()
     if own:
-        var_id = bench.var_id()
+        var_id = bench.own_var_id()
         bench.must("RTDB-Create", **create_request(bench, var_id))
         bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
         bench.must("RTDB-Delete", varId=var_id)
