@@ -192,17 +192,18 @@ class BPClient:
         label = self.prot_id.to_bytes(2, "big") + self._number.to_bytes(2, "big")
         return (label + bytes((self._number + index) % 256 for index in range(size)))[:size]
 
-    def transmit(self, payload: bytes) -> Answer:
-        """BP-TransmitPayload, which must be confirmed with OK or not at all; inconclusive otherwise."""
+    def transmit(self, payload: bytes, *, must: bool = True) -> Answer:
+        """BP-TransmitPayload; with ``must`` inconclusive unless it is confirmed with OK, or never confirmed."""
         answer = self.bench.call(TRANSMIT, protId=self.prot_id, payload=payload.hex())
-        if not answer.ok and self.bench.pics.transmit_payload_confirm is not False:
+        if must and not answer.ok and self.bench.pics.transmit_payload_confirm is not False:
             self.bench.inconclusive("a payload is submitted, which this case needs", str(answer))
         return answer
 
-    def submit(self, count: int, size: int = 12) -> list[bytes]:
-        """Submit so many new payloads one after the other, with no beacon of them in between; they are returned.
+    def submit(self, count: int, size: int = 12, *, at_once: bool = True, must: bool = True) -> list[bytes]:
+        """Submit so many new payloads one after the other; they are returned.
 
-        If a beacon came in between it is tried again, at last with BP deactivated meanwhile where that can be done.
+        ``at_once``: with no beacon of them in between. If one came it is tried again, at last with BP deactivated
+        meanwhile where that can be done. ``must``: see :meth:`transmit`.
         """
         bench = self.bench
         for attempt in itertools.count():
@@ -215,13 +216,13 @@ class BPClient:
             start = bench.mark()
             payloads = [self.payload(size) for _ in range(count)]
             for payload in payloads:
-                self.transmit(payload)
+                self.transmit(payload, must=must)
             submitted = bench.now()
             if paused:
                 bench.must(ACTIVATE)
             bench.wait_ns(0)
             early = [each for each in bench.heard[start:] if each.time <= submitted and self.in_frame(each)]
-            if not early or count == 1:
+            if not early or count == 1 or not at_once:
                 return payloads
             # What is still waiting must not be mistaken for the next attempt's.
             bench.until_quiet(self.in_frame)
@@ -338,3 +339,9 @@ def some_beacons(bench: Bench, count: int) -> list[Heard]:
     if len(found) * 2 < count:
         bench.inconclusive(f"{count} beacons, which this case needs", f"{len(found)} were heard")
     return found
+
+
+def needed(bench: Bench, found: object, what: str) -> None:
+    """Stop as inconclusive without beacons that a case needs: nobody promises when a payload is sent (BP-GEN-02)."""
+    if not found:
+        bench.inconclusive(f"{what}, which this case needs", f"there is none within {bench.reaction:g} periods")

@@ -22,6 +22,7 @@ from dcp_conformance.clients import (
     each_mode,
     indications,
     listed,
+    needed,
     until,
     unused_protocol_id,
 )
@@ -238,7 +239,7 @@ def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
         bench.check(early == 0, "no indication before a payload is submitted", f"{early} indications")
         client.transmit(client.payload())
         heard = client.until_sent()
-        bench.require(heard, "a beacon with the payload", "there is none in time", "BP-GEN-02")
+        needed(bench, heard, "a beacon with the payload")
         told = until(bench, lambda: bool(indications(bench, TRANSMITTED, client.prot_id)), 1)
         bench.check(told, "an indication", "there is none within a period of the beacon")
         if mode is not REPEAT:

@@ -92,7 +92,8 @@ def _integers(bench: Bench) -> list[tuple[str, str]]:
 )
 def long_block(bench: Bench) -> None:
     peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
-    peer.send(Block(unused_protocol_id(bench), bytes(258)), peer.summary(var_id, 1))
+    # Octets that lead astray who looks for the next block among them.
+    peer.send(Block(unused_protocol_id(bench), b"\xff" * 258), peer.summary(var_id, 1))
     check_processed(bench, [var_id], start, "the block behind one of 258 octets")
 
 
