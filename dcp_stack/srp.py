@@ -8,7 +8,7 @@ Order of calls: :meth:`StateReporting.start` once BP is there, then :meth:`~Stat
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
@@ -85,6 +85,8 @@ class NotInitializedError(RuntimeError):
 class StateReporting:
     """The SRP entity of one node."""
 
+    table_class: ClassVar[type[NeighbourTable]] = NeighbourTable
+
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
         """``emit`` takes the effects in order. ``wall`` is the epoch of stamps where the profile's is no date.
 
@@ -101,7 +103,7 @@ class StateReporting:
         self._stamps = StampClock(profile.types.timestamp, origin=wall)
         self._fields = SafetyFields(profile)
         room = self._settings.max_neighbours
-        self._table = NeighbourTable(
+        self._table = self.table_class(
             profile, capacity=min(room, profile.limits.max_neighbours or room), stamps=self._stamps
         )
         self._node_id = config.node_id
