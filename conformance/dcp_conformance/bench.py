@@ -187,7 +187,7 @@ class Bench:
             number = first + self.session.next_var_id % usable
             self.session.next_var_id += 1
             # One that is on its way out of the database cannot be created.
-            if self.session.leaving.get(number, 0) <= self.now():
+            if self.session.leaving.get(number, 0) <= self.now() and number not in self.created:
                 break
         self.created.add(number)
         return number
@@ -207,7 +207,8 @@ class Bench:
                 return found
             number = last - self.session.next_unknown % size
             self.session.next_unknown += 1
-            if self.session.leaving.get(number, self.now() + 1) <= self.now():
+            gone = self.session.leaving.get(number)
+            if gone is not None and gone <= self.now():
                 del self.session.leaving[number]
                 self.session.known.discard(number)
             if number not in self.session.known and number not in self.created:
