@@ -13,9 +13,10 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_SRP, ICType, SpecVersion
 
 from dcp_codec.errors import DecodeError
+from dcp_codec.values import VarCreate, VarDelete
 
 from .bench import Bench
-from .heard import Heard
+from .heard import Heard, var_id_of
 from .peers import Peer
 from .upper import Answer
 
@@ -108,17 +109,22 @@ def settled(bench: Bench, var_id: int) -> None:
 def taught(bench: Bench, peer: Peer, **record: Any) -> int:
     """A new variable of a peer's that the implementation has learnt; its identifier. Inconclusive if it does not."""
     var_id = bench.var_id()
-    peer.send(peer.create(var_id, **record))
-    if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
-        bench.inconclusive("the implementation learns a variable, which this case needs", "it does not repeat it")
+    _said(bench, peer, peer.create(var_id, **record), ICType.CREATE_VARIABLES, "learns a variable")
     return var_id
 
 
 def untaught(bench: Bench, peer: Peer, var_id: int) -> None:
     """A peer deletes its variable, and the implementation has noticed. Inconclusive if it does not."""
-    peer.send(peer.delete(var_id))
-    if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
-        bench.inconclusive("the implementation notices a deletion, which this case needs", "it does not repeat it")
+    _said(bench, peer, peer.delete(var_id), ICType.DELETE_VARIABLES, "notices a deletion")
+
+
+def _said(bench: Bench, peer: Peer, record: VarCreate | VarDelete, kind: ICType, what: str) -> None:
+    """Say it until the implementation repeats it: frames can get lost, and who knows it already is not confused."""
+    for _ in range(3):
+        peer.send(record)
+        if bench.until_instruction(kind, var_id_of(record)) is not None:
+            return
+    bench.inconclusive(f"the implementation {what}, which this case needs", "it does not repeat it")
 
 
 def entry_of(bench: Bench, var_id: int) -> dict[str, Any] | None:
