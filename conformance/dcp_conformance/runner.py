@@ -21,6 +21,9 @@ from .verdict import Verdict
 SANITY = "TC_DCP_SANITY_BV_01"
 """The case that shows that the implementation is there and answers: first, last, and after every destructive case."""
 
+#: Seconds that an implementation which has hung up may take to be seen dead.
+DEATH_PATIENCE = 1.0
+
 
 class Runner:
     """Runs one case after the other against one implementation.
@@ -114,6 +117,10 @@ class Runner:
         bench.checks.append(
             Check(Verdict.INCONCLUSIVE, bench.case.requirements, "the upper tester answers", str(error))
         )
+        # A process closes its connections before it is gone.
+        deadline = time.monotonic() + DEATH_PATIENCE
+        while self.control is not None and self.control.alive() and time.monotonic() < deadline:
+            time.sleep(0.02)
 
     def _look_after(self, case: Case, bench: Bench) -> bool:
         """See whether the implementation survived; whether it is dead now. Brings it back if that can be done."""

@@ -1,0 +1,258 @@
+"""Our node as a process under test: over Ethernet and UDP, reset, restarted, killed, and gone afterwards."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from dcp_conformance.bench import Bench, Session
+from dcp_conformance.case import Case, Kind, all_cases
+from dcp_conformance.errors import ConformanceError, UpperTesterError
+from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.process import started_at
+from dcp_conformance.reference.namespace import Namespace, NamespaceError
+from dcp_conformance.reference.process import ReferenceProcess, reference_process
+from dcp_conformance.runner import SANITY, Runner
+from dcp_conformance.verdict import Verdict
+
+from dcp_codec import Codec
+
+PERIOD_MS = 50
+PATIENCE = 60.0
+
+
+def ethernet_or_skip() -> None:
+    """Skip without network namespaces; fail where all tools are promised."""
+    try:
+        Namespace(b"\x02\0\0\0\0\x09").close()
+    except NamespaceError as error:
+        if os.environ.get("DCP_REQUIRE_TOOLS") == "1":
+            pytest.fail(f"no virtual Ethernet: {error}", pytrace=False)
+        pytest.skip(f"no virtual Ethernet: {error}")
+
+
+@pytest.fixture(params=["ethernet", "udp"])
+def node(request) -> Iterator[ReferenceProcess]:
+    """A node on each kind of link."""
+    if request.param == "ethernet":
+        ethernet_or_skip()
+    with reference_process(Codec("dcp-2.0"), beacon_period_ms=PERIOD_MS, link=request.param) as running:
+        yield running
+
+
+def runner_for(node: ReferenceProcess, profile: str = "dcp-2.0") -> Runner:
+    pics = Pics(pixit=Testing(beacon_period_ms=PERIOD_MS))
+    runner = Runner(Session(Codec(profile), node.lower, node.upper, pics), node.control)
+    runner.prepare()
+    return runner
+
+
+def made_up(run, **keys) -> Case:
+    """A case that is not in the suite."""
+    return Case("TC_X", "x", ("BP-RX-01",), Kind.VALID, "", "", 1, "", __name__, run, **keys)
+
+
+def pid_of(node: ReferenceProcess) -> int:
+    process = node.control._process  # type: ignore[attr-defined]
+    return int(process.pid)
+
+
+def until_gone(pid: int) -> None:
+    """Wait until a process has ended."""
+    deadline = time.monotonic() + PATIENCE
+    while started_at(pid) is not None:
+        assert time.monotonic() < deadline, f"process {pid} is still there"
+        time.sleep(0.02)
+
+
+def test_cases_pass(node):
+    runner = runner_for(node)
+    assert runner.session.sut_id == b"\x02\0\0\0\0\x01"
+    assert runner.session.parameters["BPPAR_BEACON_PERIOD"] == PERIOD_MS
+    chosen = [each for each in all_cases().values() if each.id == SANITY or each.id.startswith("TC_BP_RX_BI_01")]
+    assert len(chosen) >= 4
+    for each in chosen:
+        result = runner.run(each)
+        assert (result.verdict, result.reason) == (Verdict.PASS, ""), each.id
+        assert not result.killed
+
+
+def test_the_node_is_reset_between_cases(node):
+    runner = runner_for(node)
+    known: list[int] = []
+
+    def create(bench: Bench) -> None:
+        known.append(len(bench.must("RTDB-DescribeDatabase").result["variables"]))
+        bench.must("RTDB-Create", varId=9, repCnt=1, descr="x", value="01")
+        bench.must("BP-RegisterProtocol", protId=77, name="x", maxPayloadSize=9, queueingMode="BP_QMODE_ONCE")
+        peer = bench.peer()
+        peer.send(peer.create(bench.var_id()))
+        heard = bench.until(lambda heard: heard.beacon)
+        bench.check(heard, "a beacon")
+        known.append(len(bench.must("RTDB-DescribeDatabase").result["variables"]))
+        bench.must("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=333)
+        protocols = bench.must("BP-ListRegisteredProtocols").result["protocols"]
+        bench.check(len(protocols) == 3, "three protocols", str(protocols))
+        period = bench.must("BP-GetParameters").result["parameters"]["BPPAR_BEACON_PERIOD"]
+        bench.check(period == 333, "the parameter is set", str(period))
+
+    for _ in range(3):
+        result = runner.run(made_up(create))
+        assert (result.verdict, result.reason) == (Verdict.PASS, "")
+    assert known == [0, 2] * 3
+
+
+def test_time_stamps_are_those_of_the_kernel(node):
+    runner = runner_for(node)
+
+    def wait(bench: Bench) -> None:
+        bench.must("RTDB-Create", varId=9, repCnt=1, descr="x", value="01")
+        time.sleep(0.4)
+        late = bench.wait_ns(0)
+        times = [each.time for each in late]
+        bench.check(len(times) >= 4, "beacons that waited", str(len(times)))
+        spread = times[-1] - times[0]
+        bench.check(spread >= 0.1 * 1e9, "are told apart in time", f"{spread} ns")
+        bench.check(bench.own_losses(), "it knows that it was late", "it does not")
+
+    result = runner.run(made_up(wait))
+    assert result.verdict is Verdict.PASS, result.reason
+
+
+def test_a_restart_is_from_the_initial_state(node):
+    before = pid_of(node)
+    assert node.upper.call("RTDB-Create", {"varId": 9, "repCnt": 1, "descr": "x", "value": "01"}).ok
+    node.control.restart()
+    assert pid_of(node) != before
+    until_gone(before)
+    assert node.upper.call("RTDB-DescribeDatabase", {}).result["variables"] == []
+    assert runner_for(node).run(all_cases()[SANITY]).verdict is Verdict.PASS
+
+
+def test_a_case_that_kills_is_named_and_the_next_one_runs(node):
+    runner = runner_for(node)
+
+    def kill(bench: Bench) -> None:
+        os.kill(pid_of(node), signal.SIGKILL)
+        bench.wait(2)
+        bench.call("UT-Hello")
+
+    result = runner.run(made_up(kill, destructive=True, robustness=True))
+    assert (result.verdict, result.killed) == (Verdict.FAIL, True)
+    assert any("signal SIGKILL" in check.observed for check in result.checks)
+    assert runner.notes == ["the implementation died in TC_X and was restarted"]
+    assert runner.run(all_cases()[SANITY]).verdict is Verdict.PASS
+
+
+def test_a_node_that_hangs(node):
+    """Stopped by a signal it is there, and does not answer."""
+    upper = node.upper
+    upper._patience = 0.3
+    os.kill(pid_of(node), signal.SIGSTOP)
+    with pytest.raises(UpperTesterError, match=r"UT-Hello was not answered within 0\.3 s"):
+        upper.call("UT-Hello", {})
+    assert node.control.alive() is True
+    os.kill(pid_of(node), signal.SIGCONT)
+    upper._patience = PATIENCE
+    assert upper.call("UT-Hello", {}).ok
+
+
+def test_a_second_connection(node):
+    second = node.upper.another()
+    assert second is not None
+    assert second.call("UT-Hello", {}).result == node.upper.call("UT-Hello", {}).result
+    assert second.call("UT-Subscribe", {"variables": True}).ok
+    assert node.upper.call("RTDB-Create", {"varId": 9, "repCnt": 1, "descr": "x", "value": "01"}).ok
+    deadline = time.monotonic() + PATIENCE
+    told = []
+    while not told and time.monotonic() < deadline:
+        told = second.poll()
+        time.sleep(0.01)
+    assert [(each.method, each.params["varId"]) for each in told] == [("UT-VariableChanged", 9)]
+    assert node.upper.poll() == []
+    second.close()
+
+
+def test_what_it_says_of_itself():
+    ethernet_or_skip()
+    with reference_process(Codec("dcp-2.0"), link="auto") as running:
+        assert running.about == "virtual Ethernet, in a network namespace of its own"
+        assert running.lower.name == "eth:dcp-tester"
+        pid = pid_of(running)
+        # The tester itself is where it was.
+        assert Path("/proc/self/ns/net").readlink() != Path(f"/proc/{pid}/ns/net").readlink()
+    until_gone(pid)
+
+
+@pytest.mark.parametrize("profile", ["student-2024", "sim-2.0", "dcp-1.0"])
+def test_other_profiles(profile):
+    with reference_process(Codec(profile), beacon_period_ms=PERIOD_MS) as running:
+        if profile == "student-2024":
+            assert "the profile student-2024 has no frames of its own on Ethernet" in running.about
+        assert runner_for(running, profile).run(all_cases()[SANITY]).verdict is Verdict.PASS
+
+
+def test_a_node_that_does_not_start():
+    with (
+        pytest.raises(
+            ConformanceError, match=r"our node does not run: it ended with exit status 2; it said: .*no-such"
+        ),
+        reference_process(Codec("dcp-2.0"), link="udp", options=["--neighbour-file", "/no-such-folder/x"]),
+    ):
+        pytest.fail("it runs")
+
+
+SCRIPT = """
+import sys, time
+from dcp_codec import Codec
+from dcp_conformance.reference.process import reference_process
+with reference_process(Codec("dcp-2.0"), link=sys.argv[1]) as running:
+    print(running.control._process.pid, running.control._path.parent, running.about, flush=True)
+    while True:
+        running.lower.receive(running.lower.now() + 10**9)
+"""
+
+
+def started(link: str, **keys) -> tuple[subprocess.Popen[str], int, Path, str]:
+    """The script in a process, and what it says: number of the node, its folder, and over what they talk."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, link], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **keys
+    )
+    assert process.stdout is not None
+    pid, folder, about = process.stdout.readline().strip().split(" ", 2)
+    return process, int(pid), Path(folder), about
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_nothing_is_left_behind(number):
+    process, pid, folder, _ = started("auto")
+    assert folder.is_dir()
+    process.send_signal(number)
+    process.communicate(timeout=PATIENCE)
+    until_gone(pid)
+    if number is signal.SIGKILL:
+        # Nobody was there to remove it.
+        shutil.rmtree(folder)
+    assert not folder.exists()
+    if number is signal.SIGTERM:
+        assert process.returncode == 128 + signal.SIGTERM
+
+
+def test_udp_where_there_is_no_ethernet(tmp_path):
+    environment = {**os.environ, "PATH": str(tmp_path)}
+    process, pid, _, about = started("auto", env=environment)
+    assert about.startswith("UDP multicast over the loopback interface (the command ip is not installed")
+    process.terminate()
+    process.communicate(timeout=PATIENCE)
+    until_gone(pid)
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, "ethernet"], env=environment, capture_output=True, text=True, check=False
+    )
+    assert "ConformanceError: no virtual Ethernet for our node: the command ip is not installed" in done.stderr
