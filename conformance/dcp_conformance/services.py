@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 from dcp_spec.constants import BP_PROTID_SRP, ICType, SpecVersion
 
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import VarCreate, VarDelete
 
-from .bench import Bench
+from .bench import MS, Bench
 from .heard import Heard, var_id_of
 from .peers import Peer
 from .upper import Answer
@@ -64,6 +64,42 @@ def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *require
     matches = any(same_status(answer, status) for status in statuses)
     bench.check(matches, f"{method} answers {' or '.join(statuses)}", f"{answer}", *requirements)
     return answer
+
+
+# -- time --------------------------------------------------------------------------------------------------------------
+
+
+class Moment(NamedTuple):
+    """When a request was carried out: between these times of the tester's clock, ns since 1970."""
+
+    before: int
+    after: int
+
+
+def timed(bench: Bench, method: str, /, **params: Any) -> Moment:
+    """Call a service as :meth:`Bench.must` does."""
+    before = bench.lower.wall()
+    bench.must(method, **params)
+    return Moment(before, bench.lower.wall())
+
+
+def check_apart(bench: Bench, what: str, apart: int, first: Moment, second: Moment) -> None:
+    """Check that two stamps of the implementation are as far apart, in ns, as the requests that caused them.
+
+    However its clock differs from ours, this can be known to the time that the requests took.
+    """
+    slack = bench.period + nanoseconds(bench, 1)
+    low, high = second.before - first.after - slack, second.after - first.before + slack
+    expected = f"the second {what} is {low / MS:.0f} to {high / MS:.0f} ms after the first"
+    bench.check(low <= apart <= high, expected, f"{apart / MS:.0f} ms")
+
+
+def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
+    """Check that a stamp, in ns since 1970, is the time of the request, as far as the two clocks agree (PIXIT)."""
+    slack = round(bench.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
+    near = request.before - slack <= stamp <= request.after + slack
+    off = (stamp - request.before) / MS
+    bench.check(near, f"{what} is the time of the request, give or take {slack / MS:.0f} ms", f"{off:.0f} ms off")
 
 
 # -- VarDis ------------------------------------------------------------------------------------------------------------

@@ -12,7 +12,17 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.heard import Heard
-from dcp_conformance.services import nanoseconds, report_octets, safety_data, srp_blocks, told, until_report
+from dcp_conformance.services import (
+    check_apart,
+    check_now,
+    nanoseconds,
+    report_octets,
+    safety_data,
+    srp_blocks,
+    timed,
+    told,
+    until_report,
+)
 
 _UPDATE = Needs(ut=("SRP-UpdateSafetyData",), entities=("srp",))
 
@@ -113,28 +123,19 @@ def values_arrive(bench: Bench) -> None:
     needs=_UPDATE,
 )
 def time_stamp(bench: Bench) -> None:
-    stamps, times = [], []
+    stamps, requests = [], []
     for number in (1, 2):
-        times.append(bench.lower.wall())
-        heard = _sent(bench, number)
-        assert heard.report is not None
+        values = safety_data(bench, number)
+        requests.append(timed(bench, "SRP-UpdateSafetyData", sData=values))
+        heard = until_report(bench, values)
+        if heard is None or heard.report is None:
+            bench.fail("the safety data appear in a beacon", "they do not")
         stamps.append(nanoseconds(bench, heard.report.t_stamp))
         if number == 1:
             bench.wait(2)
-    apart, expected = stamps[1] - stamps[0], times[1] - times[0]
-    slack = bench.period * 2 + nanoseconds(bench, 1)
-    bench.check(
-        abs(apart - expected) <= slack,
-        f"the time stamps are {expected / 1e6:.0f} ms apart, give or take {slack / 1e6:.0f}",
-        f"{apart / 1e6:.0f} ms",
-    )
+    check_apart(bench, "tStamp", stamps[1] - stamps[0], *requests)
     if bench.profile.types.timestamp.epoch == "unix":
-        off, most = stamps[0] - times[0], bench.pixit.clock_tolerance_ms * 1e6 + bench.period
-        bench.check(
-            abs(off) <= most,
-            f"the time stamp is within {most / 1e6:.0f} ms of the tester's clock",
-            f"{off / 1e6:.0f} ms off",
-        )
+        check_now(bench, "tStamp", stamps[0], requests[0])
 
 
 @case(
@@ -151,26 +152,21 @@ def time_stamp(bench: Bench) -> None:
     ),
 )
 def time_stamp_of_late_record(bench: Bench) -> None:
-    begun = bench.lower.wall()
-    first = _sent(bench, 1).report
+    values = safety_data(bench, 1)
+    begun = timed(bench, "SRP-UpdateSafetyData", sData=values)
+    sent = until_report(bench, values)
+    first = None if sent is None else sent.report
     bench.must("BP-MGMT-Deactivate")
     try:
-        handed = bench.lower.wall()
-        values = _handed_down(bench, 2)
+        values = safety_data(bench, 2)
+        handed = timed(bench, "SRP-UpdateSafetyData", sData=values)
         bench.wait(8)
     finally:
         bench.must("BP-MGMT-Activate")
     heard = until_report(bench, values)
     if heard is None or heard.report is None or first is None:
         bench.fail("the record is sent once BP is active again", "it is not", "SRP-TYP-05")
-    apart, expected = nanoseconds(bench, heard.report.t_stamp - first.t_stamp), handed - begun
-    slack = bench.period * 3 + nanoseconds(bench, 1)
-    bench.check(
-        abs(apart - expected) <= slack,
-        f"the time stamps are {expected / 1e6:.0f} ms apart, give or take {slack / 1e6:.0f}",
-        f"{apart / 1e6:.0f} ms",
-        frames=[heard],
-    )
+    check_apart(bench, "tStamp", nanoseconds(bench, heard.report.t_stamp - first.t_stamp), begun, handed)
 
 
 @case(

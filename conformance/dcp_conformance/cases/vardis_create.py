@@ -17,6 +17,8 @@ from dcp_conformance.services import (
     OK,
     UNKNOWN,
     VALUE_TOO_LONG,
+    check_apart,
+    check_now,
     count_of,
     create_request,
     empty_status,
@@ -27,6 +29,7 @@ from dcp_conformance.services import (
     produced,
     same_status,
     taught,
+    timed,
 )
 
 _CREATE = Needs(ut=("RTDB-Create",))
@@ -86,21 +89,18 @@ def record_sender(bench: Bench) -> bytes:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
 def creation_time(bench: Bench) -> None:
-    stamps, times = [], []
+    stamps, requests = [], []
     for _ in range(2):
-        times.append(bench.lower.wall())
-        record = bench.until_instruction(_V, produced(bench))
+        var_id = bench.var_id()
+        requests.append(timed(bench, "RTDB-Create", **create_request(bench, var_id)))
+        record = bench.until_instruction(_V, var_id)
         if record is None:
             bench.fail("a VarCreate of the variable is sent", "none is", "VD-CRE-09")
         stamps.append(nanoseconds(bench, record.spec.creation_time))
         bench.wait(3)
-    apart, expected, slack = stamps[1] - stamps[0], times[1] - times[0], bench.period * 2 + nanoseconds(bench, 1)
-    observed = f"{apart / 1e6:.0f} ms"
-    bench.check(abs(apart - expected) <= slack, f"the creation times are {expected / 1e6:.0f} ms apart", observed)
+    check_apart(bench, "creationTime", stamps[1] - stamps[0], *requests)
     if bench.profile.types.timestamp.epoch == "unix":
-        off, most = abs(stamps[0] - times[0]), bench.pixit.clock_tolerance_ms * MS + bench.period
-        observed = f"{off / 1e6:.0f} ms off"
-        bench.check(off <= most, f"it is within {most / 1e6:.0f} ms of the tester's clock", observed)
+        check_now(bench, "creationTime", stamps[0], requests[0])
 
 
 @case(

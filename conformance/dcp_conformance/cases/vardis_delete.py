@@ -48,13 +48,14 @@ def repetitions(bench: Bench, name: str) -> None:
 def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Delete", varId=var_id)
+    done = bench.mark()
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
     bench.check(len(frames) == count, f"{count} beacons carry the VarDelete", f"{len(frames)} do", frames=frames)
     twice = [heard for heard in frames if len(heard.instructions(_D, var_id)) > 1]
     bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice)
     # What was prepared before the request may still leave.
     for kind in _OTHERS:
-        others = bench.frames_with(kind, var_id, mark)
+        others = bench.frames_with(kind, var_id, done)
         late = [heard for heard in others if frames and heard.time >= frames[0].time]
         bench.check(
             len(others) <= 1 and not late,

@@ -329,6 +329,7 @@ def summaries_effect(bench: Bench, most: int) -> None:
         # The new variables keep beacons coming for a while; then only summaries do.
         for _ in range(2):
             produced(bench, rep_cnt=min(3, bench.parameter(_REPETITIONS)))
+        bench.mark()
         bench.beacons(1)
         mark = bench.mark()
         bench.wait(5)

@@ -140,9 +140,10 @@ def ends_deletion(bench: Bench) -> None:
         bench.inconclusive("the deletion is heard", "it is not")
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
+    done = bench.mark()
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
-    deletions = bench.frames_with(_DELETE, var_id, mark)
+    deletions = bench.frames_with(_DELETE, var_id, done)
     late = [heard for heard in deletions if not made or heard.time >= made[0].time]
     bench.check(
         len(deletions) <= 1 and not late,
