@@ -198,3 +198,20 @@ def longest(bench: Bench) -> None:
     peer.send(record)
     came: VardisRecord | None = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
     bench.check(came == record, "the VarCreate is repeated as it came", f"{came}")
+
+
+@case(
+    "TC_VD_LEN_BI_04",
+    "A VarUpdate of an unknown variable leads to a request even if its value has length {variant}",
+    requirements="VD-PU-01",
+    stimulus="a VarUpdate of an unknown variable with a value of length {variant}",
+    expect="one VarReqCreate: the length is looked at later",
+    variants={name: _BOUNDS[name][0] for name in ("0", "max+1", "255")},
+)
+def unknown_variable(bench: Bench, bound: Bound) -> None:
+    most, widest = _field(bench, "value")
+    if not _expressible(bench, bound(most), most, widest, allowed=True):
+        return
+    peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
+    peer.send(peer.update(var_id, 1, b"v" * bound(most)))
+    bench.check_repeated(ICType.REQUEST_VARCREATES, var_id, 1, since)

@@ -224,7 +224,7 @@ def _mutated(rng: random.Random, octets: bytes) -> bytes:
     "functional check",
     expect="VarDis goes on: a new variable is learnt, updated and deleted",
     window=20,
-    variants={str(seed): seed for seed in range(1, 4)},
+    variants={str(seed): seed for seed in (1, 2)},
     destructive=True,
     robustness=True,
 )
