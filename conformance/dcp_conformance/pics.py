@@ -73,6 +73,8 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """BPPAR_BEACON_PERIOD: the unit of all time windows."""
     reaction_periods: _Positive = 4.0
     """How long a reaction may take to appear in a beacon. The public C++ implementation needs 2.5."""
+    least_patience_ms: _Positive = 300.0
+    """What is waited for is waited for at least so long, however short the period: machines are busy at times."""
     quiet_beacons: Annotated[int, msgspec.Meta(ge=1)] = 3
     """So many beacons without an instruction mean that no more are to come."""
     period_tolerance: _Positive = 0.05

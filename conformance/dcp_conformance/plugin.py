@@ -12,24 +12,24 @@ import datetime
 import importlib
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from dcp_spec.version import __version__
 
 from .case import CASES, Case, all_cases, cases_of
 from .errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
 from .expected import ExpectedResults
-from .results import CaseResult, RunResult, requirement_verdicts, summarise
+from .outcome import TESTER_ERROR, USAGE, assemble, exit_status
+from .results import CaseResult, RunResult, Sut
 from .runner import SANITY, timestamp
 from .selection import Selection, select
 from .target import Target, TargetOptions, describe, open_target
 from .verdict import Verdict
 
-AS_EXPECTED, UNEXPECTED, USAGE, INCONCLUSIVE, TESTER_ERROR = range(5)
-"""The exit statuses of ``dcp-conformance``."""
+if TYPE_CHECKING:
+    from .lanes import LaneEnd
 
 _CASES_DIRECTORY = Path(__file__).parent / "cases"
 #: Verdict -> (letter, word) for pytest's own terminal.
@@ -77,7 +77,7 @@ class ConformanceRun:
         self._on_result = on_result
         self._stack = contextlib.ExitStack()
         self._target: Target | None = None
-        self._sut: Any = None
+        self._sut: Sut | None = None
         self._notes: list[str] = []
         self._attempts: dict[str, int] = {}
         self._began = time.monotonic()
@@ -150,13 +150,34 @@ class ConformanceRun:
         assert self._target is not None
         attempt = self._attempts[case.id] = self._attempts.get(case.id, 0) + 1
         result = self._target.runner.run(case, attempt)
+        return result, self.take(case, result)
+
+    def take(self, case: Case, result: CaseResult) -> str:
+        """Take a result, of this process or of a lane; what is unexpected about it."""
         surprise = self.expected.judge(case, result)
         if surprise:
             self.unexpected.append(f"{case.id}: {surprise}")
         self.results.append(result)
         if self._on_result is not None:
             self._on_result(case, result, surprise)
-        return result, surprise
+        return surprise
+
+    def begin(self, total: int) -> None:
+        """So many cases are to be run, in lanes."""
+        if self._on_start is not None:
+            self._on_start(total)
+
+    def close_lanes(self, ends: Sequence[LaneEnd], lanes: int) -> None:
+        """All lanes are done: what they say of the implementation, and in which order their results belong."""
+        self._sut = next((end.sut for end in ends if end.sut is not None), None)
+        self._notes += [note for end in ends for note in end.notes]
+        if lanes > 1:
+            self._notes.append(f"{lanes} nodes were tested side by side, each with a share of the cases")
+        for end in ends:
+            if end.trouble and not self.trouble:
+                self.trouble, self.usage = end.trouble, end.usage
+        order = {case.id: number for number, case in enumerate(self.cases.values())}
+        self.results.sort(key=lambda result: (result.id != SANITY, order[result.id], result.attempt))
 
     def should_stop(self, result: CaseResult) -> str:
         """Why the run should end here; empty if it should go on."""
@@ -188,43 +209,22 @@ class ConformanceRun:
         """As documented: the tester's own trouble before everything, then what is unexpected, then doubts."""
         if self.trouble:
             return USAGE if self.usage else TESTER_ERROR
-        verdicts = {result.verdict for result in self.results}
-        if Verdict.ERROR in verdicts:
-            return TESTER_ERROR
-        if self.complaints():
-            return UNEXPECTED
-        if Verdict.INCONCLUSIVE in verdicts:
-            return INCONCLUSIVE
-        return AS_EXPECTED
+        return exit_status(self.results, unexpected=bool(self.complaints()))
 
     def result(self) -> RunResult:
         """Everything that is known of the run, also of one that could not begin."""
-        cases = tuple(self.results)
         notes = [*self._notes, *([self.trouble] if self.trouble else [])]
         if self.expected.entries:
             notes += self.complaints()
-        observed: dict[str, dict[str, None]] = {}
-        for case in cases:
-            for identifier, reading in case.readings.items():
-                observed.setdefault(identifier, {})[reading] = None
-        extra = {} if self._sut is None else {"sut": self._sut}
-        import msgspec
-
-        return RunResult(
-            tool=f"dcp-conformance {__version__}",
+        return assemble(
+            self.codec.profile,
+            self.pics,
+            self.results,
+            sut=self._sut,
             started=self._started,
             duration=time.monotonic() - self._began,
             command=self.command,
-            profile=self.codec.profile.name,
-            profile_title=self.codec.profile.title,
-            spec_version=str(self.codec.profile.spec_version),
-            pics=msgspec.to_builtins(self.pics),
-            cases=cases,
-            requirements=requirement_verdicts(cases),
-            summary=summarise(cases),
-            readings={identifier: tuple(names) for identifier, names in sorted(observed.items())},
-            notes=tuple(dict.fromkeys(notes)),
-            **extra,
+            notes=notes,
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -22,6 +22,9 @@ from .runner import Runner
 from .upper import UpperTester
 
 DEFAULT_PROFILE = "dcp-2.0"
+#: Beacon period in ms of our own node as a process: short, since nobody else is on its link, and everything is timed in
+#: periods.
+OWN_PERIOD = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,8 @@ class TargetOptions:
     beacon_period_ms: float | None = None
     timing_scale: float = 1.0
     seed: int = 1
+    node_id: bytes | None = None
+    """For our own node: what it is called."""
     node_options: tuple[str, ...] = field(default=())
     """For our own node as a process: further arguments of ``dcp-node run``."""
 
@@ -106,6 +111,8 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
     Raises :class:`UsageError` for what makes no sense, ``LowerTesterError`` and ``UpperTesterError`` for what does not
     work.
     """
+    if not (options.foreign or options.in_process or options.beacon_period_ms):
+        options = replace(options, beacon_period_ms=OWN_PERIOD)
     codec, pics = describe(options)
     if options.in_process and options.foreign:
         raise UsageError("--in-process tests our own node; it needs no --interface or --link")
@@ -134,20 +141,28 @@ _Opened = tuple[Session, SutControl | None, list[str]]
 
 
 def _in_process(options: TargetOptions, codec: Codec, pics: Pics) -> _Opened:
-    from .reference.inprocess import InProcess, reference_config
+    from .reference.inprocess import NODE_ID, InProcess, reference_config
 
     period = round(pics.pixit.beacon_period_ms)
-    sut = InProcess(reference_config(codec, beacon_period_ms=period), seed=options.seed)
+    sut = InProcess(
+        reference_config(codec, beacon_period_ms=period, node_id=options.node_id or NODE_ID), seed=options.seed
+    )
     session = _session(options, codec, pics, sut.lower_tester(), sut.upper_tester())
     return session, sut, ["our own node in this process, in virtual time"]
 
 
 def _own_node(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib.ExitStack) -> _Opened:
-    from .reference.process import reference_process
+    from .reference.process import NODE_ID, reference_process
 
     period = pics.pixit.beacon_period_ms
     node = stack.enter_context(
-        reference_process(codec, beacon_period_ms=period, profile=options.profile, options=options.node_options)
+        reference_process(
+            codec,
+            beacon_period_ms=period,
+            profile=options.profile,
+            node_id=options.node_id or NODE_ID,
+            options=options.node_options,
+        )
     )
     session = _session(options, codec, pics, node.lower, node.upper)
     return session, node.control, [node.about]

@@ -7,12 +7,12 @@ from collections import OrderedDict
 from collections.abc import Iterable
 
 import msgspec
-from dcp_spec.version import __version__
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_conformance.heard import Heard
+from dcp_conformance.outcome import assemble
 from dcp_conformance.pics import Pics
 from dcp_conformance.results import (
     CaseResult,
@@ -22,7 +22,6 @@ from dcp_conformance.results import (
     RunResult,
     Sut,
     requirement_verdicts,
-    summarise,
 )
 from dcp_conformance.runner import timestamp
 from dcp_conformance.verdict import Verdict, worst
@@ -111,23 +110,18 @@ class Judge:
             for each, verdict in requirement_verdicts(cases).items()
             if verdict not in (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE)
         }
-        profile = self._codec.profile
-        return RunResult(
-            tool=f"dcp-conformance {__version__}",
+        run = assemble(
+            self._codec.profile,
+            self._pics,
+            cases,
             kind="check",
+            sut=Sut(name=self._pics.sut.name or self._recording, link=f"recording {self._recording}"),
             started=self._started,
             duration=time.monotonic() - self._began,
             command=self._command,
-            profile=profile.name,
-            profile_title=profile.title,
-            spec_version=str(profile.spec_version),
-            sut=Sut(name=self._pics.sut.name or self._recording, link=f"recording {self._recording}"),
-            pics=msgspec.to_builtins(self._pics),
-            cases=cases,
-            requirements=requirements,
-            summary=summarise(cases),
             notes=(*about, *notes),
         )
+        return msgspec.structs.replace(run, requirements=requirements)
 
     def _case(self, rule: Invariant) -> CaseResult:
         checks = [

@@ -53,8 +53,13 @@ def _codec(path: Path, profile: str | None, ether_type: str | None) -> Codec:
     return Codec(msgspec.structs.replace(codec.profile, link=link))
 
 
+def guessed_profile(path: Path) -> str:
+    """The name of the profile that explains a recording best. Raises :class:`UsageError`."""
+    return _guessed(path).profile.name
+
+
 def _guessed(path: Path) -> Codec:
-    """The codec of the profile that explains the recording best, with the link it was found on."""
+    """The codec of that profile, with the link it was found on."""
     try:
         with open_capture(path) as reader:
             first, _ = sample(iter(reader))

@@ -15,6 +15,7 @@ main = CommandLine(
         "run": "Test an implementation.",
         "list": "Show the test cases.",
         "check": "Judge recordings of a network.",
+        "replay": "Play a recording at an implementation.",
         "report": "Make a report again, or put several runs side by side.",
         "compare": "Show which verdicts differ between two runs.",
     },

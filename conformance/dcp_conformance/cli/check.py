@@ -39,9 +39,9 @@ def command(
     an occasion for.
     """
     from dcp_conformance.check.recording import judge_recording
+    from dcp_conformance.outcome import exit_status
     from dcp_conformance.pics import Pics, load_pics
     from dcp_conformance.reporting import write_report
-    from dcp_conformance.verdict import Verdict
 
     from .display import console, print_summary
 
@@ -67,9 +67,7 @@ def command(
             out = console()
             for identifier, verdict in sorted(run.requirements.items()):
                 out.print(f"  {identifier:<12} {verdict:<13} {requirements()[identifier].statement}", soft_wrap=True)
-        verdicts = {case.verdict for case in run.cases}
-        status = 4 if Verdict.ERROR in verdicts else 1 if Verdict.FAIL in verdicts else 0
-        worst_status = max(worst_status, status)
+        worst_status = max(worst_status, exit_status(run.cases))
     return worst_status
 
 

@@ -136,13 +136,14 @@ def _print_observations(out: Console, run: RunResult) -> None:
 
 def _sections(run: RunResult) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("section", no_wrap=True, overflow="ellipsis")
+    table.add_column("", no_wrap=True, overflow="ellipsis", min_width=20)
     for verdict in _COLUMNS:
         heading = _HEADINGS.get(verdict, str(verdict))
         table.add_column(heading, justify="right", no_wrap=True, min_width=len(heading))
     sections: dict[tuple[str, str], dict[Verdict, int]] = {}
     for case in run.cases:
-        row = sections.setdefault((case.table, case.section), dict.fromkeys(Verdict, 0))
+        # By document: every heading of it would be pages.
+        row = sections.setdefault((case.table, case.section.partition(":")[0]), dict.fromkeys(Verdict, 0))
         row[case.verdict] += 1
     totals: dict[str, dict[Verdict, int]] = {}
     for kind in ("conformance", "robustness"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -20,6 +19,14 @@ from .options import EXIT_STATUS, selection_of, selection_options, target_of, ta
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
 @click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run everything N times.")
 @click.option("--until-fail", is_flag=True, help="End with the first fail.")
+@click.option(
+    "--jobs",
+    "-j",
+    type=click.IntRange(1, 64),
+    default=4,
+    metavar="N",
+    help="Nodes side by side, of our own.  [default: 4]",
+)
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
 @click.option("--quiet", "-q", is_flag=True, help="Only the summary.")
@@ -33,8 +40,7 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    import pytest
-
+    from dcp_conformance.lanes import run_in_lanes, run_pytest
     from dcp_conformance.plugin import ConformanceRun
 
     from .display import Display, print_summary
@@ -56,13 +62,12 @@ def command(**options: Any) -> int:
         for case in run.selected:
             click.echo(f"{case.id}  {case.purpose}")
         return 0
-    arguments = ["-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases", "-c", os.devnull]
-    arguments += ["--rootdir", str(Path(__file__).parent.parent), "-p", "no:cacheprovider", "--noconftest"]
+    lanes = 1 if target.foreign or target.in_process or extra else options["jobs"]
     if extra:
-        pytest.main([*arguments, *extra], plugins=[run])
+        run_pytest(run, extra)
     else:
         with display:
-            pytest.main([*arguments, "-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings"], plugins=[run])
+            run_in_lanes(run, lanes) if lanes > 1 else run_pytest(run)
     result = run.result()
     report = options["report_dir"]
     if report is not None:

@@ -111,12 +111,9 @@ class Oracle:
                 if type(record) is kind:
                     self._process(record, time, frame)
 
-    def doubt(self, records: Iterable[VardisRecord]) -> None:
-        """A payload of which it is open whether the node takes it, all or in part."""
-        for record in records:
-            spec = getattr(record, "spec", None)
-            var_id: int = record.var_id if spec is None else spec.var_id  # type: ignore[union-attr]
-            self._variable(var_id).uncertain = True
+    def doubt(self, var_id: int) -> None:
+        """A payload said something of a variable of which it is open whether the node has taken it."""
+        self._variable(var_id).uncertain = True
 
     def _process(self, record: VardisRecord, time: int, frame: int) -> None:
         match record:
@@ -294,7 +291,9 @@ class Oracle:
             # The producer's own creation time is its own clock's: only it knows.
             if not self._own(fitting[-1]) and specs and record.spec not in specs:
                 yield Complaint("VD-PC-10", var_id, f"{specs[-1]}", f"{record.spec}", frame)
-        if kind is not ICType.SUMMARIES:
+        current = versions[-1] in fitting and (kind is ICType.DELETE_VARIABLES or seqno == versions[-1].seqno)
+        if kind is not ICType.SUMMARIES and current:
+            # What is of an earlier creation, or was a moment ago, is counted no more.
             yield from self._counted(kind, var_id, seqno, frame)
 
     def _counted(self, kind: ICType, var_id: int, seqno: int, frame: int) -> Iterator[Complaint]:

@@ -242,9 +242,9 @@ def _ether_type(config: NodeConfig) -> int:
     return config.profile.link.ether_type or 0x4953
 
 
-def reference_config(codec: Codec, *, beacon_period_ms: int = 100) -> NodeConfig:
+def reference_config(codec: Codec, *, beacon_period_ms: int = 100, node_id: bytes = NODE_ID) -> NodeConfig:
     """The node that the suite runs against when no other is named: everything on, nothing unusual."""
-    representation = codec.profile.types.node_id.representation
-    node_id = NODE_ID.hex(":").encode() if representation == "text" else NODE_ID
+    if codec.profile.types.node_id.representation == "text" and len(node_id) == len(NODE_ID):
+        node_id = node_id.hex(":").encode()
     bp = BPConfig(beacon_period_ms=beacon_period_ms)
     return NodeConfig(node_id=node_id, codec=codec, bp=bp, srp=SRPConfig() if codec.profile.srp.record else None)

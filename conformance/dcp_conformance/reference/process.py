@@ -52,6 +52,7 @@ def reference_process(
     beacon_period_ms: float = 100,
     link: LinkKind = "auto",
     profile: str | None = None,
+    node_id: bytes = NODE_ID,
     options: Sequence[str] = (),
     patience: float = 5.0,
 ) -> Iterator[ReferenceProcess]:
@@ -74,7 +75,7 @@ def reference_process(
         command = [
             *(sys.executable, "-m", "dcp_stack.cli", "run", *link_options, "--control", str(path)),
             *("--profile", profile or codec.profile.name, "--beacon-period", f"{beacon_period_ms:g}"),
-            *("--node-id", NODE_ID.hex(":") if representation != "hex" else NODE_ID.hex(), "--log-level", "warning"),
+            *("--node-id", node_id.hex(":") if representation != "hex" else node_id.hex(), "--log-level", "warning"),
             *options,
         ]
         control = _NodeControl(command, path, namespace)

@@ -1,0 +1,85 @@
+"""``dcp-conformance replay``."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from dcp_conformance.errors import UsageError
+
+from .options import EXIT_STATUS, target_of, target_options
+
+
+@click.command("replay", epilog=EXIT_STATUS)
+@click.argument("capture", type=click.Path(path_type=Path))
+@target_options
+@click.option("--node", metavar="ID", help="The recorded node whose part the implementation plays.")
+@click.option("--speed", type=click.FloatRange(min=0), default=1.0, metavar="X", help="2: twice as fast; 0: in step.")
+@click.option("--no-services", is_flag=True, help="Do not do again what the node's applications did.")
+@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
+def command(capture: Path, **options: Any) -> int:
+    """Play a recording at an implementation, and judge what it makes of it.
+
+    The implementation takes the part of one recorded node; the frames of all others are played to it, and with an upper
+    tester also what the applications of that node did. Its answers are judged by an independent model of what the
+    specification asks, and the outcome is compared with that of the recorded node.
+    """
+    from dcp_conformance.outcome import assemble, exit_status
+    from dcp_conformance.replay import Replay, ReplayOptions, cast_of, choose_node
+    from dcp_conformance.reporting import write_report
+    from dcp_conformance.runner import timestamp
+    from dcp_conformance.target import describe, open_target
+
+    from .display import print_summary
+
+    node = _node_id(options["node"])
+    target_options = target_of(options)
+    if target_options.profile is None and target_options.pics is None:
+        from dcp_conformance.check.recording import guessed_profile
+
+        target_options = dataclasses.replace(target_options, profile=guessed_profile(capture))
+    codec, _ = describe(target_options)
+    if not target_options.foreign:
+        # Our own node is called as the one whose part it plays.
+        chosen = node or choose_node(cast_of(capture, codec), None)
+        target_options = dataclasses.replace(target_options, node_id=chosen)
+        if target_options.beacon_period_ms is None:
+            target_options = dataclasses.replace(target_options, beacon_period_ms=100.0)
+        node = chosen
+    replay = Replay(capture, ReplayOptions(node, options["speed"], not options["no_services"]))
+    begun, started = time.monotonic(), timestamp()
+    again = shlex.join(["dcp-conformance", *sys.argv[1:]])
+    with open_target(target_options) as target:
+        target.runner.prepare()
+        cases = [target.runner.run(case) for case in replay.cases()]
+        run = assemble(
+            codec.profile,
+            target.pics,
+            [msgspec.structs.replace(case, rerun=again) for case in cases],
+            kind="replay",
+            sut=target.runner.about(),
+            started=started,
+            duration=time.monotonic() - begun,
+            command=again,
+            notes=target.runner.notes,
+        )
+    report = options["report_dir"]
+    page = str(write_report(run, report, codec)) if report is not None else ""
+    print_summary(run, report=page)
+    return exit_status(cases)
+
+
+def _node_id(text: str | None) -> bytes | None:
+    if text is None:
+        return None
+    try:
+        return bytes.fromhex(text.replace(":", ""))
+    except ValueError:
+        raise UsageError(f"--node {text!r} is no node identifier; write it as 02:00:00:00:00:01") from None

@@ -1,0 +1,122 @@
+"""One run in several lanes: each has an implementation of its own, and a share of the cases.
+
+Cases wait most of the time, so that lanes cost little. Only our own node can be had several times; a foreign
+implementation is there once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pytest
+
+from .plugin import ConformanceRun
+from .results import CaseResult, Sut
+from .runner import SANITY
+from .selection import Selection
+from .target import TargetOptions
+
+
+class LaneEnd(NamedTuple):
+    """What a lane has to say when it is done."""
+
+    sut: Sut | None
+    notes: tuple[str, ...]
+    trouble: str
+    usage: bool
+
+
+def run_pytest(run: ConformanceRun, extra: list[str] | None = None) -> None:
+    """Run the cases with pytest in this process; with ``extra`` options pytest reports itself."""
+    arguments = ["-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases", "-c", os.devnull]
+    arguments += ["--rootdir", str(Path(__file__).parent), "-p", "no:cacheprovider", "--noconftest"]
+    if not extra:
+        arguments += ["-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings"]
+    pytest.main([*arguments, *(extra or [])], plugins=[run])
+
+
+def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
+    """Run the selected cases of ``run`` in so many processes; results come to ``run`` as they are there."""
+    cases = [case.id for case in run.selected if case.base != SANITY]
+    lanes = max(1, min(lanes, len(cases)))
+    # Neighbours are of a kind and take alike long: dealt out one by one, the lanes are done together.
+    shares = [cases[number::lanes] for number in range(lanes)]
+    context = multiprocessing.get_context("spawn")
+    run.begin(len(cases))
+    with contextlib.ExitStack() as stack:
+        connections: dict[Connection, Any] = {}
+        for share in shares:
+            ours, theirs = context.Pipe(duplex=False)
+            options = (run.options, tuple(share), run.repeat, run.until_fail)
+            process = context.Process(target=_lane, args=(theirs, *options), daemon=True)
+            process.start()
+            theirs.close()
+            stack.callback(_end, process)
+            connections[ours] = process
+        ends = []
+        for message in _messages(connections):
+            if isinstance(message, LaneEnd):
+                ends.append(message)
+                continue
+            result = msgspec.json.decode(message, type=CaseResult)
+            run.take(run.cases[result.id], result)
+            if run.until_fail and run.should_stop(result):
+                break
+        run.close_lanes(ends, lanes)
+
+
+def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
+    open_ones = dict(connections)
+    while open_ones:
+        for ready in wait(list(open_ones)):
+            assert isinstance(ready, Connection)
+            try:
+                yield ready.recv()
+            except EOFError:
+                # Its last words were a LaneEnd, or it was killed.
+                process = open_ones.pop(ready)
+                process.join(5)
+                if process.exitcode:
+                    yield LaneEnd(
+                        None, (), f"a lane of the tester has ended with status {process.exitcode}", usage=False
+                    )
+
+
+def _lane(to: Connection, options: TargetOptions, cases: tuple[str, ...], repeat: int, until_fail: bool) -> None:
+    """What a lane's process does."""
+    # Ctrl-C reaches the whole group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
+    run = ConformanceRun(
+        options,
+        Selection(patterns=cases),
+        repeat=repeat,
+        until_fail=until_fail,
+        on_result=lambda _case, result, _surprise: to.send(msgspec.json.encode(result)),
+    )
+    try:
+        run_pytest(run)
+        about = run.result()
+        to.send(LaneEnd(about.sut, about.notes, run.trouble, run.usage))
+    except BrokenPipeError:
+        # Nobody listens any more.
+        return
+    finally:
+        to.close()
+
+
+def _end(process: Any) -> None:
+    if process.is_alive():
+        process.terminate()
+        process.join(10)
+    if process.is_alive():
+        process.kill()

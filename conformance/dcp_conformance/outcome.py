@@ -1,0 +1,74 @@
+"""From the results of cases to those of a run, and to an exit status."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final, Literal
+
+import msgspec
+from dcp_spec.profile import Profile
+from dcp_spec.version import __version__
+
+from .pics import Pics
+from .results import CaseResult, RunResult, Sut, requirement_verdicts, summarise
+from .verdict import Verdict
+
+AS_EXPECTED, UNEXPECTED, USAGE, INCONCLUSIVE, TESTER_ERROR = range(5)
+"""The exit statuses of ``dcp-conformance``."""
+
+TOOL: Final = f"dcp-conformance {__version__}"
+
+
+def assemble(
+    profile: Profile,
+    pics: Pics,
+    cases: Iterable[CaseResult],
+    *,
+    kind: Literal["run", "check", "replay", "selftest", "fuzz"] = "run",
+    sut: Sut | None = None,
+    started: str = "",
+    duration: float = 0.0,
+    command: str = "",
+    notes: Iterable[str] = (),
+) -> RunResult:
+    """A run of these cases, with what follows from them."""
+    cases = tuple(cases)
+    observed: dict[str, dict[str, None]] = {}
+    for case in cases:
+        for identifier, reading in case.readings.items():
+            observed.setdefault(identifier, {})[reading] = None
+    return RunResult(
+        tool=TOOL,
+        kind=kind,
+        started=started,
+        duration=duration,
+        command=command,
+        profile=profile.name,
+        profile_title=profile.title,
+        spec_version=str(profile.spec_version),
+        sut=sut or Sut(),
+        pics=_plain(pics),
+        cases=cases,
+        requirements=requirement_verdicts(cases),
+        summary=summarise(cases),
+        readings={identifier: tuple(names) for identifier, names in sorted(observed.items())},
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def exit_status(cases: Iterable[CaseResult], *, unexpected: bool | None = None) -> int:
+    """The tester's own faults before everything, then what is unexpected, then doubts.
+
+    ``unexpected``: whether anything is; None if every fail is.
+    """
+    verdicts = {case.verdict for case in cases}
+    if Verdict.ERROR in verdicts:
+        return TESTER_ERROR
+    if Verdict.FAIL in verdicts if unexpected is None else unexpected:
+        return UNEXPECTED
+    return INCONCLUSIVE if Verdict.INCONCLUSIVE in verdicts else AS_EXPECTED
+
+
+def _plain(pics: Pics) -> dict[str, Any]:
+    plain: dict[str, Any] = msgspec.to_builtins(pics)
+    return plain
