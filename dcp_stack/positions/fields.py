@@ -148,7 +148,8 @@ class SafetyFields:
             raise FieldError(f"{name} takes a number, not {value!r}")
         if field.type.startswith("f"):
             return _real(field, value)
-        if not math.isfinite(value):
+        # An integer is finite, and may be too large for a float.
+        if isinstance(value, float) and not math.isfinite(value):
             raise FieldError(f"{name} is of type {field.type} and cannot be {value}")
         whole = round(value)
         bits, signed = 8 * field.width, field.type.startswith("i")
@@ -191,7 +192,10 @@ class SafetyFields:
                 if field is None:
                     continue
                 number = isinstance(value, int | float) and not isinstance(value, bool)
-                found[field.name] = value / self.factor(field.name) if number else value
+                try:
+                    found[field.name] = value / self.factor(field.name) if number else value
+                except OverflowError:
+                    raise FieldError(f"{key} cannot be so large an integer") from None
             else:
                 found[self.name_of(key)] = value
         return self.complete(found)

@@ -257,7 +257,11 @@ class MavlinkStream(Source):
             return
         try:
             position, velocity = self._local(message) if self._origin is None else self._global(message, self._origin)
-            found.append(self._fields.from_sample(as_sample(position, velocity)))
+            # An autopilot sends not-a-number for what it does not know.
+            if not all(map(math.isfinite, position)):
+                raise FieldError("the autopilot does not know its place")
+            moving = velocity if all(map(math.isfinite, velocity)) else None
+            found.append(self._fields.from_sample(as_sample(position, moving)))
         except FieldError as error:
             self.complain("out-of-range", f"a position was ignored: {error}")
 

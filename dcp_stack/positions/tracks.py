@@ -12,8 +12,8 @@ from .fields import SafetyFields
 from .geometry import NS_PER_S, Vector, distance, moved
 
 RATE: Final = 20.0
-"""Samples per s where nobody says otherwise: two for each beacon at the usual 10 per s. With one, jitter decides whether
-a beacon finds a fresh one, and every few beacons go without a state report."""
+"""Samples per s where nobody says otherwise: two for each beacon at the usual 10 per s. With one, jitter decides
+whether a beacon finds a fresh one, and every few beacons go without a state report."""
 State = tuple[Vector, Vector]
 """Place (m) and velocity (m/s)."""
 
@@ -160,10 +160,10 @@ class Track(Source):
         if now < self._due:
             return []
         self._due += (1 + (now - self._due) // self._period) * self._period
-        position, velocity = self._path.at((now - self._start) / NS_PER_S)
         try:
-            return [self._fields.from_motion(position, velocity)]
-        except ValueError as error:
+            return [self._fields.from_motion(*self._path.at((now - self._start) / NS_PER_S))]
+        except (ValueError, ArithmeticError) as error:
+            # Beside values that do not fit: tracks of lengths and speeds where the numbers end.
             self.complain("out-of-range", str(error))
             return []
 

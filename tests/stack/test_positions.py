@@ -739,3 +739,34 @@ def test_the_parts_are_usable_alone():
     with pytest.raises(SourceError):
         port_opener("udpout:1:2")
     assert MavlinkStream.__doc__
+
+
+@pytest.mark.parametrize("profile", ["dcp-2.0", "sim-2.0", "student-2024"])
+def test_integers_beyond_all_floats_are_refused(profile):
+    with pytest.raises(FieldError, match="so large an integer"):
+        fields_of(profile).from_sample({"x": 10**400, "y": 1, "z": 2})
+    with pytest.raises(FieldError, match="cannot be 1000"):
+        fields_of("student-2024").from_sample({"position_x": 10**400})
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "track:circle,radius=1e-300,speed=1e200",
+        "track:line,length=1e-320,speed=1e200",
+    ],
+)
+def test_tracks_where_the_numbers_end_say_so(spec):
+    source = opened(spec)
+    assert [each for second in range(1, 5) for each in source.poll(second * S, 0)][1:] == []
+    assert source.counts["out-of-range"] >= 3
+    assert len(source.take_complaints()) == 1
+
+
+def test_a_place_that_the_autopilot_does_not_know_is_none(stream):
+    source, vehicle = stream()
+    vehicle.mav.local_position_ned_send(1, float("nan"), 2.0, 3.0, 0.0, 0.0, 0.0)
+    vehicle.mav.local_position_ned_send(1, 1.0, 2.0, 3.0, float("nan"), 0.0, 0.0)
+    # The velocity may be unknown by itself.
+    assert [position_of(sample) for sample in arrived(source)] == [[2, 1, -3, 0, 0, 0]]
+    assert source.counts["out-of-range"] == 1
