@@ -16,6 +16,7 @@ from dcp_codec.errors import DecodeError
 from dcp_codec.values import VarCreate, VarDelete
 
 from .bench import MS, Bench
+from .errors import UpperTesterError
 from .heard import Heard, var_id_of
 from .peers import Peer
 from .upper import Answer
@@ -64,6 +65,25 @@ def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *require
     matches = any(same_status(answer, status) for status in statuses)
     bench.check(matches, f"{method} answers {' or '.join(statuses)}", f"{answer}", *requirements)
     return answer
+
+
+def rows(answer: Answer, member: str) -> list[dict[str, Any]]:
+    """A member of a result that is a list of objects; none if it is not there.
+
+    Raises ``UpperTesterError`` for anything else: it is against the contract, and says nothing of the implementation.
+    """
+    found = answer.result.get(member, [])
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise UpperTesterError(f"{member} must be a list of objects: {str(found)[:200]}")
+    return found
+
+
+def described(answer: Answer) -> dict[str, Any]:
+    """The entry in a result of RTDB-DescribeVariable; empty if there is none. Raises as :func:`rows`."""
+    found = answer.result.get("variable", {})
+    if not isinstance(found, dict):
+        raise UpperTesterError(f"variable must be an object: {str(found)[:200]}")
+    return found
 
 
 # -- time --------------------------------------------------------------------------------------------------------------
@@ -166,16 +186,18 @@ def _said(bench: Bench, peer: Peer, record: VarCreate | VarDelete, kind: ICType,
 def entry_of(bench: Bench, var_id: int) -> dict[str, Any] | None:
     """The database entry by RTDB-DescribeVariable, None if there is none."""
     answer = bench.call("RTDB-DescribeVariable", varId=var_id)
-    entry = answer.result.get("variable")
-    return entry if answer.ok and isinstance(entry, dict) else None
+    return (described(answer) or None) if answer.ok else None
 
 
 def listed(bench: Bench) -> dict[int, dict[str, Any]]:
     """The variables of RTDB-DescribeDatabase by identifier."""
-    found = bench.must("RTDB-DescribeDatabase").result.get("variables")
-    if not isinstance(found, list):
-        bench.fail("RTDB-DescribeDatabase returns a list", f"variables: {found!r}")
-    return {each["varId"]: each for each in found if isinstance(each, dict) and isinstance(each.get("varId"), int)}
+    return {each["varId"]: each for each in rows(bench.must("RTDB-DescribeDatabase"), "variables") if "varId" in each}
+
+
+def registration(bench: Bench, prot_id: int) -> dict[str, Any] | None:
+    """What BP-ListRegisteredProtocols says of a protocol; None if it is not registered."""
+    found = rows(bench.must("BP-ListRegisteredProtocols"), "protocols")
+    return next((row for row in found if row.get("protocolId") == prot_id), None)
 
 
 def max_repetitions(bench: Bench) -> int:
@@ -255,3 +277,35 @@ def nanoseconds(bench: Bench, ticks: int) -> int:
     """A time stamp or a difference of two, as on the air, in ns."""
     unit = {"s": 10**12, "ms": 10**9, "us": 10**6, "ns": 10**3, "ps": 1}[bench.profile.types.timestamp.unit]
     return ticks * unit // 1000
+
+
+def neighbours(bench: Bench) -> dict[bytes, list[dict[str, Any]]]:
+    """The neighbour table by node identifier; a list each, because there must be only one."""
+    found: dict[bytes, list[dict[str, Any]]] = {}
+    for row in rows(bench.must("SRP-NeighbourTable"), "neighbours"):
+        found.setdefault(_octets(row.get("nodeId")), []).append(row)
+    return found
+
+
+def _octets(node_id: Any) -> bytes:
+    try:
+        return bytes.fromhex(str(node_id).replace(":", ""))
+    except ValueError:
+        raise UpperTesterError(f"a nodeId must be hex: {str(node_id)[:100]}") from None
+
+
+def neighbour(bench: Bench, node_id: bytes) -> dict[str, Any] | None:
+    """The entry of a node, None if there is none."""
+    return next(iter(neighbours(bench).get(node_id, ())), None)
+
+
+def until_neighbour(bench: Bench, node_id: bytes, seqno: int | None = None) -> dict[str, Any] | None:
+    """The entry of a node, with this seqno unless None, once it is there; None if that takes too long."""
+    deadline = bench.now() + round(bench.reaction * bench.period)
+    while True:
+        entry = neighbour(bench, node_id)
+        if entry is not None and seqno in (None, entry.get("seqno")):
+            return entry
+        if bench.now() >= deadline:
+            return None
+        bench.wait(0.1)

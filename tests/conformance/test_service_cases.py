@@ -18,6 +18,7 @@ from .rig import OTHER_PROFILES, PROFILES, codec_of, ids_of, known_cases, one_ca
 MODULES = (
     "srp_record",
     "srp_table",
+    "srp_soft_state",
     "srp_forwarding",
     "srp_init",
     "vardis_create",

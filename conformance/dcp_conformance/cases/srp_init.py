@@ -10,19 +10,17 @@ from dcp_spec.constants import BP_PROTID_SRP
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.services import NO_RESPONSE, report_octets, safety_data, told
+from dcp_conformance.services import NO_RESPONSE, neighbours, registration, report_octets, safety_data, told
 
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",), entities=("srp",))
 _NAME = re.compile(r"SRP -- State Reporting Protocol V(\d+\.\d+)")
 
 
 def _registration(bench: Bench) -> dict[str, Any]:
-    rows = bench.must("BP-ListRegisteredProtocols").result.get("protocols", [])
-    found = [row for row in rows if row.get("protocolId") == int(BP_PROTID_SRP)]
-    if not found:
-        others = [row.get("protocolId") for row in rows]
-        bench.fail("SRP is registered under protocol identifier 1", f"registered are {others}", "SRP-INI-01")
-    return dict(found[0])
+    found = registration(bench, int(BP_PROTID_SRP))
+    if found is None:
+        bench.fail("SRP is registered under protocol identifier 1", "it is not", "SRP-INI-01")
+    return found
 
 
 @case(
@@ -82,10 +80,8 @@ def _fresh_start(bench: Bench, restart: bool) -> None:
         bench.restart()
     else:
         bench.must("UT-Reset")
-    rows = bench.must("SRP-NeighbourTable").result.get("neighbours", [])
-    known = [row.get("nodeId") for row in rows]
-    mine = peer.node_id.hex(":")
-    bench.check(mine not in known, "the neighbour table does not have those from before", f"{mine} is in it")
+    gone = peer.node_id not in neighbours(bench)
+    bench.check(gone, "the neighbour table does not have those from before", f"{peer.node_id.hex(':')} is in it")
     values = safety_data(bench, 3)
     bench.must("SRP-UpdateSafetyData", sData=values)
     heard = bench.until(lambda heard: heard.report and told(bench, heard.report) == values and heard)

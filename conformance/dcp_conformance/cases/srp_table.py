@@ -1,4 +1,4 @@
-"""dcp-srp.md: Receive Path, The Neighbour Table and Runtime.
+"""dcp-srp.md: Receive Path and The Neighbour Table.
 
 What has to be ignored is shown by a record that must not enter the table, and by one of another node behind it that
 must.
@@ -14,44 +14,16 @@ from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.forge import Block
 from dcp_conformance.peers import Peer
-from dcp_conformance.services import parameters_set, safety_data
+from dcp_conformance.services import neighbour, neighbours, rows, safety_data, until_neighbour
 
-_TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
-
-
-def _entries(bench: Bench) -> dict[bytes, list[dict[str, Any]]]:
-    """The table by node identifier; a list each, because there must be only one."""
-    rows = bench.must("SRP-NeighbourTable").result.get("neighbours")
-    if not isinstance(rows, list):
-        bench.fail("SRP-NeighbourTable returns a list", f"neighbours: {rows!r}", "SRP-NT-02")
-    found: dict[bytes, list[dict[str, Any]]] = {}
-    for row in rows:
-        found.setdefault(bytes.fromhex(str(row["nodeId"]).replace(":", "")), []).append(row)
-    return found
-
-
-def _entry(bench: Bench, node_id: bytes) -> dict[str, Any] | None:
-    return next(iter(_entries(bench).get(node_id, ())), None)
-
-
-def _until_entry(bench: Bench, node_id: bytes, seqno: int | None = None) -> dict[str, Any] | None:
-    """The entry of a node, with this seqno unless None, once it is there; None if that takes too long."""
-    deadline = bench.now() + round(bench.reaction * bench.period)
-    while True:
-        entry = _entry(bench, node_id)
-        if entry is not None and seqno in (None, entry.get("seqno")):
-            return entry
-        if bench.now() >= deadline:
-            return None
-        bench.wait(0.1)
 
 
 def _require_working(bench: Bench, after: str) -> None:
     """Stop as failed unless the record of another neighbour still enters the table."""
     probe = bench.peer()
     probe.send(bench.report(probe.node_id, 1))
-    entry = _until_entry(bench, probe.node_id)
+    entry = until_neighbour(bench, probe.node_id)
     bench.require(entry is not None, f"the record of another neighbour is stored after {after}", "it is not")
 
 
@@ -75,7 +47,7 @@ def stored(bench: Bench) -> None:
     report = bench.report(peer.node_id, 77, **values)
     sent = bench.lower.wall()
     peer.send(report)
-    entry = _until_entry(bench, peer.node_id)
+    entry = until_neighbour(bench, peer.node_id)
     if entry is None:
         bench.fail("the table has an entry of the record's node", "it has none")
     came = bench.lower.wall()
@@ -88,7 +60,7 @@ def stored(bench: Bench) -> None:
     time, slack = entry.get("receptionTime"), bench.pixit.clock_tolerance_ms * MS
     near = isinstance(time, int) and sent - slack <= time <= came + slack
     bench.check(near, f"receptionTime within {slack / 1e6:.0f} ms of the tester's clock", f"{time}", "SRP-RX-03")
-    bench.check(len(_entries(bench)[peer.node_id]) == 1, "one entry of the node", "several", "SRP-NT-01")
+    bench.check(len(neighbours(bench)[peer.node_id]) == 1, "one entry of the node", "several", "SRP-NT-01")
 
 
 @case(
@@ -102,21 +74,21 @@ def stored(bench: Bench) -> None:
 def replaced(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, 5, **_small(bench, 1)))
-    first = _until_entry(bench, peer.node_id)
+    first = until_neighbour(bench, peer.node_id)
     if first is None:
         bench.fail("the table has an entry of the first record", "it has none", "SRP-RX-03")
     bench.wait(2)
     values = _small(bench, 2)
     peer.send(bench.report(peer.node_id, 6, **values))
-    second = _until_entry(bench, peer.node_id, 6)
+    second = until_neighbour(bench, peer.node_id, 6)
     if second is None:
         bench.fail("the entry is that of the second record", "it is still the first", "SRP-RX-03")
     observed = {name: second.get("sData", {}).get(name) for name in values}
     bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03")
     later = second.get("receptionTime", 0) - first.get("receptionTime", 0)
     bench.check(later >= bench.period, "receptionTime is renewed", f"it is {later / 1e6:.0f} ms later", "SRP-RX-03")
-    rows = _entries(bench).get(peer.node_id, [])
-    bench.check(len(rows) == 1, "one entry of the node", f"{len(rows)}", "SRP-NT-01")
+    same = neighbours(bench).get(peer.node_id, [])
+    bench.check(len(same) == 1, "one entry of the node", f"{len(same)}", "SRP-NT-01")
 
 
 @case(
@@ -131,12 +103,12 @@ def replaced(bench: Bench) -> None:
 def not_newer(bench: Bench, seqno: int) -> None:
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, 100, **_small(bench, 1)))
-    if _until_entry(bench, peer.node_id, 100) is None:
+    if until_neighbour(bench, peer.node_id, 100) is None:
         bench.inconclusive("the table has an entry of the first record", "it has none")
     values = _small(bench, 2)
     peer.send(bench.report(peer.node_id, seqno, **values))
     _require_working(bench, "a record with an older number")
-    entry = _entry(bench, peer.node_id) or {}
+    entry = neighbour(bench, peer.node_id) or {}
     data = entry.get("sData", {})
     taken = entry.get("seqno") == seqno and all(data.get(name) == value for name, value in values.items())
     bench.info("is a record stored whose number is not newer", "yes" if taken else "no: sequence numbers are a filter")
@@ -158,8 +130,8 @@ def not_newer(bench: Bench, seqno: int) -> None:
 def key(bench: Bench) -> None:
     peer, other = bench.peer(), bench.node_id()
     peer.send(bench.report(other, 1))
-    bench.check(_until_entry(bench, other) is not None, "an entry of the record's node", "there is none")
-    bench.check(_entry(bench, peer.node_id) is None, "no entry of the beacon's sender", "there is one")
+    bench.check(until_neighbour(bench, other) is not None, "an entry of the record's node", "there is none")
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "there is one")
 
 
 @case(
@@ -174,7 +146,7 @@ def wide_numbers(bench: Bench) -> None:
     for number in (0xFFFF_FFFF, 0x0102_0304):
         peer = bench.peer()
         peer.send(bench.report(peer.node_id, number))
-        entry = _until_entry(bench, peer.node_id)
+        entry = until_neighbour(bench, peer.node_id)
         observed = "no entry" if entry is None else f"seqno {entry.get('seqno')}"
         bench.check(entry is not None and entry.get("seqno") == number, f"an entry with seqno {number}", observed)
 
@@ -202,11 +174,11 @@ def _block(bench: Bench, peer: Peer, name: str) -> Block:
     variants={name: name for name in ("one-short", "one-long", "one-octet", "twice", "without-seqno")},
 )
 def wrong_length(bench: Bench, name: str) -> None:
-    before = set(_entries(bench))
+    before = set(neighbours(bench))
     peer = bench.peer()
     peer.send(_block(bench, peer, name))
     _require_working(bench, "a payload of a wrong length")
-    table = set(_entries(bench))
+    table = set(neighbours(bench))
     bench.check(peer.node_id not in table, "no entry of the payload's node", "there is one")
     # Nobody else was there to speak: anything else was read out of the payload.
     others = table - before - {each.node_id for each in bench.peers_made}
@@ -226,7 +198,7 @@ def wrong_protocol(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(Block(3, bench.forge.srp(bench.report(peer.node_id, 1)).octets))
     _require_working(bench, "a record in a block of another protocol")
-    bench.check(_entry(bench, peer.node_id) is None, "no entry of the payload's node", "there is one")
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "there is one")
 
 
 @case(
@@ -241,7 +213,7 @@ def own_identifier(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.report(bench.sut_id, 1))
     _require_working(bench, "a record with its own identifier")
-    bench.check(_entry(bench, bench.sut_id) is None, "the table does not contain the own node", "it does")
+    bench.check(neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does")
 
 
 @case(
@@ -257,15 +229,15 @@ def list_and_look_up(bench: Bench) -> None:
     for number, peer in enumerate(peers):
         peer.send(bench.report(peer.node_id, number))
     for peer in peers:
-        found = _until_entry(bench, peer.node_id)
-        bench.check(found is not None, f"{peer.node_id.hex(':')} is in the list", "it is not", "SRP-NT-02")
+        entry = until_neighbour(bench, peer.node_id)
+        bench.check(entry is not None, f"{peer.node_id.hex(':')} is in the list", "it is not", "SRP-NT-02")
     for node_id, expected in ((peers[1].node_id, [1]), (bench.node_id(), [])):
-        rows = bench.must("SRP-NeighbourTable", nodeId=node_id.hex(":")).result.get("neighbours", [])
-        numbers = [row.get("seqno") for row in rows]
+        found = rows(bench.must("SRP-NeighbourTable", nodeId=node_id.hex(":")), "neighbours")
+        numbers = [row.get("seqno") for row in found]
         bench.check(
             numbers == expected,
             f"looking up {node_id.hex(':')} gives {len(expected)} entries",
-            f"{len(rows)}: {[row.get('nodeId') for row in rows]}",
+            f"{len(found)}: {[row.get('nodeId') for row in found]}",
             "SRP-NT-01",
         )
 
@@ -281,7 +253,7 @@ def list_and_look_up(bench: Bench) -> None:
 def own_data(bench: Bench) -> None:
     bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
     _require_working(bench, "a hand-down of safety data")
-    bench.check(_entry(bench, bench.sut_id) is None, "the table does not contain the own node", "it does")
+    bench.check(neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does")
 
 
 @case(
@@ -295,7 +267,7 @@ def own_data(bench: Bench) -> None:
 def extra_fields(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, 1))
-    entry = _until_entry(bench, peer.node_id)
+    entry = until_neighbour(bench, peer.node_id)
     if entry is None:
         bench.inconclusive("the neighbour is in the table", "it is not")
     extra = sorted(set(entry) - {"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
@@ -303,116 +275,3 @@ def extra_fields(bench: Bench) -> None:
     claimed = bench.pics.neighbour_statistics
     if claimed is not None:
         bench.check(bool(extra) == claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}", f"{extra}")
-
-
-def _lifetime(bench: Bench, peers: list[Peer], begun: int, timeout: int) -> None:
-    """Watch the entries that were made at ``begun`` until they are gone; all times in ns."""
-    latest = timeout + timeout // 5 + round(bench.pixit.timer_tolerance_ms * MS)
-    step, there = max(timeout // 20, 10 * MS), {peer.node_id for peer in peers}
-    if missing := there - set(_entries(bench)):
-        bench.inconclusive("the neighbours are in the table", f"{len(missing)} are not")
-    while there:
-        before = bench.now() - begun
-        table = set(_entries(bench))
-        after = bench.now() - begun
-        for node_id in sorted(there - table):
-            there.discard(node_id)
-            bench.check(
-                after >= timeout,
-                f"an entry lives for {timeout / 1e6:.0f} ms after the reception of its record",
-                f"that of {node_id.hex(':')} was gone after {after / 1e6:.0f} ms",
-            )
-        if there and before > latest:
-            observed = f"that of {min(there).hex(':')} is there after {before / 1e6:.0f} ms"
-            bench.fail(f"an entry is gone {latest / 1e6:.0f} ms after the reception of its record", observed)
-        if there:
-            bench.wait_ns(step)
-
-
-def _offsets(bench: Bench) -> dict[str, int]:
-    """Time stamps by what is special about them, in ticks of the profile."""
-    now = bench.creation_time()
-    second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}[bench.profile.types.timestamp.unit]
-    return {"now": now, "old": max(0, now - 3600 * second), "future": now + 3600 * second}
-
-
-@case(
-    "TC_SRP_NT_TI_01",
-    "An entry is dropped when the timeout has passed since its reception, whatever its tStamp",
-    requirements="SRP-RUN-01 SRP-RUN-02 SRP-PAR-01",
-    stimulus="records of three neighbours, with a tStamp of now, an hour ago, and in an hour; then nothing",
-    expect="all entries are there until SRPPAR_NEIGHBOUR_TABLE_TIMEOUT, and gone a fifth of it later, plus tolerance",
-    window=45,
-    needs=_TABLE,
-)
-def timeout(bench: Bench) -> None:
-    peers = [bench.peer() for _ in range(3)]
-    begun = bench.now()
-    for peer, stamp in zip(peers, _offsets(bench).values(), strict=True):
-        peer.send(bench.report(peer.node_id, 1, t_stamp=stamp))
-    for peer in peers:
-        _until_entry(bench, peer.node_id)
-    _lifetime(bench, peers, begun, bench.parameter(_TIMEOUT) * MS)
-
-
-@case(
-    "TC_SRP_NT_TI_02",
-    "A timeout that is set counts for entries from then on",
-    requirements="SRP-RUN-01 SRP-RUN-02",
-    stimulus="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 500 ms; a record, and nothing more",
-    expect="the entry is there for 500 ms, and gone 100 ms later, plus tolerance",
-    window=12,
-    needs=Needs(ut=("SRP-NeighbourTable", "SRP-SetParameter"), entities=("srp",)),
-)
-def short_timeout(bench: Bench) -> None:
-    short = round(500 * bench.session.timing_scale)
-    with parameters_set(bench, "SRP", **{_TIMEOUT: short}):
-        peer = bench.peer()
-        begun = bench.now()
-        peer.send(bench.report(peer.node_id, 1))
-        _until_entry(bench, peer.node_id)
-        _lifetime(bench, [peer], begun, short * MS)
-
-
-@case(
-    "TC_SRP_NT_TI_03",
-    "A further record keeps the entry alive",
-    requirements="SRP-RX-03 SRP-RUN-02",
-    stimulus="records every half of the timeout, for two timeouts; then none",
-    expect="the entry is there all the time, and gone afterwards",
-    window=100,
-    needs=_TABLE,
-)
-def refreshed(bench: Bench) -> None:
-    settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
-    length = round(500 * bench.session.timing_scale) if settable else bench.parameter(_TIMEOUT)
-    with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
-        peer = bench.peer()
-        begun = bench.now()
-        for number in range(5):
-            begun = bench.now()
-            peer.send(bench.report(peer.node_id, number))
-            bench.wait_ns(length * MS // 2)
-            there = _entry(bench, peer.node_id) is not None
-            if not there and bench.now() - begun < length * MS:
-                bench.fail("the entry stays while records come", f"it was gone after record {number + 1}")
-        peer.send(bench.report(peer.node_id, 5))
-        begun = bench.now()
-        _lifetime(bench, [peer], begun, length * MS)
-
-
-@case(
-    "TC_SRP_PAR_BV_01",
-    "The neighbour table timeout is 3000 ms unless it was configured",
-    requirements="SRP-PAR-01",
-    stimulus="SRP-GetParameters",
-    expect="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 3000; another value is reported, for it may have been configured",
-    needs=Needs(ut=("SRP-GetParameters",), entities=("srp",)),
-)
-def default_timeout(bench: Bench) -> None:
-    values = bench.must("SRP-GetParameters").result.get("parameters", {})
-    value = values.get(_TIMEOUT)
-    if value == 3000 or value is None:
-        bench.check(value is not None, f"{_TIMEOUT} is told in ms", "it is not there")
-    else:
-        bench.info(f"{_TIMEOUT}, by default 3000 ms", f"{value} ms")

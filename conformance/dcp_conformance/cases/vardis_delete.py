@@ -12,6 +12,7 @@ from dcp_conformance.services import (
     UNKNOWN,
     count_of,
     deleted_status,
+    described,
     entry_of,
     expect_any,
     max_repetitions,
@@ -123,7 +124,7 @@ def stays(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
     answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
-    found = answer.result.get("variable", {})
+    found = described(answer)
     bench.check(found.get("isDeleted", True) is True, "isDeleted is true", f"{found.get('isDeleted')}")
 
 

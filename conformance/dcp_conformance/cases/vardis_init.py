@@ -9,19 +9,17 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
-from dcp_conformance.services import listed, produced, taught
+from dcp_conformance.services import listed, produced, registration, taught
 
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",))
 _NAME = re.compile(r"VarDis -- Variable Dissemination Protocol V(\d+\.\d+)")
 
 
 def _registration(bench: Bench) -> dict[str, Any]:
-    rows = bench.must("BP-ListRegisteredProtocols").result.get("protocols", [])
-    found = [row for row in rows if row.get("protocolId") == int(BP_PROTID_VARDIS)]
-    if not found:
-        others = [row.get("protocolId") for row in rows]
-        bench.fail("VarDis is registered under protocol identifier 2", f"registered are {others}")
-    return dict(found[0])
+    found = registration(bench, int(BP_PROTID_VARDIS))
+    if found is None:
+        bench.fail("VarDis is registered under protocol identifier 2", "it is not")
+    return found
 
 
 @case(
@@ -53,7 +51,7 @@ def name(bench: Bench) -> None:
     "no multiple payloads",
     needs=_LIST,
 )
-def registration(bench: Bench) -> None:
+def registered(bench: Bench) -> None:
     found, size = _registration(bench), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
     bench.check(found.get("maxPayloadSize") == size, f"maxPayloadSize is {size}", f"{found.get('maxPayloadSize')}")
     expected, shown = bench.features.vardis_queueing_mode, str(found.get("queueMode"))

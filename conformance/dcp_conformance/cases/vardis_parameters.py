@@ -20,6 +20,7 @@ from dcp_conformance.services import (
     OK,
     VALUE_TOO_LONG,
     create_request,
+    described,
     longest_description,
     parameters_set,
     produced,
@@ -266,7 +267,7 @@ def description_effect(bench: Bench) -> None:
         request = create_request(bench, bench.var_id(), descr="d" * (longest - 1))
         bench.expect_status(OK, "RTDB-Create", **request)
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=old)
-        shown = answer.result.get("variable", {}).get("descr")
+        shown = described(answer).get("descr")
         bench.check(shown == "d" * longest, "the old variable has its description", f"{shown}")
 
 

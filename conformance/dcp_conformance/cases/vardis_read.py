@@ -16,6 +16,7 @@ from dcp_conformance.services import (
     OK,
     UNKNOWN,
     create_request,
+    described,
     expect_any,
     listed,
     max_repetitions,
@@ -221,7 +222,7 @@ def describe(bench: Bench) -> None:
         (theirs, peer.node_id, "theirs", b"foreign", 7),
     ):
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
-        found = answer.result.get("variable", {})
+        found = described(answer)
         wanted = {"varId": var_id, "repCnt": 1, "descr": descr, "value": value.hex(), "seqno": seqno}
         shown = {name: found.get(name) for name in wanted}
         bench.check(shown == wanted, f"{wanted}", f"{shown}")
@@ -245,7 +246,7 @@ def describe_deleted(bench: Bench) -> None:
     gone = (UNKNOWN,) if bench.features.removed_after_deletion and count <= 2 else ()
     answer = expect_any(bench, (OK, *gone), "RTDB-DescribeVariable", varId=var_id)
     if answer.ok:
-        flag = answer.result.get("variable", {}).get("isDeleted", True)
+        flag = described(answer).get("isDeleted", True)
         bench.check(flag is True, "isDeleted is true", f"it is {flag}")
 
 

@@ -1,0 +1,124 @@
+"""dcp-srp.md: Runtime and Configurable Parameters."""
+
+from __future__ import annotations
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.peers import Peer
+from dcp_conformance.services import neighbour, neighbours, parameters_set, until_neighbour
+
+_TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
+_TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
+
+
+def _lifetime(bench: Bench, peers: list[Peer], begun: int, timeout: int) -> None:
+    """Watch the entries that were made at ``begun`` until they are gone; all times in ns."""
+    latest = timeout + timeout // 5 + round(bench.pixit.timer_tolerance_ms * MS)
+    step, there = max(timeout // 20, 10 * MS), {peer.node_id for peer in peers}
+    if missing := there - set(neighbours(bench)):
+        bench.inconclusive("the neighbours are in the table", f"{len(missing)} are not")
+    while there:
+        before = bench.now() - begun
+        table = set(neighbours(bench))
+        after = bench.now() - begun
+        for node_id in sorted(there - table):
+            there.discard(node_id)
+            bench.check(
+                after >= timeout,
+                f"an entry lives for {timeout / 1e6:.0f} ms after the reception of its record",
+                f"that of {node_id.hex(':')} was gone after {after / 1e6:.0f} ms",
+            )
+        if there and before > latest:
+            observed = f"that of {min(there).hex(':')} is there after {before / 1e6:.0f} ms"
+            bench.fail(f"an entry is gone {latest / 1e6:.0f} ms after the reception of its record", observed)
+        if there:
+            bench.wait_ns(step)
+
+
+def _offsets(bench: Bench) -> dict[str, int]:
+    """Time stamps by what is special about them, in ticks of the profile."""
+    now = bench.creation_time()
+    second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}[bench.profile.types.timestamp.unit]
+    return {"now": now, "old": max(0, now - 3600 * second), "future": now + 3600 * second}
+
+
+@case(
+    "TC_SRP_NT_TI_01",
+    "An entry is dropped when the timeout has passed since its reception, whatever its tStamp",
+    requirements="SRP-RUN-01 SRP-RUN-02 SRP-PAR-01",
+    stimulus="records of three neighbours, with a tStamp of now, an hour ago, and in an hour; then nothing",
+    expect="all entries are there until SRPPAR_NEIGHBOUR_TABLE_TIMEOUT, and gone a fifth of it later, plus tolerance",
+    window=45,
+    needs=_TABLE,
+)
+def timeout(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(3)]
+    begun = bench.now()
+    for peer, stamp in zip(peers, _offsets(bench).values(), strict=True):
+        peer.send(bench.report(peer.node_id, 1, t_stamp=stamp))
+    for peer in peers:
+        until_neighbour(bench, peer.node_id)
+    _lifetime(bench, peers, begun, bench.parameter(_TIMEOUT) * MS)
+
+
+@case(
+    "TC_SRP_NT_TI_02",
+    "A timeout that is set counts for entries from then on",
+    requirements="SRP-RUN-01 SRP-RUN-02",
+    stimulus="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 500 ms; a record, and nothing more",
+    expect="the entry is there for 500 ms, and gone 100 ms later, plus tolerance",
+    window=12,
+    needs=Needs(ut=("SRP-NeighbourTable", "SRP-SetParameter"), entities=("srp",)),
+)
+def short_timeout(bench: Bench) -> None:
+    short = round(500 * bench.session.timing_scale)
+    with parameters_set(bench, "SRP", **{_TIMEOUT: short}):
+        peer = bench.peer()
+        begun = bench.now()
+        peer.send(bench.report(peer.node_id, 1))
+        until_neighbour(bench, peer.node_id)
+        _lifetime(bench, [peer], begun, short * MS)
+
+
+@case(
+    "TC_SRP_NT_TI_03",
+    "A further record keeps the entry alive",
+    requirements="SRP-RX-03 SRP-RUN-02",
+    stimulus="records every half of the timeout, for two timeouts; then none",
+    expect="the entry is there all the time, and gone afterwards",
+    window=100,
+    needs=_TABLE,
+)
+def refreshed(bench: Bench) -> None:
+    settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
+    length = round(500 * bench.session.timing_scale) if settable else bench.parameter(_TIMEOUT)
+    with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
+        peer = bench.peer()
+        begun = bench.now()
+        for number in range(5):
+            begun = bench.now()
+            peer.send(bench.report(peer.node_id, number))
+            bench.wait_ns(length * MS // 2)
+            there = neighbour(bench, peer.node_id) is not None
+            if not there and bench.now() - begun < length * MS:
+                bench.fail("the entry stays while records come", f"it was gone after record {number + 1}")
+        peer.send(bench.report(peer.node_id, 5))
+        begun = bench.now()
+        _lifetime(bench, [peer], begun, length * MS)
+
+
+@case(
+    "TC_SRP_PAR_BV_01",
+    "The neighbour table timeout is 3000 ms unless it was configured",
+    requirements="SRP-PAR-01",
+    stimulus="SRP-GetParameters",
+    expect="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 3000; another value is reported, for it may have been configured",
+    needs=Needs(ut=("SRP-GetParameters",), entities=("srp",)),
+)
+def default_timeout(bench: Bench) -> None:
+    values = bench.must("SRP-GetParameters").result.get("parameters", {})
+    value = values.get(_TIMEOUT)
+    if value == 3000 or value is None:
+        bench.check(value is not None, f"{_TIMEOUT} is told in ms", "it is not there")
+    else:
+        bench.info(f"{_TIMEOUT}, by default 3000 ms", f"{value} ms")
