@@ -5,12 +5,15 @@ Can be imported anywhere, so that ``--help`` works anywhere.
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
 import struct
 
 # Of <linux/sockios.h> and <linux/if.h>; the socket module has none of them.
 _SIOCGIFFLAGS, _SIOCGIFMTU, _SIOCGIFHWADDR = 0x8913, 0x8921, 0x8927
 _IFF_UP = 0x1
+_LONGEST_NAME = 15
 
 
 def names() -> list[str]:
@@ -47,6 +50,10 @@ def _ask(interface: str, request: int, length: int) -> bytes:
     """The answer of the interface to an ioctl, the octets behind its name."""
     import fcntl  # not on every system
 
+    name = os.fsencode(interface)
+    if len(name) > _LONGEST_NAME or b"\0" in name:
+        # The system would look at the beginning only, which may be the name of another one.
+        raise OSError(errno.ENODEV, os.strerror(errno.ENODEV), interface)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        answer = fcntl.ioctl(asking, request, struct.pack("16s24x", interface.encode()))
+        answer = fcntl.ioctl(asking, request, struct.pack("16s24x", name))
     return answer[16 : 16 + length]

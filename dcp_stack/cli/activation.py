@@ -17,11 +17,13 @@ def activation(verb: str, about: str) -> click.Command:
     @node_options
     def command(which: str | None, control: str, as_json: bool) -> int:
         prefixes = {"bp": ["BP"], "vardis": ["VD"], None: ["BP", "VD"]}[which]
-        results = {}
+        methods = [f"{prefix}-MGMT-{verb}" for prefix in prefixes]
         with connect(control) as client:
-            for prefix in prefixes:
-                method = f"{prefix}-MGMT-{verb}"
-                results[method] = client.call(method)
+            if which is None:
+                # A node may run without VarDis, or follow a version without the service.
+                served = client.call("UT-Hello")["methods"]
+                methods = [method for method in methods if method in served] or methods
+            results = {method: client.call(method) for method in methods}
         if as_json and which is None:
             click.echo(json.dumps(results))
             return 0 if all(map(is_ok, results.values())) else NOT_OK

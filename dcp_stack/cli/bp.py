@@ -8,18 +8,22 @@ from typing import Any
 
 import click
 
-from dcp_codec.commandline import ExpectedError
-
 from .common import (
     EXIT_STATUS,
+    Seconds,
     columns,
     connect,
     finish,
     node_options,
+    octets_given,
+    octets_options,
     printable,
     say,
     shown_value,
     simple,
+    utf8,
+    watched,
+    watching,
 )
 
 MODES = {
@@ -55,13 +59,13 @@ def list_(control: str, as_json: bool) -> int:
         for each in result.get("protocols", ())
     ]
     header = ("protId", "max size", "mode", "entries", "multiple", "buffered", "name")
-    table = columns(header, rows, right=(0, 1, 3, 5)) if rows else "no protocols"
+    table = columns(header, rows, right=(0, 1, 3, 5), give=(6,)) if rows else "no protocols"
     return finish("BP-ListRegisteredProtocols", result, as_json, table)
 
 
 @command.command("register", epilog=EXIT_STATUS)
 @click.argument("prot_id", type=int, metavar="PROTID")
-@click.option("--name", default="", help="Name of the protocol.")
+@click.option("--name", default="", callback=utf8, help="Name of the protocol.")
 @click.option("--max-size", type=int, default=100, show_default=True, help="Longest payload in octets.")
 @click.option("--mode", type=click.Choice([*MODES]), default="once", show_default=True, help="Queueing mode.")
 @click.option("--entries", type=int, default=8, show_default=True, help="Length of the queue, for the queueing modes.")
@@ -94,18 +98,12 @@ def deregister(prot_id: int, control: str, as_json: bool) -> int:
 
 @command.command("send", epilog=EXIT_STATUS)
 @click.argument("prot_id", type=int, metavar="PROTID")
-@click.option("--payload", metavar="HEX", help="The payload in hex.")
-@click.option("--text", metavar="TEXT", help="The payload as text (UTF-8).")
+@octets_options("--payload")
 @node_options
-def send(prot_id: int, payload: str | None, text: str | None, control: str, as_json: bool) -> int:
+def send(prot_id: int, octets: str | None, text: str | None, control: str, as_json: bool) -> int:
     """Hand down a payload for the next beacons."""
-    if (payload is None) == (text is None):
-        raise click.UsageError("give the payload with --payload HEX or --text TEXT")
-    try:
-        octets = bytes.fromhex((payload or "").replace(":", "")) if text is None else text.encode()
-    except ValueError:
-        raise click.BadParameter(f"{payload!r} is not hex", param_hint="--payload") from None
-    return simple(control, as_json, "BP-TransmitPayload", protId=prot_id, payload=octets.hex())
+    payload = octets_given("--payload", octets, text)
+    return simple(control, as_json, "BP-TransmitPayload", protId=prot_id, payload=payload)
 
 
 @command.command("clear", epilog=EXIT_STATUS)
@@ -129,7 +127,7 @@ def query(prot_id: int, control: str, as_json: bool) -> int:
 @command.command("watch", epilog=EXIT_STATUS)
 @click.argument("prot_ids", type=int, nargs=-1, required=True, metavar="PROTID...")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N payloads.")
-@click.option("--for", "seconds", type=click.FloatRange(min=0), metavar="S", help="End after S seconds.")
+@click.option("--for", "seconds", type=Seconds(0), metavar="S", help="End after S seconds.")
 @click.option("--sent", is_flag=True, help="Show own transmissions, too.")
 @node_options
 def watch(
@@ -139,25 +137,17 @@ def watch(
 
     With --json, one object per line.
     """
-    deadline = None if seconds is None else time.monotonic() + seconds
     wanted = {"BP-ReceivePayload.indication"} | ({"BP-PayloadTransmitted.indication"} if sent else set())
     shown = 0
     with connect(control) as client:
         client.call("UT-Subscribe", protIds=[*prot_ids])
-        while count is None or shown < count:
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
-                break
-            told = client.wait(left)
-            if told is None:
-                break
-            if told.method not in wanted:
-                continue
-            shown += 1
-            say(json.dumps({"indication": told.method, **told.params}) if as_json else _line(told.params))
-    if count is not None and shown < count:
-        raise ExpectedError(f"{shown} of {count} payloads in {seconds:g} s", 1)
-    return 0
+        for told in watching(client, seconds):
+            if told.method in wanted:
+                say(json.dumps({"indication": told.method, **told.params}) if as_json else _line(told.params))
+                shown += 1
+                if shown == count:
+                    break
+    return watched(shown, count, "payloads")
 
 
 def _line(indication: dict[str, Any]) -> str:

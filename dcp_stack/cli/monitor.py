@@ -10,7 +10,19 @@ import click
 
 from dcp_stack.control.client import ControlClient
 
-from .common import EXIT_STATUS, connect, node_options, printable, say, shown_value, span
+from .common import (
+    EXIT_STATUS,
+    Seconds,
+    clipped,
+    connect,
+    counted,
+    fitted,
+    node_options,
+    printable,
+    say,
+    shown_value,
+    span,
+)
 from .neighbours import percent, place
 from .status import as_line
 
@@ -20,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @click.command("monitor", epilog=EXIT_STATUS)
-@click.option("--interval", type=click.FloatRange(min=0.1), default=1.0, show_default=True, metavar="S")
+@click.option("--interval", type=Seconds(0.1), default=1.0, show_default=True, metavar="S")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N looks.")
 @node_options
 def command(interval: float, count: int | None, control: str, as_json: bool) -> int:
@@ -38,7 +50,7 @@ def command(interval: float, count: int | None, control: str, as_json: bool) -> 
         looks = 0
         with Live(console=Console(highlight=False, emoji=False, markup=False), screen=count is None) as live:
             while True:
-                live.update(view(client.call("UT-Status"), rates), refresh=True)
+                live.update(view(client.call("UT-Status"), rates, live.console.width), refresh=True)
                 looks += 1
                 if looks == count:
                     return 0
@@ -50,10 +62,15 @@ class Rates:
 
     def __init__(self) -> None:
         self._before: dict[str, tuple[int, int]] = {}
+        self._now: dict[str, tuple[int, int]] = {}
+
+    def look(self) -> None:
+        """A new look begins; what was not asked for at the last one is forgotten (neighbours come and go)."""
+        self._before, self._now = self._now, {}
 
     def of(self, name: str, value: int, now: int) -> float | None:
         """The rate of a counter at the monotonic time ``now`` (ns); None at the first look."""
-        before, self._before[name] = self._before.get(name), (value, now)
+        before, self._now[name] = self._before.get(name), (value, now)
         if before is None or now <= before[1]:
             return None
         # A counter that went back was reset.
@@ -72,6 +89,7 @@ def _lines(client: ControlClient, rates: Rates, interval: float, count: int | No
 
 
 def _line(status: dict[str, Any], rates: Rates) -> str:
+    rates.look()
     counters, now = status["node"]["bp"]["counters"], status["now"]
     parts = [time.strftime("%H:%M:%S", time.localtime(status["wall"] / 1e9)), status["nodeId"]]
     for name, shown in (("beacons-sent", "sent"), ("beacons-received", "received")):
@@ -89,28 +107,50 @@ def _line(status: dict[str, Any], rates: Rates) -> str:
     return " ".join(parts)
 
 
-def view(status: dict[str, Any], rates: Rates) -> RenderableType:
-    """The whole view, for 80 columns and more."""
+def view(status: dict[str, Any], rates: Rates, width: int) -> RenderableType:
+    """The whole view in ``width`` columns, 80 or more."""
     from rich.console import Group
 
+    rates.look()
     node = status["node"]
     parts: list[RenderableType] = [_head(status, rates)]
-    parts.append(_neighbours(status, rates))
+    parts.append(_neighbours(status, rates, width))
     if "vardis" in node:
-        parts.append(_variables(status))
+        parts.append(_variables(status, width))
     parts.append(_ignored(status, rates))
     return Group(*parts)
 
 
-def _table(title: str, *headers: str, right: tuple[int, ...] = ()) -> Table:
+def _table(
+    title: str,
+    headers: tuple[str, ...],
+    rows: list[tuple[list[str], bool]],
+    width: int,
+    *,
+    right: tuple[int, ...],
+    give: tuple[int, ...],
+) -> Table:
+    """A table no wider than ``width``, if the columns ``give`` can be cut so far.
+
+    ``rows`` are cells, and whether they are of less interest.
+    """
     from rich import box
     from rich.table import Table
 
     table = Table(
-        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, expand=True, pad_edge=False
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
     )
     for number, header in enumerate(headers):
         table.add_column(header, justify="right" if number in right else "left", no_wrap=True, overflow="ellipsis")
+    # Left to itself, rich narrows all columns alike, and short numbers disappear. Behind each it needs two places.
+    natural = [max(map(len, cells)) for cells in zip(headers, *(row for row, _ in rows), strict=True)]
+    widths = fitted(natural, width - 2 * len(headers) - 1, give)
+    for row, dim in rows:
+        table.add_row(*map(clipped, row, widths), style="dim" if dim else "")
     return table
 
 
@@ -147,29 +187,19 @@ def _per_second(rate: float | None) -> str:
     return "" if rate is None else f" ({rate:.1f}/s)"
 
 
-def _neighbours(status: dict[str, Any], rates: Rates) -> RenderableType:
+def _neighbours(status: dict[str, Any], rates: Rates, width: int) -> RenderableType:
     """Senders of beacons and of state reports in one table: a neighbour may be only one of them."""
     now = status["now"]
     reports = {each["node_id"]: each for each in status["node"].get("srp", {}).get("neighbours", ())}
     losses = {each["node_id"]: each for each in status["node"]["bp"]["losses"]}
     heard = sorted(losses, key=lambda node: -losses[node]["heard"])
     order = [*reports, *(node for node in heard if node not in reports)]
-    table = _table(
-        f"{len(order)} neighbours",
-        "node",
-        "age",
-        "beacons/s",
-        "loss",
-        "lost",
-        "reports",
-        "position",
-        right=(1, 2, 3, 4, 5),
-    )
+    rows = []
     for node in order[:64]:
         report, loss = reports.get(node), losses.get(node)
         last = max(each for each in (report and report["received_at"], loss and loss["heard"]) if each is not None)
         rate = None if loss is None else rates.of(f"from {node}", loss["received"], now)
-        table.add_row(
+        cells = [
             node,
             span((now - last) / 1e6),
             "" if rate is None else f"{rate:.1f}",
@@ -177,9 +207,10 @@ def _neighbours(status: dict[str, Any], rates: Rates) -> RenderableType:
             "" if loss is None else str(loss["lost"]),
             "" if report is None else str(report["received"]),
             "" if report is None else _place(report),
-            style="dim" if now - last > 2_000_000_000 else "",
-        )
-    return table
+        ]
+        rows.append((cells, now - last > 2_000_000_000))
+    headers = ("node", "age", "beacons/s", "loss", "lost", "reports", "position")
+    return _table(counted(len(order), "neighbour"), headers, rows, width, right=(1, 2, 3, 4, 5), give=(6,))
 
 
 def _place(report: dict[str, Any]) -> str:
@@ -189,23 +220,25 @@ def _place(report: dict[str, Any]) -> str:
     return place(shown)
 
 
-def _variables(status: dict[str, Any]) -> RenderableType:
+def _variables(status: dict[str, Any], width: int) -> RenderableType:
     variables = status["node"]["vardis"]["variables"]
-    table = _table(
-        f"{len(variables)} variables", "id", "producer", "seqno", "age", "value", "description", right=(0, 2, 3)
-    )
     own = status["nodeId"]
-    for number, each in list(variables.items())[:64]:
-        table.add_row(
-            str(number),
-            "this node" if each["prodId"] == own else each["prodId"],
-            str(each["seqno"]),
-            span(max(status["wall"] - each["tStamp"], 0) / 1e6),
-            "deleted" if each["isDeleted"] else shown_value(each["value"], 24),
-            printable(each["descr"], 32),
-            style="dim" if each["isDeleted"] else "",
+    rows = [
+        (
+            [
+                str(number),
+                "this node" if each["prodId"] == own else each["prodId"],
+                str(each["seqno"]),
+                span(max(status["wall"] - each["tStamp"], 0) / 1e6),
+                "deleted" if each["isDeleted"] else shown_value(each["value"]),
+                printable(each["descr"]),
+            ],
+            each["isDeleted"],
         )
-    return table
+        for number, each in list(variables.items())[:64]
+    ]
+    headers = ("id", "producer", "seqno", "age", "value", "description")
+    return _table(counted(len(variables), "variable"), headers, rows, width, right=(0, 2, 3), give=(4, 5))
 
 
 def _ignored(status: dict[str, Any], rates: Rates) -> RenderableType:

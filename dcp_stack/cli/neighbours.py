@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from .common import EXIT_STATUS, columns, connect, finish, node_options, say, span
+from .common import EXIT_STATUS, Seconds, columns, connect, counted, finish, is_ok, node_options, say, span
 
 
 @click.command("neighbours", epilog=EXIT_STATUS)
 @click.option("--watch", is_flag=True, help="Show it again and again.")
-@click.option("--interval", type=click.FloatRange(min=0.05), default=1.0, show_default=True, metavar="S")
+@click.option("--interval", type=Seconds(0.05), default=1.0, show_default=True, metavar="S")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="With --watch: end after N tables.")
 @node_options
 def command(watch: bool, interval: float, count: int | None, control: str, as_json: bool) -> int:
@@ -30,8 +30,11 @@ def command(watch: bool, interval: float, count: int | None, control: str, as_js
                 return finish("SRP-NeighbourTable", result, as_json, _table(result))
             if as_json:
                 say(json.dumps(result))
+            elif not is_ok(result):
+                say(f"{time.strftime('%H:%M:%S')}  {result['status']}")
             else:
-                say(f"{time.strftime('%H:%M:%S')}  {len(result['neighbours'])} neighbours\n{_table(result)}\n")
+                found = counted(len(result["neighbours"]), "neighbour")
+                say(f"{time.strftime('%H:%M:%S')}  {found}\n{_table(result)}\n")
             shown += 1
             if shown == count:
                 return 0

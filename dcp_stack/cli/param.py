@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import click
@@ -38,7 +39,8 @@ def get(name: str | None, control: str, as_json: bool) -> int:
         width = max(map(len, shown))
         for each, value in shown.items():
             unit = parameter(each).unit
-            click.echo(f"{each:<{width}}  {value}{'' if unit == 'none' else ' ' + unit}")
+            without = unit == "none" or isinstance(value, str)
+            click.echo(f"{each:<{width}}  {value}{'' if without else ' ' + unit}")
     return 0
 
 
@@ -69,7 +71,10 @@ def set_(name: str, value: str, control: str, as_json: bool) -> int:
 def _number(text: str) -> int | float:
     for kind in (lambda: int(text, 0), lambda: float(text)):
         try:
-            return kind()
+            number = kind()
         except ValueError:
             continue
+        # An integer is finite, however large.
+        if isinstance(number, int) or math.isfinite(number):
+            return number
     raise click.BadParameter(f"{text!r} is no number", param_hint="VALUE")

@@ -17,6 +17,8 @@ from dcp_stack.sim.player import Simulation
 from dcp_stack.sim.report import lines
 from dcp_stack.sim.scenario import Scenario, ScenarioError
 
+from .common import Seconds
+
 NOT_MET = 1
 
 
@@ -72,7 +74,7 @@ def scenario_of(
 @click.option("--topology", metavar="full|line|grid[:COLUMNS]|FILE", help="Who hears whom.  [default: full]")
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
-@click.option("--duration", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Virtual seconds.")
+@click.option("--duration", type=Seconds(0, min_open=True), metavar="S", help="Virtual seconds.")
 @click.option("--seed", type=int, help="Everything random follows from it.  [default: 1]")
 @click.option(
     "--variables",

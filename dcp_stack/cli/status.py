@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .common import EXIT_STATUS, connect, finish, node_options, span
+from .common import EXIT_STATUS, connect, counted, finish, node_options, span
 
 
 @click.command("status", epilog=EXIT_STATUS)
@@ -28,17 +28,19 @@ def _lines(status: dict[str, Any]) -> list[str]:
         ("profile", f"{status['profile']} (specification {status['specVersion']})"),
         ("up for", span(runtime.get("uptime_ms", 0))),
         ("link", _link(link)),
-        ("BP", f"{_active(bp)}, next beacon number {bp['next_seqno']}, {len(bp['clients'])} protocols"),
+        ("BP", f"{_active(bp)}, next beacon number {bp['next_seqno']}, {counted(len(bp['clients']), 'protocol')}"),
         ("beacons", f"{counters.get('beacons-sent', 0)} sent, {counters.get('beacons-received', 0)} received"),
     ]
     if "srp" in node:
         srp = node["srp"]
         state = "registered" if srp["registered"] else "not registered"
-        rows.append(("SRP", f"{state}, {len(srp['neighbours'])} neighbours"))
+        rows.append(("SRP", f"{state}, {counted(len(srp['neighbours']), 'neighbour')}"))
     if "vardis" in node:
         variables = node["vardis"]["variables"].values()
         deleted = sum(each["isDeleted"] for each in variables)
-        rows.append(("VarDis", f"{_active(node['vardis'])}, {len(variables) - deleted} variables, {deleted} deleted"))
+        rows.append(
+            ("VarDis", f"{_active(node['vardis'])}, {counted(len(variables) - deleted, 'variable')}, {deleted} deleted")
+        )
     if "recording" in runtime:
         recording = runtime["recording"]
         problem = f"; ended: {recording['problem']}" if recording["problem"] else ""

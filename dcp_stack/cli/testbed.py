@@ -22,7 +22,7 @@ from dcp_stack.sim.report import lines
 from dcp_stack.sim.scenario import ScenarioError
 from dcp_stack.sim.testbed import StartError, Testbed
 
-from .common import note
+from .common import Seconds, note
 from .simulate import NOT_MET, scenario_of
 
 #: Set for the copy of this command that runs in a user namespace.
@@ -48,7 +48,7 @@ class _InterruptedError(BaseException):
 @click.option("--topology", metavar="bus|line|grid[:COLUMNS]|FILE", help="Who hears whom.  [default: bus]")
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
-@click.option("--duration", type=click.FloatRange(0, 86_400, min_open=True), metavar="S", help="[default: 30]")
+@click.option("--duration", type=Seconds(0, 86_400, min_open=True), metavar="S", help="[default: 30]")
 @click.option("--seed", type=int, help="Of the nodes' jitter.  [default: 1]")
 @click.option("--json", "as_json", is_flag=True, help="The result as JSON.")
 @click.option(

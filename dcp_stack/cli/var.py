@@ -8,22 +8,27 @@ from typing import Any
 
 import click
 
-from dcp_codec.commandline import ExpectedError
 from dcp_stack.control.client import ControlClient
 
 from .common import (
     EXIT_STATUS,
+    Seconds,
     columns,
     connect,
     finish,
     is_ok,
     node_options,
     note,
+    octets_given,
+    octets_options,
     printable,
     say,
     shown_value,
     simple,
     span,
+    utf8,
+    watched,
+    watching,
 )
 
 
@@ -32,33 +37,22 @@ def command() -> None:
     """Create, update, read, delete, list and watch variables (RTDB services of VarDis)."""
 
 
-def _value_options(function: Any) -> Any:
-    function = click.option("--text", metavar="TEXT", help="The value as text (UTF-8).")(function)
-    return click.option("--value", metavar="HEX", help="The value in hex.")(function)
-
-
-def _value(value: str | None, text: str | None) -> str:
-    if (value is None) == (text is None):
-        raise click.UsageError("give the value with --value HEX or --text TEXT")
-    if text is not None:
-        return text.encode("utf-8", "surrogateescape").hex()
-    assert value is not None
-    try:
-        return bytes.fromhex(value.replace(":", "")).hex()
-    except ValueError:
-        raise click.BadParameter(f"{value!r} is not hex", param_hint="--value") from None
-
-
 @command.command("create", epilog=EXIT_STATUS)
 @click.argument("var_id", type=int, metavar="ID")
-@_value_options
-@click.option("--descr", required=True, metavar="TEXT", help="Description; other nodes ignore a variable without one.")
+@octets_options("--value")
+@click.option(
+    "--descr",
+    required=True,
+    callback=utf8,
+    metavar="TEXT",
+    help="Description; other nodes ignore a variable without one.",
+)
 @click.option("--repcnt", type=int, default=3, show_default=True, help="In how many beacons each change is sent.")
 @click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
 @node_options
 def create(
     var_id: int,
-    value: str | None,
+    octets: str | None,
     text: str | None,
     descr: str,
     repcnt: int,
@@ -67,7 +61,12 @@ def create(
     as_json: bool,
 ) -> int:
     """Create variable ID, with this node as its producer."""
-    params: dict[str, Any] = {"varId": var_id, "repCnt": repcnt, "descr": descr, "value": _value(value, text)}
+    params: dict[str, Any] = {
+        "varId": var_id,
+        "repCnt": repcnt,
+        "descr": descr,
+        "value": octets_given("--value", octets, text),
+    }
     if timeout:
         params["timeout"] = timeout
     return simple(control, as_json, "RTDB-Create", **params)
@@ -75,11 +74,11 @@ def create(
 
 @command.command("update", epilog=EXIT_STATUS)
 @click.argument("var_id", type=int, metavar="ID")
-@_value_options
+@octets_options("--value")
 @node_options
-def update(var_id: int, value: str | None, text: str | None, control: str, as_json: bool) -> int:
+def update(var_id: int, octets: str | None, text: str | None, control: str, as_json: bool) -> int:
     """Give variable ID, which this node produces, a new value."""
-    return simple(control, as_json, "RTDB-Update", varId=var_id, value=_value(value, text))
+    return simple(control, as_json, "RTDB-Update", varId=var_id, value=octets_given("--value", octets, text))
 
 
 @command.command("get", epilog=EXIT_STATUS)
@@ -143,7 +142,7 @@ def list_(control: str, as_json: bool) -> int:
         ]
         for each in listed
     ]
-    table = columns(("id", "producer", "seqno", "age", "value", "description"), rows, right=(0, 2, 3))
+    table = columns(("id", "producer", "seqno", "age", "value", "description"), rows, right=(0, 2, 3), give=(4, 5))
     return finish("RTDB-DescribeDatabase", result, as_json, table if rows else "no variables")
 
 
@@ -157,14 +156,14 @@ def _described(client: ControlClient, variable: dict[str, Any]) -> dict[str, Any
 @command.command("watch", epilog=EXIT_STATUS)
 @click.argument("var_ids", type=int, nargs=-1, metavar="[ID...]")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N changes.")
-@click.option("--for", "seconds", type=click.FloatRange(min=0), metavar="S", help="End after S seconds.")
+@click.option("--for", "seconds", type=Seconds(0), metavar="S", help="End after S seconds.")
 @node_options
 def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, control: str, as_json: bool) -> int:
     """Show what variables (all, or those with these IDs) are, and then every change.
 
     With --json, one object per line.
     """
-    deadline = None if seconds is None else time.monotonic() + seconds
+    shown = 0
     with connect(control) as client:
         # First the wish, then the state: a change in between is told twice rather than never.
         client.call("UT-Subscribe", variables=True)
@@ -174,20 +173,13 @@ def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, co
         for each in listed.get("variables", ()):
             if not var_ids or each["varId"] in var_ids:
                 _show_change({"event": "is", **_described(client, each)}, as_json)
-        shown = 0
-        while count is None or shown < count:
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
-                break
-            told = client.wait(left)
-            if told is None:
-                break
+        for told in watching(client, seconds):
             if told.method == "UT-VariableChanged" and (not var_ids or told.params["varId"] in var_ids):
                 _show_change(told.params, as_json)
                 shown += 1
-    if count is not None and shown < count:
-        raise ExpectedError(f"{shown} of {count} changes in {seconds:g} s", 1)
-    return 0
+                if shown == count:
+                    break
+    return watched(shown, count, "changes")
 
 
 def _show_change(change: dict[str, Any], as_json: bool) -> None:

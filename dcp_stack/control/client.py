@@ -91,14 +91,17 @@ class ControlClient:
             message = self._message(deadline)
             if message is None:
                 raise ControlError(f"{self.path}: the node did not answer {method} within {self._patience:g} s")
-            if message.get("id") != self._last_id:
+            # Without an id: a request that the node could not read, which can only be this one.
+            if message.get("id") not in (self._last_id, None):
                 # An answer to what an earlier call gave up waiting for.
                 continue
-            if "error" in message:
-                answer = message["error"]
-                raise ServiceError(answer["code"], answer["message"], answer.get("data"))
-            result: dict[str, Any] = message["result"]
-            return result
+            match message:
+                case {"error": {"code": int(code), "message": str(text), **more}}:
+                    raise ServiceError(code, text, more.get("data"))
+                case {"result": dict(result), "id": int()}:
+                    return result
+                case _:
+                    raise self._no_node()
 
     def wait(self, timeout: float | None = None) -> Notification | None:
         """The next notification; None if there is none within ``timeout`` s (None: wait for ever)."""
@@ -122,12 +125,21 @@ class ControlClient:
             line = bytes(self._buffer[:end])
             del self._buffer[: end + 1]
             self._searched = 0
-            message: dict[str, Any] = msgspec.json.decode(line)
-            if "method" in message:
-                self._notifications.append(Notification(message["method"], message["params"]))
-                if not once:
-                    continue
+            try:
+                message = msgspec.json.decode(line, type=dict[str, Any])
+            except (msgspec.MsgspecError, ValueError, RecursionError):
+                raise self._no_node() from None
+            match message:
+                case {"method": str(method), "params": dict(params)}:
+                    self._notifications.append(Notification(method, params))
+                    if not once:
+                        continue
+                case {"method": _}:
+                    raise self._no_node()
             return message
+
+    def _no_node(self) -> ControlError:
+        return ControlError(f"{self.path}: what answers there does not speak as a node does")
 
     def _fill(self, deadline: float | None) -> bool:
         """Read more; False at the deadline. Raises ControlError at the end of the connection."""

@@ -87,7 +87,7 @@ def test_two_nodes_and_the_commands(node):
     assert [len(each["neighbours"]) for each in tables] == [1, 1]
     status = command("status", *control).stdout
     assert second.node_id in status
-    assert "1 neighbours" in status
+    assert "1 neighbour\n" in status
     looks = command("monitor", "--count", 2, "--interval", 0.2, *control).stdout.splitlines()
     assert len(looks) == 2
     assert "neighbours=1 variables=1" in looks[1]
@@ -108,6 +108,18 @@ def test_two_nodes_and_the_commands(node):
     assert command("reset", *control).stdout == "UT-STATUS-OK\n"
     assert command("param", "get", "BPPAR_BEACON_PERIOD", *control).stdout == "100\n"
     assert command("var", "delete", 7, "--control", first.path).stdout == "VARDIS-STATUS-OK\n"
+
+
+def test_activation_is_of_what_the_node_runs(node, tmp_path):
+    config = tmp_path / "without.toml"
+    config.write_text("[vardis]\nenabled = false\n")
+    without = node("--config", str(config))
+    without.client().close()
+    for verb in ("deactivate", "activate"):
+        done = command(verb, "--control", without.path)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "BP-STATUS-OK\n", "")
+    done = command("activate", "vardis", "--control", without.path)
+    assert (done.returncode, done.stderr) == (2, "dcp-node: this node runs without VarDis\n")
 
 
 def test_watching_variables_and_payloads(node):

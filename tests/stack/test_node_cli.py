@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
+from rich.console import Console
 
+from dcp_codec import interfaces
 from dcp_stack.cli import main
+from dcp_stack.cli.common import fitted, octets_given
+from dcp_stack.cli.monitor import Rates, view
+
+from .control_rig import Rig
 
 
 class Result(NamedTuple):
@@ -188,3 +196,138 @@ def test_wrong_usage_is_2(run, tmp_path, monkeypatch):
     assert "is not hex" in run("bp", "send", "7", "--payload", "0", *control).err
     assert "no parameter" in run("param", "set", "PERIOD", "1", *control).err
     assert "is no number" in run("param", "set", "BPPAR_BEACON_PERIOD", "x", *control).err
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ("monitor", "--interval"),
+        ("neighbours", "--watch", "--interval"),
+        ("var", "watch", "--for"),
+        ("bp", "watch", "7", "--for"),
+        ("simulate", "-n", "2", "--duration"),
+        ("testbed", "2", "--duration"),
+    ],
+)
+@pytest.mark.parametrize("number", ["nan", "inf", "1e300", "-1"])
+def test_durations_that_nobody_can_wait_for(run, tmp_path, monkeypatch, args, number):
+    monkeypatch.setenv("DCP_NODE_CONTROL", str(tmp_path / "no.sock"))
+    done = run(*args, number)
+    assert done.status == 2
+    assert f"Invalid value for '{args[-1]}'" in done.err
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ("var", "create", "7", "--text", "a", "--descr", "\udcff"),
+        ("bp", "register", "40", "--name", "\udcff"),
+        ("param", "set", "BPPAR_BEACON_PERIOD", "nan"),
+        ("param", "set", "BPPAR_BEACON_PERIOD", "1e400"),
+    ],
+)
+def test_what_json_cannot_carry_is_refused_before_a_node_is_asked(run, tmp_path, monkeypatch, args):
+    monkeypatch.setenv("DCP_NODE_CONTROL", str(tmp_path / "no.sock"))
+    done = run(*args)
+    assert done.status == 2
+    assert "Invalid value" in done.err
+
+
+def test_octets_that_are_no_utf8_are_sent_as_they_were_typed():
+    assert octets_given("--value", None, "a\udcff") == "61ff"
+    assert octets_given("--value", "02:AB cd", None) == "02abcd"
+
+
+@pytest.mark.parametrize("name", ["\udcff", "lo" + "o" * 20, "lo\0near"])
+def test_names_that_no_interface_can_have(name):
+    assert not interfaces.is_up(name)
+    with pytest.raises(OSError, match="No such device"):
+        interfaces.mtu(name)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"hello there",
+        b"5",
+        b"[]",
+        b"\xff\xfe",
+        b'{"jsonrpc":"2.0","id":1,"result":5}',
+        b'{"jsonrpc":"2.0","id":1,"error":"no"}',
+        b'{"jsonrpc":"2.0","id":null,"result":{}}',
+        b'{"jsonrpc":"2.0","method":5}',
+    ],
+)
+def test_who_is_no_node_is_told_from_one(run, tmp_path, answer):
+    path = tmp_path / "other.sock"
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        listening.listen()
+        other = threading.Thread(target=answer_once, args=(listening, answer + b"\n"))
+        other.start()
+        done = run("status", "--control", path)
+        other.join()
+    assert (done.status, done.err) == (3, f"dcp-node: {path}: what answers there does not speak as a node does\n")
+
+
+def test_an_answer_to_a_request_that_could_not_be_read_is_ours(run, tmp_path):
+    path = tmp_path / "other.sock"
+    error = b'{"jsonrpc":"2.0","id":null,"error":{"code":-32600,"message":"the line is too long"}}\n'
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        listening.listen()
+        other = threading.Thread(target=answer_once, args=(listening, error))
+        other.start()
+        done = run("status", "--control", path)
+        other.join()
+    assert (done.status, done.err) == (2, "dcp-node: the line is too long\n")
+
+
+def answer_once(listening: socket.socket, answer: bytes) -> None:
+    client, _ = listening.accept()
+    with client:
+        client.recv(1 << 16)
+        client.sendall(answer)
+        # Until the other side is done.
+        client.recv(1)
+
+
+@pytest.mark.parametrize(
+    ("widths", "room", "expected"),
+    [
+        ([2, 17, 64, 30], 200, [2, 17, 64, 30]),
+        ([2, 17, 64, 30], 79, [2, 17, 30, 30]),
+        ([2, 17, 64, 30], 69, [2, 17, 25, 25]),
+        ([2, 17, 64, 30], 59, [2, 17, 20, 20]),
+        ([2, 17, 64, 30], 10, [2, 17, 12, 12]),
+        ([2, 17, 5, 9], 10, [2, 17, 5, 9]),
+    ],
+)
+def test_columns_that_may_be_cut_are(widths, room, expected):
+    assert fitted(widths, room, (2, 3)) == expected
+
+
+def test_rates_forget_who_has_gone():
+    rates = Rates()
+    for number in range(5):
+        rates.look()
+        assert rates.of("sent", 10 * number, number * 10**9) == (10.0 if number else None)
+        rates.of(f"from {number}", 1, number * 10**9)
+    assert len(rates._before) + len(rates._now) <= 4
+
+
+@pytest.mark.parametrize("width", [80, 160])
+def test_the_monitor_shows_numbers_whole(width):
+    rig = Rig()
+    client = rig.client()
+    client.call("RTDB-Create", varId=255, repCnt=3, descr="a description of thirty octets", value="00112233" * 8)
+    rig.run(4_000_000)
+    console = Console(width=width, file=io.StringIO(), highlight=False)
+    status = client.call("UT-Status")
+    status["runtime"] = {"uptime_ms": 1}
+    console.print(view(status, Rates(), console.width))
+    lines = console.file.getvalue().splitlines()
+    row = next(line for line in lines if "this node" in line)
+    assert row.split()[:3] == ["255", "this", "node"]
+    assert ("00112233" * 8 in row) == (width == 160)
+    assert max(map(len, lines)) <= width
