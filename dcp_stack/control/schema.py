@@ -10,7 +10,16 @@ from typing import Any
 
 import msgspec
 
-from .jsonrpc import INTERNAL_ERROR, INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR, REFUSED
+from .jsonrpc import (
+    INTERNAL_ERROR,
+    INVALID_PARAMS,
+    INVALID_REQUEST,
+    METHOD_NOT_FOUND,
+    NO_ANSWER,
+    PARSE_ERROR,
+    REFUSED,
+    TOO_MUCH,
+)
 from .methods import METHODS, NOTIFICATIONS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -100,7 +109,9 @@ def _error() -> dict[str, Any]:
         METHOD_NOT_FOUND: "no such method here",
         INVALID_PARAMS: "wrong parameters",
         INTERNAL_ERROR: "a mistake of the implementation",
+        TOO_MUCH: "the answers of the batch are too long; this request was not carried out",
         REFUSED: "a parameter cannot have the value",
+        NO_ANSWER: "the service does not answer in this state",
     }
     return {
         "type": "object",
