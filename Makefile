@@ -1,5 +1,5 @@
 # Two commands for a fresh machine with Python >= 3.11:
-#   make demo    install into .venv and show what was said in the bundled recordings
+#   make demo    install into .venv, test our own node with the whole suite, and write a report
 #   make test    install into .venv and run everything that CI runs
 PYTHON ?= python3
 VENV   := .venv
@@ -10,7 +10,7 @@ KAITAI := node_modules/kaitai-struct-compiler/package.json
 .PHONY: demo test lint unit bench matrix clean
 
 demo: $(STAMP)
-	@$(BIN)/dcp-codec stats captures/*.mcap
+	@$(BIN)/dcp-conformance run --report-dir demo-report
 
 test: lint unit
 
@@ -41,4 +41,4 @@ $(STAMP): pyproject.toml
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo-report .pytest_cache .mypy_cache .ruff_cache .hypothesis
