@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import random
 import re
 import tomllib
@@ -21,6 +22,7 @@ from .network import node_id
 from .scenario import (
     BeaconRate,
     Content,
+    Converged,
     Create,
     Event,
     Expectation,
@@ -40,6 +42,7 @@ MAX_NODES = 10_000
 MAX_DURATION_S = 30 * 86_400.0
 #: What a scenario can set off: a period of a microsecond must not fill the memory.
 MAX_EVENTS = 1_000_000
+_SHORTEST_S = 1e-9
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -229,8 +232,9 @@ def _quality_problems(key: str, quality: LinkQuality) -> Iterator[Problem]:
 def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Problem]:
     if not 0 <= event.at_s <= scenario.duration_s:
         yield f"{key}.at_s", f"{event.at_s:g} is not within the {scenario.duration_s:g} s of the scenario"
-    if event.every_s is not None and not event.every_s > 0:
-        yield f"{key}.every_s", "has to be greater than 0"
+    # TOML knows inf and nan, and periods below that of any clock.
+    if event.every_s is not None and not _SHORTEST_S <= event.every_s < math.inf:
+        yield f"{key}.every_s", f"is at least {_SHORTEST_S:g} s, and finite, not {event.every_s:g}"
     if event.times is not None and (event.times < 1 or event.every_s is None):
         yield f"{key}.times", "is 1 or more, and goes with every_s"
     node = getattr(event, "node", None)
@@ -274,5 +278,11 @@ def _expectation_problems(scenario: Scenario) -> Iterator[Problem]:
             yield from _content_problems(key, expectation)
         elif isinstance(expectation, NeighboursAre):
             yield from _node_problems(scenario, key, (expectation.node, *expectation.are))
+        elif isinstance(expectation, Converged):
+            if not 0 <= expectation.within_s < math.inf:
+                yield f"{key}.within_s", f"is a number of seconds from 0 on, not {expectation.within_s:g}"
         elif isinstance(expectation, BeaconRate):
+            for name, number in (("per_s", expectation.per_s), ("tolerance", expectation.tolerance)):
+                if not 0 <= number < math.inf:
+                    yield f"{key}.{name}", f"is a number from 0 on, not {number:g}"
             yield from _node_problems(scenario, f"{key}.nodes", expectation.nodes or ())

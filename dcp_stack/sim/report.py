@@ -20,8 +20,8 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class NodeTraffic(msgspec.Struct, frozen=True):
-    """What one node sent and received. ``beacons_per_s`` counts the time it was up; None if it was switched on late
-    or off at the end."""
+    """What one node sent and received. ``beacons_per_s`` is None for a node that was not up all the time: that was
+    down at the start, or switched off or on later."""
 
     node: int
     beacons_sent: int

@@ -93,3 +93,23 @@ def test_too_many_processes(run):
     status, _, errors = run("testbed", "--scenario", LINE, "--topology", "line", "201")
     assert status == 2
     assert "200" in errors
+
+
+@pytest.mark.parametrize(
+    ("table", "complaint"),
+    [
+        ('[[events]]\nat_s = 1\ndo = "update"\nnode = 0\nvariable = 1\ntext = "a"\nevery_s = 5e-324', "every_s: is at"),
+        ('[[events]]\nat_s = 1\ndo = "update"\nnode = 0\nvariable = 1\ntext = "a"\nevery_s = inf', "every_s: is at"),
+        ('[[events]]\nat_s = nan\ndo = "heal"', "at_s: nan is not within"),
+        ('[[expect]]\nthat = "converged"\nwithin_s = inf', "within_s: is a number of seconds"),
+        ('[[expect]]\nthat = "converged"\nwithin_s = nan', "within_s: is a number of seconds"),
+        ('[[expect]]\nthat = "beacon-rate"\nper_s = nan', "per_s: is a number from 0 on"),
+    ],
+)
+def test_times_without_end_are_refused_before_anything_is_played(run, tmp_path, table, complaint):
+    path = tmp_path / "scenario.toml"
+    path.write_text(f"nodes = 2\nduration_s = 3\n{table}\n")
+    status, output, errors = run("simulate", path)
+    assert (status, output) == (2, "")
+    assert complaint in errors
+    assert "Traceback" not in errors
