@@ -110,10 +110,10 @@ class SlowUpperTester(VirtualUpperTester):
         sut.now = max(sut.now, end)
 
 
-def slow_case(case_id: str, profile: str) -> CaseResult:
+def case_over(upper: type[VirtualUpperTester], case_id: str, profile: str) -> CaseResult:
     codec = codec_of(profile)
     sut = InProcess(reference_config(codec))
-    session = Session(codec, sut.lower_tester(), SlowUpperTester(sut), Pics())
+    session = Session(codec, sut.lower_tester(), upper(sut), Pics())
     runner = Runner(session, sut)
     runner.prepare()
     return runner.run(known_cases()[case_id])
@@ -122,5 +122,35 @@ def slow_case(case_id: str, profile: str) -> CaseResult:
 @pytest.mark.parametrize("profile", ["dcp-1.1", "dcp-1.3", "dcp-2.0"])
 @pytest.mark.parametrize("case_id", CASES)
 def test_slow_services_pass_too(case_id, profile):
-    result = slow_case(case_id, profile)
+    result = case_over(SlowUpperTester, case_id, profile)
     assert result.verdict in GOOD, f"{result.reason}\n{result.error_detail}"
+
+
+# -- upper testers that break the contract -----------------------------------------------------------------------------
+
+
+class NumbersForLists(VirtualUpperTester):
+    """Gives the number of entries in place of the entries."""
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        answer = super().call(method, params)
+        short = {name: len(each) if isinstance(each, list | dict) else each for name, each in answer.result.items()}
+        return answer if method == "UT-Hello" else Answer(answer.status, short, answer.code, answer.message)
+
+
+@pytest.mark.parametrize(
+    "case_id",
+    [
+        "TC_SRP_RX_BV_02",
+        "TC_SRP_NT_BV_01",
+        "TC_SRP_INI_BV_01",
+        "TC_VD_INI_BV_02",
+        "TC_VD_DDB_BV_01",
+        "TC_VD_DVA_BV_01",
+        "TC_VD_UPD_BV_07",
+    ],
+)
+def test_answers_of_another_shape_are_no_finding_about_the_implementation(case_id):
+    result = case_over(NumbersForLists, case_id, "dcp-2.0")
+    assert result.verdict is Verdict.INCONCLUSIVE, f"{result.verdict} {result.reason}\n{result.error_detail}"
+    assert "must be a" in result.reason
