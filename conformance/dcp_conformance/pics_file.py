@@ -39,6 +39,7 @@ QUESTIONS: Final[dict[str, str]] = {
     "pixit.network_id": "Which network identifier do its beacons have, where they have one?",
     "pixit.beacon_period_ms": "What is BPPAR_BEACON_PERIOD? All time windows are multiples of it.",
     "pixit.reaction_periods": "In how many beacon periods does a reaction show on the air?",
+    "pixit.least_patience_ms": "How long does it need for anything, however short the beacon period?",
     "pixit.quiet_beacons": "After how many beacons without a record will there be no more of it?",
     "pixit.period_tolerance": "How far may the mean interval be from the period, as a fraction of it?",
     "pixit.clock_tolerance_ms": "How far may its clock be from the tester's?",
@@ -106,7 +107,7 @@ def _lines(key: str, name: str, value: Any, default: Any, reasons: dict[str, str
         why = reasons.get(key)
         return [*([f"# {_one_line(why)}"] if why else []), f"{name} = {_toml(value)}"]
     shown = "" if default is None or default == "" else f" {_toml(default)}"
-    return [f"# {QUESTIONS[key]}", f"# {name} ={shown}"]
+    return [f"# {QUESTIONS.get(key, f'What is {name}?')}", f"# {name} ={shown}"]
 
 
 def _toml(value: Any) -> str:
