@@ -84,7 +84,7 @@ def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[V
         missing.difference_update(each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start))
         return not missing
 
-    bench.until(lambda _: heard_all(), bench.reaction + len(creates) / 8)
+    bench.until(lambda _: heard_all(), bench.reaction + len(creates) / 2)
     if not heard_all():
         names = ", ".join(map(str, sorted(missing)))
         bench.inconclusive("the implementation learns variables, which this case needs", f"not {names}")

@@ -101,9 +101,7 @@ def replaced(bench: Bench) -> None:
     first = peer.create(var_id, seqno=9)
     bench.learn(peer, first)
     count = min(2, max_repetitions(bench))
-    second = other.create(
-        var_id, value=b"of another", seqno=3, rep_cnt=count, descr=b"anew", creation_time=_time(first) + 1
-    )
+    second = other.create(var_id, value=b"other", seqno=3, rep_cnt=count, descr=b"anew", creation_time=_time(first) + 1)
     bench.creation_time()
     since = bench.mark()
     other.send(second)
@@ -141,7 +139,7 @@ def not_replaced(bench: Bench, offset: _Offset) -> None:
     bench.learn(peer, first)
     since = bench.mark()
     other = bench.peer()
-    other.send(other.create(var_id, value=b"second", seqno=9, creation_time=offset(_time(first))))
+    other.send(other.create(var_id, value=b"next", seqno=9, creation_time=offset(_time(first))))
     bench.require_alive("the VarCreate")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since)
@@ -175,7 +173,7 @@ def as_numbers(bench: Bench, times: tuple[int, int]) -> None:
         # Times long past: only variables that were never created can have them.
         var_id = bench.unknown_id()
         bench.created.add(var_id)
-        records = {each: peer.create(var_id, value=str(each).encode(), creation_time=each) for each in order}
+        records = {each: peer.create(var_id, value=str(each)[-5:].encode(), creation_time=each) for each in order}
         for each in order:
             peer.send(records[each])
             bench.until_instruction(CREATES, var_id, bench.reaction if each == order[0] else 1.5)
@@ -194,7 +192,7 @@ def as_numbers(bench: Bench, times: tuple[int, int]) -> None:
 )
 def together(bench: Bench, descending: bool) -> None:
     peer, other, var_id = bench.peer(), bench.peer(), bench.var_id()
-    records = [peer.create(var_id, value=b"earlier"), other.create(var_id, value=b"later")]
+    records = [peer.create(var_id, value=b"early"), other.create(var_id, value=b"later")]
     later = records[1]
     since = bench.mark()
     peer.send(*(reversed(records) if descending else records))
@@ -297,7 +295,7 @@ def known_in_1_x(bench: Bench) -> None:
     bench.learn(peer, first)
     since = bench.mark()
     for each in (peer, other):
-        each.send(each.create(var_id, value=b"second", seqno=stepped(bench, 0, 1)))
+        each.send(each.create(var_id, value=b"next", seqno=stepped(bench, 0, 1)))
     bench.require_alive("the VarCreates")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since)

@@ -90,7 +90,7 @@ def creation(bench: Bench, count: Count) -> None:
 def update(bench: Bench, count: Count) -> None:
     peer = bench.peer()
     var_id = taught(bench, peer, rep_cnt=count(bench))
-    since, record = bench.mark(), peer.update(var_id, 1, b"another value")
+    since, record = bench.mark(), peer.update(var_id, 1, b"other")
     peer.send(record)
     found = bench.check_repeated(UPDATES, var_id, count(bench), since)
     wrong = [each for each in found if each.record != record]

@@ -113,7 +113,7 @@ def taken_over(bench: Bench) -> None:
     if own is None:
         bench.inconclusive("the implementation sends its own variable, which this case needs", "it does not")
     stamp = max(bench.creation_time(), (own.spec.creation_time or 0) + 1)
-    other = peer.create(var_id, value=b"mine now", creation_time=stamp)
+    other = peer.create(var_id, value=b"mine", creation_time=stamp)
     peer.send(other)
     came = bench.until(lambda heard: heard.about(ICType.CREATE_VARIABLES, var_id) == other)
     bench.check(came, "the other node's VarCreate is stored and repeated", "it is not", "VD-PC-01")

@@ -132,7 +132,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     if not _expressible(bench, number, most, widest, allowed=allowed):
         return
     peer = bench.peer()
-    var_id = taught(bench, peer, value=b"stored")
+    var_id = taught(bench, peer, value=b"value")
     record, since = peer.update(var_id, 1, b"v" * number), bench.mark()
     peer.send(record)
     if allowed:
@@ -147,7 +147,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
         return
     bench.check(not found, f"a VarUpdate with a value of {number} octets is ignored", named(found), frames=found)
     held = ask(bench, var_id)
-    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, b"stored")
+    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, b"value")
     bench.check(stored, "the old value and number are stored", str(held))
 
 

@@ -278,9 +278,9 @@ def updates_in_order(bench: Bench) -> None:
     bench.until_instruction(ICType.UPDATES, var_id)
     _stored(bench, var_id, two, b"two")
     nearer, newest = stepped(bench, two, 1), stepped(bench, two, 2)
-    peer.send(peer.update(var_id, newest, b"newest"), peer.update(var_id, nearer, b"nearer"))
+    peer.send(peer.update(var_id, newest, b"last"), peer.update(var_id, nearer, b"near"))
     bench.until(lambda heard: any(each.record.seqno == newest for each in heard.instructions(ICType.UPDATES, var_id)))
-    _stored(bench, var_id, newest, b"newest")
+    _stored(bench, var_id, newest, b"last")
 
 
 @case(
@@ -293,7 +293,7 @@ def updates_in_order(bench: Bench) -> None:
 def creates_in_order(bench: Bench) -> None:
     peer, var_id, stamp = bench.peer(), bench.var_id(), bench.creation_time()
     first = peer.create(var_id, value=b"first", creation_time=stamp)
-    second = peer.create(var_id, value=b"second", creation_time=stamp)
+    second = peer.create(var_id, value=b"next", creation_time=stamp)
     since = bench.mark()
     peer.send(first, second)
     found: list[VarCreate] = [each.record for each in bench.repeated(ICType.CREATE_VARIABLES, var_id, since)]

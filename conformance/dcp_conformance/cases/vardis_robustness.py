@@ -5,6 +5,7 @@ How an implementation reacts is its own choice since 1.2 (X34): the reaction is 
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Callable
 
@@ -82,6 +83,9 @@ _BAD: dict[str, tuple[str, _Bad]] = {
     "header-only": ("VD-RX-07", lambda bench, peer, var_id: bench.forge.empty_container(1, 1)),  # noqa: ARG005
 }
 
+#: Errors by which octets of other containers become records, so that traces of these say nothing of a policy.
+_UNCLEAR = {name for name in _BAD if "count" in name and name not in ("count-0", "count-0-creates")} | {"header-only"}
+
 
 @case(
     "TC_VD_ROB_BI_01",
@@ -90,11 +94,14 @@ _BAD: dict[str, tuple[str, _Bad]] = {
     stimulus="payloads with the container alone, before, behind and between good ones, and then a probe",
     expect="VarDis goes on; which of the good containers are processed is reported",
     window=8,
-    variants={name: Variant(bad, requirements=f"{requirement} VD-ROB-01") for name, (requirement, bad) in _BAD.items()},
+    variants={
+        name: Variant((bad, name), requirements=f"{requirement} VD-ROB-01") for name, (requirement, bad) in _BAD.items()
+    },
     destructive=True,
     robustness=True,
 )
-def bad_container(bench: Bench, bad: _Bad) -> None:
+def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
+    bad, name = what
     peer = bench.peer()
     before, behind, first, last, *spoilt = bench.unknown_ids(8)
     bench.created.update(spoilt)
@@ -119,7 +126,7 @@ def bad_container(bench: Bench, bad: _Bad) -> None:
         "the first of three": processed(first),
         "the last of three": processed(last),
     }
-    kept = ", ".join(name for name, done in seen.items() if done) or "nothing"
+    kept = ", ".join(where for where, done in seen.items() if done) or "nothing"
     requirement = bench.case.requirements[0]
     bench.info("what is processed of a payload with this error", kept, requirement)
     policies = {
@@ -128,7 +135,8 @@ def bad_container(bench: Bench, bad: _Bad) -> None:
         (True, True): "skip-container",
     }
     policy = policies.get((processed(first), processed(last)))
-    if policy is not None and processed(before) == processed(first) and processed(behind) == processed(last):
+    consistent = processed(before) == processed(first) and processed(behind) == processed(last)
+    if policy is not None and consistent and name not in _UNCLEAR:
         bench.reading("X34", policy)
     _works(bench)
 
@@ -166,16 +174,21 @@ def cut_off(bench: Bench) -> None:
     peer = bench.peer()
     first, created, *others = bench.unknown_ids(6)
     bench.created.add(created)
-    whole = bench.forge.vardis(
-        peer.summary(first, 1),
-        peer.request_update(others[0], 1),
-        peer.request_create(others[1]),
-        peer.delete(others[2]),
-        peer.update(others[3], 1, b"value"),
-        peer.create(created, value=b"a value that ends here", descr=b"cut off"),
-    ).octets
+    containers = [
+        bench.forge.container(peer.summary(first, 1)),
+        bench.forge.container(peer.request_update(others[0], 1)),
+        bench.forge.container(peer.request_create(others[1])),
+        bench.forge.container(peer.delete(others[2])),
+        bench.forge.container(peer.update(others[3], 1, b"value")),
+        bench.forge.container(peer.create(created, value=b"value", descr=b"cut")),
+    ]
+    whole = b"".join(containers)
+    # Cut off between two containers it is a good payload.
+    good = set(itertools.accumulate(map(len, containers)))
     since = bench.mark()
     for size in range(1, len(whole)):
+        if size in good:
+            continue
         peer.send(Block(BP_PROTID_VARDIS, whole[:size]))
         if size % 16 == 0:
             bench.until(bool, 1.5)

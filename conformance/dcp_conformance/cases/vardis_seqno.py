@@ -81,7 +81,7 @@ def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[Var
     """Let the implementation have variables with several numbers, and send a record at the distance from each."""
     peer, starts = bench.peer(), _starts(bench)
     creates = [
-        peer.create(var_id, value=b"stored", seqno=seqno)
+        peer.create(var_id, value=b"value", seqno=seqno)
         for var_id, seqno in zip(bench.var_ids(len(starts)), starts, strict=True)
     ]
     taught_all(bench, peer, creates)

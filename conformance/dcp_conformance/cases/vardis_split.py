@@ -54,7 +54,9 @@ def play(bench: Bench, peer: Peer, splits: Sequence[Split], kinds: Iterable[ICTy
                 peer.send(*split.containers)
             bench.until(lambda _: complete(), 1.5)
         if not complete():
-            bench.until(lambda _: complete(), bench.reaction)
+            # The answers may need many payloads.
+            count = sum(len(each.first + each.second) for each in left)
+            bench.until(lambda _: complete(), bench.reaction + count / 4)
         if complete() or attempt:
             break
     names = "/".join(sorted(kind.label for kind in wanted))
