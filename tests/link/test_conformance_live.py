@@ -191,6 +191,45 @@ def test_what_it_says_of_itself():
     until_gone(pid)
 
 
+def test_runs_side_by_side_do_not_hear_each_other():
+    codec = Codec("student-2024")
+    with (
+        reference_process(codec, beacon_period_ms=PERIOD_MS) as one,
+        reference_process(codec, beacon_period_ms=PERIOD_MS) as other,
+    ):
+        assert one.lower.name != other.lower.name
+        for var_id, each in enumerate((one, other), 1):
+            assert each.upper.call("RTDB-Create", {"varId": var_id, "repCnt": 1, "descr": "x", "value": "01"}).ok
+        until = one.lower.now() + 500_000_000
+        while one.lower.receive(until) is not None:
+            pass
+        for var_id, each in enumerate((one, other), 1):
+            variables = each.upper.call("RTDB-DescribeDatabase", {}).result["variables"]
+            assert [variable["varId"] for variable in variables] == [var_id]
+
+
+def test_virtual_ethernet_without_privileges():
+    """In a user namespace, where the system lets anybody make one."""
+    if os.geteuid() != 0:
+        pytest.skip("the other tests here run without privileges already")
+    keys = {"user": 65534, "group": 65534, "extra_groups": [], "cwd": "/", "text": True}
+    environment = {**os.environ, "HOME": "/", "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        trial = subprocess.run([sys.executable, "-c", ""], capture_output=True, check=False, **keys)
+    except PermissionError:
+        pytest.skip(f"nobody but root can run {sys.executable}")
+    if trial.returncode:
+        pytest.skip(f"others cannot run {sys.executable}: {trial.stderr}")
+    process, pid, folder, about = started("auto", env=environment, **{k: v for k, v in keys.items() if k != "text"})
+    process.terminate()
+    process.communicate(timeout=PATIENCE)
+    until_gone(pid)
+    assert not folder.exists()
+    if about != "virtual Ethernet, in a network namespace of its own":
+        # Some systems allow nobody to.
+        assert about.startswith("UDP multicast over the loopback interface (a network namespace cannot be made here")
+
+
 @pytest.mark.parametrize("profile", ["student-2024", "sim-2.0", "dcp-1.0"])
 def test_other_profiles(profile):
     with reference_process(Codec(profile), beacon_period_ms=PERIOD_MS) as running:

@@ -149,13 +149,14 @@ def _open_link(
         else:
             about = "virtual Ethernet, in a network namespace of its own"
             return lower, ["--link", f"eth:{SUT_INTERFACE},type={ether_type:#06x}"], namespace, about
-    port = link.udp_port if link.transport == "udp" and link.udp_port else _free_port()
+    # Also where the profile names a port: what else runs there on this host must not be heard.
+    port = _free_port()
     about = f"UDP multicast over the loopback interface ({why})"
     return open_udp(DEFAULT_GROUP, port, link=link), ["--link", f"udp:{DEFAULT_GROUP}:{port}"], None, about
 
 
 def _free_port() -> int:
-    """A port that nobody has, so that runs beside this one are not heard."""
+    """A port that nobody has."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
         trial.bind(("127.0.0.1", 0))
         port: int = trial.getsockname()[1]
