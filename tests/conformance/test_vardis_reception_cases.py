@@ -66,6 +66,7 @@ class Slow(Node):
         super().__init__(config, rng=rng, now=now, wall=wall)
         self._late: deque[tuple[int, bytes]] = deque()
         self._lateness = random.Random(1)
+        self._moment = self._due = -1
 
     def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
         if self._moment != now:
