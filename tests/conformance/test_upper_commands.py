@@ -79,7 +79,7 @@ def tools(tmp_path):
 
 def test_what_a_file_offers(tools):
     upper = tools.open()
-    assert upper.methods == {"UT-Hello", *load_adapter(str(tools.path)).methods}
+    assert upper.methods == set(load_adapter(str(tools.path)).methods)
     assert upper.about == upper.call("UT-Hello", {}).result
     assert upper.about["nodeId"] == "02:00:00:00:00:01"
     assert (upper.about["name"], upper.about["version"], upper.about["specVersion"]) == ("fake tools", "7", "1.3")
@@ -326,6 +326,9 @@ def test_the_cpp_tools(cpp, tmp_path):
     says, upper = cpp
     asked = tmp_path / "asked"
     assert upper.about["version"] == "1.3"
+    # A program that knows its version does not show that a daemon runs.
+    assert "UT-Hello" not in upper.methods
+    assert upper.call("UT-Hello", {}).result["version"] == "1.3"
     says("vardisapp-list-variables", LIST + "\n")
     (variable,) = upper.call("RTDB-DescribeDatabase", {}).result["variables"]
     assert variable == {**VARIABLE, "descr": "a, descr = b", "isDeleted": True}
