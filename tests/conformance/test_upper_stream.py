@@ -202,6 +202,13 @@ def test_a_program_that_dies_at_once():
         open_upper("exec:false")
 
 
+def test_an_echo():
+    begun = time.monotonic()
+    with pytest.raises(UpperTesterError, match=r"exec:cat: sends a request instead of answering one: .* is it an echo"):
+        open_upper("exec:cat", patience=60)
+    assert time.monotonic() - begun < 30
+
+
 def test_a_command_that_needs_a_shell():
     with pytest.raises(UpperTesterError, match=r"exit status 7; it said: one \| two"):
         open_upper("exec:(echo one; echo two) >&2 && exit 7")

@@ -205,6 +205,11 @@ class StreamUpperTester:
             raise UpperTesterError(
                 f"{self.name}: answers with the id {_shown(number)}, which no request that waits has: {_shown(message)}"
             )
+        if message.get("id") is not None:
+            raise UpperTesterError(
+                f"{self.name}: sends a request instead of answering one: {_shown(message)}; is it an echo, as of a "
+                "terminal (ssh -t)?"
+            )
         try:
             notification = notification_of(message, time.monotonic_ns())
         except UpperTesterError as error:
