@@ -25,6 +25,8 @@ LONGEST_LINE = 16 * 1024 * 1024
 LAST_LINES, LAST_OCTETS = 10, 500
 #: Seconds between attempts to connect, and those that a program has to end once it is told to.
 _RETRY, _END = 0.02, 2.0
+#: Seconds that what was killed may take to be gone.
+_GONE = 0.5
 
 
 class Channel:
@@ -308,15 +310,22 @@ def end_group(process: subprocess.Popen[bytes], *, patience: float, ask_first: b
     _signal_group(process, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(patience)
-    # Also those that it left behind.
-    _signal_group(process, signal.SIGKILL)
+    # Also those that it left behind. They are somebody else's children, and may take a moment to go.
+    deadline = time.monotonic() + min(patience, _GONE)
+    while _signal_group(process, signal.SIGKILL) and time.monotonic() < deadline:
+        process.poll()
+        time.sleep(_RETRY)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(patience)
 
 
-def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):
+def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> bool:
+    """Signal a group; whether there was anybody in it."""
+    try:
         os.killpg(process.pid, number)
+    except (ProcessLookupError, PermissionError):
+        return False
+    return True
 
 
 def _wait(descriptors: Sequence[int], events: int, seconds: float) -> None:
