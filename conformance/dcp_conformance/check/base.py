@@ -15,6 +15,9 @@ from dcp_conformance.pics import Pics
 from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
+from .lives import Lives
+from .senders import Senders
+
 #: Findings of one invariant that are shown with their frames; all are counted.
 MOST_FINDINGS = 20
 #: Senders, and variables of each, that are followed; what a forged recording has beyond that is not judged.
@@ -58,11 +61,20 @@ class Finding(NamedTuple):
     frames: tuple[Mark, ...]
 
 
-class Context(NamedTuple):
-    """What all invariants know beforehand."""
+class Context:
+    """What all invariants know: beforehand, and of the recording so far."""
 
-    codec: Codec
-    pics: Pics
+    def __init__(self, codec: Codec, pics: Pics) -> None:
+        self.codec = codec
+        self.pics = pics
+        self.senders = Senders(MOST_SENDERS)
+        self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
+
+    def feed(self, seen: Seen) -> None:
+        """The next frame, before the invariants get it."""
+        self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
+        for each in seen.heard.instructions():
+            self.lives.feed(each, seen.sender)
 
     @property
     def profile(self) -> Profile:

@@ -26,7 +26,7 @@ from dcp_conformance.results import (
 from dcp_conformance.runner import timestamp
 from dcp_conformance.verdict import Verdict, worst
 
-from . import rules_bp, rules_data, rules_dialogue, rules_srp, rules_vardis
+from . import rules_bp, rules_data, rules_dialogue, rules_repetition, rules_srp, rules_vardis, rules_variables
 from .base import Context, Invariant, Seen
 
 RULES: tuple[type[Invariant], ...] = (
@@ -34,6 +34,8 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_bp.RULES,
     *rules_srp.RULES,
     *rules_vardis.RULES,
+    *rules_variables.RULES,
+    *rules_repetition.RULES,
     *rules_dialogue.RULES,
 )
 #: Frames that are kept for findings that are made later; older ones are cited by number only.
@@ -48,8 +50,8 @@ class Judge:
         self._pics = pics
         self._recording = recording
         self._command = command
-        context = Context(codec, pics)
-        self._rules = [rule(context) for rule in RULES]
+        self._context = Context(codec, pics)
+        self._rules = [rule(self._context) for rule in RULES]
         self._active = [rule for rule in self._rules if not rule.applies()]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
         self._cited: dict[int, EventRecord] = {}
@@ -75,6 +77,7 @@ class Judge:
         self._recent[frame.number] = (frame, framing.start, seen.sender)
         if len(self._recent) > _KEPT:
             self._recent.popitem(last=False)
+        self._context.feed(seen)
         for rule in self._active:
             rule.feed(seen)
         self._cite()

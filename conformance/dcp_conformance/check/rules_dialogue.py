@@ -14,47 +14,74 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.circular import Circle
 from dcp_conformance.heard import Instruction
-from dcp_conformance.results import Mark
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
-from .rules_vardis import Creations, seqno_of
+from .rules_vardis import seqno_of
 
 MS = 1_000_000
 #: For how long after it was shown that Y hears X this is believed, in ns.
 _BELIEF = 20_000 * MS
+#: A gap in the recording shows within so many ns, or never.
+_GAP_SHOWS = 2_000 * MS
+#: So often it must look as if one node heard another.
+_SHOWN = 2
 #: Of so many occasions this part must be missed for a verdict; of fewer, down to the second number, every one.
 _OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4
-#: For how many beacon periods before it is seen on the air a payload may have been composed.
-_COMPOSED = 1.6
 _PENDING = 10_000
 
 
+class _Shown(NamedTuple):
+    """It looks as if one node heard another."""
+
+    begin: int
+    end: int
+    listener: bytes
+    speaker: bytes
+
+
 class Hearing:
-    """Who is known to hear whom."""
+    """Who is known to hear whom.
 
-    def __init__(self) -> None:
-        self._origins: dict[tuple[int, int, int, ICType], set[bytes]] = {}
+    A node that repeats what one other node alone has sent hears that one, if no third has sent it that the recorder
+    missed: that is waited for. Only variables with a single life count; of others several nodes may come up with the
+    same.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._origins: dict[tuple[int, int, ICType], tuple[int, set[bytes]]] = {}
+        self._open: deque[_Shown] = deque()
         self._heard: dict[tuple[bytes, bytes], int] = {}
+        self._counts: dict[tuple[bytes, bytes], int] = {}
 
-    def feed(self, instruction: Instruction, creation: int, sender: bytes, time: int) -> None:
-        """Take an instruction; whoever repeats what one other node alone has sent hears that one."""
+    def feed(self, instruction: Instruction, sender: bytes, time: int) -> None:
+        """Take an instruction."""
+        while self._open and self._open[0].end + _GAP_SHOWS < time:
+            self._believe(self._open.popleft())
         if instruction.kind not in (ICType.CREATE_VARIABLES, ICType.UPDATES):
             return
-        key = (instruction.var_id, creation, seqno_of(instruction), instruction.kind)
-        senders = self._origins.get(key)
-        if senders is None:
+        key = (instruction.var_id, seqno_of(instruction), instruction.kind)
+        lives = self._context.lives
+        if lives.born(instruction.var_id) is None:
+            self._origins.pop(key, None)
+            return
+        begin, senders = self._origins.get(key, (0, set()))
+        if not senders or time - begin > _BELIEF:
+            # The numbers come round again.
             if len(self._origins) >= MOST_VARIABLES:
                 self._origins.clear()
-            self._origins[key] = {sender}
+            self._origins[key] = (time, {sender})
         elif sender not in senders:
-            if len(senders) == 1:
-                self._heard[sender, next(iter(senders))] = time
+            if len(senders) == 1 and lives.producer(instruction.var_id) != sender and len(self._open) < _PENDING:
+                self._open.append(_Shown(begin, time, sender, next(iter(senders))))
             senders.add(sender)
 
-    def hears(self, listener: bytes, speaker: bytes, time: int) -> bool:
-        """Whether it was shown lately that ``listener`` hears ``speaker``."""
-        shown = self._heard.get((listener, speaker))
-        return shown is not None and abs(time - shown) <= _BELIEF
+    def _believe(self, shown: _Shown) -> None:
+        if self._context.senders.complete(shown.begin, shown.end) and len(self._counts) < MOST_VARIABLES:
+            pair = (shown.listener, shown.speaker)
+            self._counts[pair] = self._counts.get(pair, 0) + 1
+            if self._counts[pair] >= _SHOWN:
+                self._heard[pair] = shown.end
 
     def listeners(self, speaker: bytes, time: int) -> list[bytes]:
         """Who is known to hear ``speaker``."""
@@ -72,7 +99,7 @@ class _Due(NamedTuple):
     seqno: int
 
 
-class _Counter:
+class Counter:
     """Of how many occasions how many were missed, and one example."""
 
     def __init__(self) -> None:
@@ -99,13 +126,13 @@ class _Dialogue(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self.circle = Circle(context.profile.types.var_seqno.width)
-        self.creations = Creations()
-        self.hearing = Hearing()
-        self.known: dict[tuple[bytes, int], tuple[int, int]] = {}
-        """(node, variable) -> creation and number that it was last heard to have."""
-        self.producers: dict[int, bytes] = {}
+        self.hearing = Hearing(context)
+        self._known: dict[tuple[bytes, int], tuple[int, int]] = {}
+        """(node, variable) -> number that it was last heard to have, and when."""
+        self._producers: dict[tuple[bytes, int], bytes] = {}
+        """(node, variable) -> who produces it, as the node has said."""
         self._due: deque[_Due] = deque()
-        self._counters: dict[tuple[bytes, int], _Counter] = {}
+        self._counters: dict[tuple[bytes, int], Counter] = {}
         period = context.pics.pixit.beacon_period_ms * MS
         self.window = round((context.pics.pixit.reaction_periods + 1) * period)
 
@@ -113,16 +140,18 @@ class _Dialogue(Invariant):
         """Take all instructions of a beacon, then look at what it answers."""
         self._expire(seen.time)
         for each in seen.heard.instructions():
-            creation = self.creations.feed(each)
-            self.hearing.feed(each, creation, seen.sender, seen.time)
-            if each.kind is ICType.CREATE_VARIABLES:
-                self.producers[each.var_id] = each.record.spec.prod_id
+            key = (seen.sender, each.var_id)
+            self.hearing.feed(each, seen.sender, seen.time)
+            if each.kind is ICType.CREATE_VARIABLES and (
+                key in self._producers or len(self._producers) < MOST_VARIABLES
+            ):
+                self._producers[key] = each.record.spec.prod_id
             self.met(each, seen)
             if each.kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES):
-                if (seen.sender, each.var_id) in self.known or len(self.known) < MOST_VARIABLES:
-                    self.known[seen.sender, each.var_id] = (creation, seqno_of(each))
+                if key in self._known or len(self._known) < MOST_VARIABLES:
+                    self._known[key] = (seqno_of(each), seen.time)
             elif each.kind is ICType.DELETE_VARIABLES:
-                self.known.pop((seen.sender, each.var_id), None)
+                self._known.pop(key, None)
         for each in seen.heard.instructions():
             self.asked(each, seen)
 
@@ -133,6 +162,20 @@ class _Dialogue(Invariant):
     def asked(self, instruction: Instruction, seen: Seen) -> None:
         """A node says something: note what others have to do about it."""
         raise NotImplementedError
+
+    def number(self, node: bytes, var_id: int) -> int | None:
+        """The number that a node has of a variable; None if it has none, or may have lost it unheard since."""
+        known = self._known.get((node, var_id))
+        if known is None or not self.context.senders.unbroken(node, known[1]):
+            return None
+        return known[0]
+
+    def consumer(self, node: bytes, var_id: int) -> bool:
+        """Whether a node has a variable of somebody else, as it said itself, or as there has only been one."""
+        producer = self._producers.get((node, var_id))
+        if producer is None and self.context.lives.born(var_id) is not None:
+            producer = self.context.lives.producer(var_id)
+        return producer is not None and producer != node
 
     def expect_from(self, node: bytes, cause: Instruction, seen: Seen, seqno: int) -> None:
         """Something is due from ``node`` within the window."""
@@ -154,8 +197,11 @@ class _Dialogue(Invariant):
             self._count(self._due.popleft(), missed=True)
 
     def _count(self, due: _Due, *, missed: bool) -> None:
+        if missed and not self.context.senders.unbroken(due.node, due.cause.heard.wall):
+            # Perhaps it did, and the recorder missed it.
+            return
         if (due.node, due.var_id) in self._counters or len(self._counters) < MOST_VARIABLES:
-            self._counters.setdefault((due.node, due.var_id), _Counter()).note(due.cause, missed=missed)
+            self._counters.setdefault((due.node, due.var_id), Counter()).note(due.cause, missed=missed)
 
     def finish(self) -> None:
         """Judge the counts."""
@@ -165,7 +211,7 @@ class _Dialogue(Invariant):
                 text = f"{name(node)}, variable {var_id}: missed {counter.missed} of {counter.occasions} times"
                 self.violated(f"{text}{self.example(counter)}", counter.examples)
 
-    def example(self, counter: _Counter) -> str:
+    def example(self, counter: Counter) -> str:
         """More about what was missed."""
         first = counter.examples[0]
         return f", first after frame {first.heard.number} of {name(first.heard.sender or b'')}"
@@ -193,9 +239,9 @@ class AnswersUpdateRequests(_Dialogue):
         if instruction.kind is not ICType.REQUEST_VARUPDATES:
             return
         for node in self.hearing.listeners(seen.sender, seen.time):
-            has = self.known.get((node, instruction.var_id))
-            if has is not None and self.circle.newer(has[1], seqno_of(instruction)):
-                self.expect_from(node, instruction, seen, has[1])
+            has = self.number(node, instruction.var_id)
+            if has is not None and self.circle.newer(has, seqno_of(instruction)):
+                self.expect_from(node, instruction, seen, has)
 
 
 class AnswersCreateRequests(_Dialogue):
@@ -217,7 +263,7 @@ class AnswersCreateRequests(_Dialogue):
         if instruction.kind is not ICType.REQUEST_VARCREATES:
             return
         for node in self.hearing.listeners(seen.sender, seen.time):
-            if (node, instruction.var_id) in self.known:
+            if self.number(node, instruction.var_id) is not None:
                 self.expect_from(node, instruction, seen, 0)
 
 
@@ -243,160 +289,14 @@ class TakesUpdates(_Dialogue):
         if instruction.kind is not ICType.UPDATES:
             return
         for node in self.hearing.listeners(seen.sender, seen.time):
-            has = self.known.get((node, instruction.var_id))
-            if has is None or self.producers.get(instruction.var_id) == node:
+            has = self.number(node, instruction.var_id)
+            if has is None or not self.consumer(node, instruction.var_id):
                 continue
-            if self.circle.newer(seqno_of(instruction), has[1]):
+            if self.circle.newer(seqno_of(instruction), has):
                 self.expect_from(node, instruction, seen, seqno_of(instruction))
 
 
-class Repetitions(Invariant):
-    """Instructions are repeated as often as the VarSpec says."""
-
-    id = "CK_VD_REPEAT"
-    section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = "A node sends an instruction in at most repCnt beacons, unless somebody gives it a reason to begin again"
-    requirements = ("VD-SCP-02", "VD-SCP-03")
-    expect = "at most repCnt beacons with the same instruction for each reason to send it"
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self._circle = Circle(context.profile.types.var_seqno.width)
-        self._creations = Creations()
-        self._rep_cnt: dict[int, int] = {}
-        self._runs: dict[tuple[bytes, int, ICType], list[int]] = {}
-        """(node, variable, kind) -> creation, number, beacons so far, beacons allowed, equal requests."""
-        self._senders: dict[tuple[int, ICType], set[bytes]] = {}
-        """Who has a run of that kind, by variable."""
-        self._reasons: deque[tuple[int, bytes, Instruction]] = deque()
-        """What was said lately that can be a reason for others, when, and by whom."""
-        self._composed = round(_COMPOSED * context.pics.pixit.beacon_period_ms * MS)
-
-    def feed(self, seen: Seen) -> None:
-        """Count beacons; requests and older numbers of others allow more."""
-        while self._reasons and self._reasons[0][0] < seen.time - self._composed:
-            self._reasons.popleft()
-        for each in seen.heard.instructions():
-            creation = self._creations.feed(each)
-            if each.kind is ICType.CREATE_VARIABLES:
-                self._rep_cnt[each.var_id] = each.record.spec.rep_cnt
-            if each.kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES):
-                self._sent(each, creation, seen)
-            if each.kind is not ICType.DELETE_VARIABLES:
-                # Whoever says anything else of a variable has it: it may be deleted another time.
-                self._runs.pop((seen.sender, each.var_id, ICType.DELETE_VARIABLES), None)
-                self._reason(each, seen)
-
-    def _sent(self, each: Instruction, creation: int, seen: Seen) -> None:
-        allowed = self._rep_cnt.get(each.var_id)
-        if allowed is None:
-            # Created before the recording began: nobody knows how often.
-            return
-        number = seqno_of(each) if each.kind is ICType.UPDATES else 0
-        key = (seen.sender, each.var_id, each.kind)
-        run = self._runs.get(key)
-        if run is None or run[0] != creation or run[1] != number:
-            if run is not None or len(self._runs) < MOST_VARIABLES:
-                run = self._runs[key] = [creation, number, 1, allowed, 0]
-                self._senders.setdefault((each.var_id, each.kind), set()).add(seen.sender)
-                # A payload may have been composed a while before: what was said meanwhile counts for the next one.
-                for _, node, reason in self._reasons:
-                    if node != seen.sender and reason.var_id == each.var_id:
-                        self._weigh(run, each.kind, reason, allowed)
-            return
-        run[2] += 1
-        self.exercised()
-        if run[2] > run[3]:
-            text = (
-                f"{name(seen.sender)}, variable {each.var_id}: {each.kind.label} {number} in {run[2]} beacons, "
-                f"{run[3]} allowed"
-            )
-            answered = bool(run[4]) and each.kind is ICType.UPDATES
-            if answered:
-                text += f"; {run[4]} requests told the same number, which must not be answered"
-            self.violated(text, [each], "VD-RU-03" if answered else "VD-SCP-02", once=(key, creation))
-
-    def _reason(self, each: Instruction, seen: Seen) -> None:
-        """What somebody says may be a reason for others to send again."""
-        if len(self._reasons) < _PENDING:
-            self._reasons.append((seen.time, seen.sender, each))
-        allowed = self._rep_cnt.get(each.var_id, 0)
-        for kind in (ICType.CREATE_VARIABLES, ICType.UPDATES):
-            for node in self._senders.get((each.var_id, kind), ()):
-                if node != seen.sender:
-                    self._weigh(self._runs[node, each.var_id, kind], kind, each, allowed)
-
-    def _weigh(self, run: list[int], kind: ICType, reason: Instruction, allowed: int) -> None:
-        """Allow more, if this is a reason for that kind of instruction."""
-        if kind is ICType.CREATE_VARIABLES:
-            run[3] += allowed if reason.kind is ICType.REQUEST_VARCREATES else 0
-        elif kind is ICType.UPDATES and reason.kind in (ICType.REQUEST_VARUPDATES, ICType.SUMMARIES, ICType.UPDATES):
-            if self._circle.older(seqno_of(reason), run[1]):
-                run[3] += allowed
-            elif reason.kind is ICType.REQUEST_VARUPDATES and seqno_of(reason) == run[1]:
-                run[4] += 1
-
-
-class Requests(Invariant):
-    """Nobody asks for what it has."""
-
-    id = "CK_VD_REQUEST"
-    section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = (
-        "A node asks for the creation of variables that it does not have, and does not pass on the requests of others"
-    )
-    requirements = ("VD-SCP-01",)
-    expect = "no request for a variable that the node has in the same payload, or has summarised right before"
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self._has: dict[tuple[bytes, int], Instruction] = {}
-        self._asked: dict[tuple[bytes, int], list[int]] = {}
-        self._producers: dict[int, bytes] = {}
-
-    def feed(self, seen: Seen) -> None:
-        """Compare requests with what the node last said."""
-        for each in seen.heard.instructions():
-            key = (seen.sender, each.var_id)
-            if each.kind is ICType.REQUEST_VARCREATES:
-                self.exercised()
-                self._count(each, seen)
-                has = self._has.get(key)
-                restarted = has is not None and (seen.heard.seqno or 0) < (has.heard.seqno or 0)
-                if has is not None and not restarted:
-                    text = f"{name(seen.sender)} asks for variable {each.var_id}, which it has"
-                    self.violated(text, [has, each], once=key)
-            elif each.kind is ICType.DELETE_VARIABLES:
-                self._has.pop(key, None)
-            elif each.kind is not ICType.REQUEST_VARUPDATES and (key in self._has or len(self._has) < MOST_VARIABLES):
-                self._has[key] = each
-            if each.kind is ICType.CREATE_VARIABLES:
-                self._producers[each.var_id] = each.record.spec.prod_id
-
-    def _count(self, each: Instruction, seen: Seen) -> None:
-        key = (seen.sender, each.var_id)
-        if key in self._asked or len(self._asked) < MOST_VARIABLES:
-            self._asked.setdefault(key, [0, each.heard.number])[0] += 1
-
-    def finish(self) -> None:
-        """Hazards of the design: requests that never end, and producers that ask for their own variables."""
-        by_variable: dict[int, list[tuple[bytes, int, int]]] = {}
-        for (node, var_id), (count, first) in self._asked.items():
-            by_variable.setdefault(var_id, []).append((node, count, first))
-            if self._producers.get(var_id) == node:
-                text = f"{name(node)} asks {count} times for variable {var_id}, whose producer it is"
-                self.note("a producer that has forgotten its own variable (H2)", text, [Mark(first)])
-        for var_id, askers in by_variable.items():
-            often = [each for each in askers if each[1] >= 10]
-            if len(often) >= 2:
-                who = ", ".join(f"{name(node)} {count} times" for node, count, _ in often)
-                marks = [Mark(first) for _, _, first in often]
-                self.note("nodes that ask each other for what neither has (H1)", f"variable {var_id}: {who}", marks)
-
-
 RULES: tuple[type[Invariant], ...] = (
-    Repetitions,
-    Requests,
     AnswersUpdateRequests,
     AnswersCreateRequests,
     TakesUpdates,

@@ -1,0 +1,366 @@
+"""dcp-vardis.md: what nodes say of a variable, one payload after the other and one node beside the other.
+
+Nothing here is said at once. What a node says that looks wrong may be explained by what comes next (a creation that did
+not fit into the payload before), or by a beacon that the recorder has missed, which shows only with the one after it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from typing import Any, NamedTuple
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.circular import Circle
+from dcp_conformance.heard import Instruction
+
+from .base import MOST_VARIABLES, Context, Invariant, Seen, name
+from .rules_vardis import SENT, seqno_of
+
+#: Values of a variable that are remembered: fewer than the circle of its numbers has.
+_VALUES = 64
+#: So many beacons a node gets to explain itself; creations go first, and many may be waiting.
+_PATIENCE = 10
+#: A gap in the recording shows within so many ns, or never.
+_GAP_SHOWS = 2_000_000_000
+_SUSPECTS = 4096
+
+
+class _Suspect(NamedTuple):
+    """What looks wrong, until it is explained."""
+
+    before: Instruction
+    after: Instruction
+    beacons: int
+    """How many beacons of the node had been heard by then."""
+    text: str
+
+
+class _OfOneNode(Invariant):
+    """Base: a node contradicts itself, unless it says in a moment that the variable was created again."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._suspects: OrderedDict[tuple[bytes, int], _Suspect] = OrderedDict()
+
+    def suspect(self, before: Instruction, after: Instruction, seen: Seen, text: str) -> None:
+        """Only if nothing of the node is missing in between."""
+        sender = self.context.senders.get(seen.sender)
+        if sender is None or sender.unbroken > before.heard.wall or len(self._suspects) >= _SUSPECTS:
+            return
+        self._suspects.setdefault((seen.sender, after.var_id), _Suspect(before, after, sender.beacons, text))
+
+    def explain(self, node: bytes, var_id: int) -> None:
+        """A creation, or a deletion: it was another life."""
+        self._suspects.pop((node, var_id), None)
+
+    def due(self) -> None:
+        """Judge those that had their time."""
+        while self._suspects:
+            key, suspect = next(iter(self._suspects.items()))
+            sender = self.context.senders.get(key[0])
+            if sender is None or sender.unbroken > suspect.before.heard.wall:
+                del self._suspects[key]
+            elif sender.beacons >= suspect.beacons + _PATIENCE:
+                del self._suspects[key]
+                self.violated(suspect.text, [suspect.before, suspect.after], once=key)
+            elif suspect.after.heard.wall + _PATIENCE * _GAP_SHOWS < self._now:
+                # It has fallen silent.
+                del self._suspects[key]
+            else:
+                break
+
+    _now = 0
+
+
+class SequenceForwards(_OfOneNode):
+    """Nobody goes back to an older value."""
+
+    id = "CK_VD_SEQNO"
+    section = "dcp-vardis.md: Receive Path"
+    purpose = "What a node sends of a variable never becomes older within a creation"
+    requirements = ("VD-TYP-03", "VD-PU-06")
+    expect = "sequence numbers that stay or grow (circularly)"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._circle = Circle(context.profile.types.var_seqno.width)
+        self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
+        """(node, variable) -> the creation that the node has spoken of."""
+        self._last: dict[tuple[bytes, int], Instruction] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with what the node sent last."""
+        self._now = seen.time
+        self.due()
+        for each in seen.heard.instructions():
+            key = (seen.sender, each.var_id)
+            if each.kind is ICType.DELETE_VARIABLES:
+                self._last.pop(key, None)
+                self.explain(*key)
+                continue
+            if each.kind not in SENT:
+                continue
+            if each.kind is ICType.CREATE_VARIABLES and self._another(key, each.record):
+                self._last.pop(key, None)
+                self.explain(*key)
+            before = self._last.get(key)
+            if before is not None:
+                self.exercised()
+                old, new = seqno_of(before), seqno_of(each)
+                if self._circle.older(new, old):
+                    self.suspect(before, each, seen, f"{name(seen.sender)}, variable {each.var_id}: {new} after {old}")
+            if before is not None or len(self._last) < MOST_VARIABLES:
+                self._last[key] = each
+
+    def _another(self, key: tuple[bytes, int], record: VarCreate) -> bool:
+        """Whether the node speaks of another creation than before."""
+        this = (record.spec.prod_id, record.spec.creation_time)
+        before = self._creation.get(key)
+        if before is not None or len(self._creation) < MOST_VARIABLES:
+            self._creation[key] = this
+        return before != this
+
+    def finish(self) -> None:
+        """What had its time."""
+        self.due()
+
+
+class Deleted(_OfOneNode):
+    """What is deleted is not mentioned."""
+
+    id = "CK_VD_DELETED"
+    section = "dcp-vardis.md: RTDB-Delete"
+    purpose = "A node that has deleted a variable says nothing more of it, until it is created again"
+    requirements = ("VD-DEL-05", "VD-PD-04", "VD-CMP-05")
+    expect = "no update or summary behind a delete"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._deleted: dict[tuple[bytes, int], Instruction] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Remember deletes; a create that the node itself sends behind one ends its force."""
+        self._now = seen.time
+        self.due()
+        for each in seen.heard.instructions():
+            key = (seen.sender, each.var_id)
+            if each.kind is ICType.DELETE_VARIABLES:
+                if key in self._deleted or len(self._deleted) < MOST_VARIABLES:
+                    self.exercised()
+                    self._deleted[key] = each
+            elif each.kind is ICType.CREATE_VARIABLES:
+                self._deleted.pop(key, None)
+                self.explain(*key)
+            elif each.kind in SENT and key in self._deleted:
+                gone = self._deleted.pop(key)
+                text = f"{name(seen.sender)} deletes variable {each.var_id}, and then sends {each.kind.label} of it"
+                self.suspect(gone, each, seen, text)
+
+    def finish(self) -> None:
+        """What had its time."""
+        self.due()
+
+
+class _Contradiction(NamedTuple):
+    """Two nodes that say different things of one variable, until it is certain that nothing of either was missed."""
+
+    begin: int
+    before: Instruction
+    after: Instruction
+    text: str
+    key: object
+
+
+class _OfAllNodes(Invariant):
+    """Base: nodes contradict each other about a variable that has had a single life."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._open: deque[_Contradiction] = deque()
+
+    def contradict(self, begin: int, before: Instruction, after: Instruction, text: str, key: object) -> None:
+        """``begin``: nothing may be missing since then."""
+        if len(self._open) < _SUSPECTS:
+            self._open.append(_Contradiction(begin, before, after, text, key))
+
+    def due(self, now: int) -> None:
+        """Judge those of which it is certain now that nothing was missed."""
+        while self._open and self._open[0].after.heard.wall + _GAP_SHOWS < now:
+            each = self._open.popleft()
+            if self.context.senders.complete(each.begin, each.after.heard.wall):
+                self.violated(each.text, [each.before, each.after], once=each.key)
+
+    def finish(self) -> None:
+        """No gap will show any more."""
+        self.due(1 << 63)
+
+
+class OneValue(_OfAllNodes):
+    """One number, one value."""
+
+    id = "CK_VD_VALUE"
+    section = "dcp-vardis.md: Global versus Local Dissemination"
+    purpose = "The same sequence number of a variable stands for the same value at all nodes"
+    requirements = ("VD-PU-05", "VD-PU-07")
+    expect = "the same value wherever variable, creation and sequence number are the same"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._circle = Circle(context.profile.types.var_seqno.width)
+        self._values: dict[int, OrderedDict[int, tuple[bytes, Instruction]]] = {}
+        self._newest: dict[int, int] = {}
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with whoever sent that number first."""
+        self.due(seen.time)
+        lives = self.context.lives
+        for each in seen.heard.instructions():
+            if each.kind not in SENT:
+                continue
+            born = lives.born(each.var_id)
+            if born is None:
+                self._values.pop(each.var_id, None)
+                self._newest.pop(each.var_id, None)
+                continue
+            self._advance(each.var_id, seqno_of(each))
+            if each.kind is not ICType.SUMMARIES:
+                self._compare(each, born, seen)
+
+    def _advance(self, var_id: int, number: int) -> None:
+        """Forget what lies a quarter of the circle back: its numbers will come again."""
+        newest = self._newest.get(var_id)
+        if newest is None or self._circle.newer(number, newest):
+            if newest is None and len(self._newest) >= MOST_VARIABLES:
+                return
+            self._newest[var_id] = number
+            known = self._values.get(var_id, {})
+            for old in [each for each in known if self._far(each, number)]:
+                del known[old]
+
+    def _far(self, number: int, newest: int) -> bool:
+        return (newest - number) % self._circle.modulus >= self._circle.modulus // 4
+
+    def _compare(self, each: Instruction, born: int, seen: Seen) -> None:
+        record = each.record.upd if isinstance(each.record, VarCreate) else each.record
+        newest = self._newest.get(each.var_id)
+        if newest is None or self._far(record.seqno, newest):
+            return
+        known = self._values.setdefault(each.var_id, OrderedDict())
+        before = known.get(record.seqno)
+        if before is None:
+            known[record.seqno] = (record.value, each)
+            if len(known) > _VALUES:
+                known.popitem(last=False)
+            return
+        self.exercised()
+        if before[0] != record.value:
+            text = (
+                f"variable {each.var_id}, seqno {record.seqno}: {before[0].hex()} from "
+                f"{name(before[1].heard.sender or b'')}, {record.value.hex()} from {name(seen.sender)}"
+            )
+            self.contradict(born, before[1], each, text, (each.var_id, record.seqno))
+
+
+class OneSpec(_OfAllNodes):
+    """Attributes are forwarded as they are."""
+
+    id = "CK_VD_SPEC"
+    section = "dcp-vardis.md: Basic Transmissible Data Types"
+    purpose = "All nodes send the same VarSpec of a creation"
+    requirements = ("VD-TYP-06", "VD-PC-10")
+    expect = "prodId, repCnt, creationTime, timeout and description as the producer sent them"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._specs: OrderedDict[tuple[Any, ...], Instruction] = OrderedDict()
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with whoever sent the creation first."""
+        self.due(seen.time)
+        for each in seen.heard.instructions(ICType.CREATE_VARIABLES):
+            spec = each.record.spec
+            key = (each.var_id, spec.prod_id, spec.creation_time)
+            before = self._specs.get(key)
+            if before is None or (spec.creation_time is None and spec.prod_id == seen.sender):
+                if before is None and spec.prod_id != seen.sender:
+                    self._unheard(each, seen)
+                self._specs[key] = each
+                if len(self._specs) > MOST_VARIABLES:
+                    self._specs.popitem(last=False)
+                continue
+            if before.heard.sender != seen.sender:
+                self.exercised()
+            if before.record.spec == spec:
+                continue
+            text = f"variable {each.var_id}: {before.record.spec} becomes {spec} at {name(seen.sender)}"
+            if spec.creation_time is not None:
+                self.violated(text, [before, each], once=key)
+            else:
+                # Before 2.0 nothing tells creations apart; this is one only if there was a single life.
+                born = self.context.lives.born(each.var_id)
+                if born is not None:
+                    self.contradict(born, before, each, text, key)
+
+    def _unheard(self, each: Instruction, seen: Seen) -> None:
+        """A creation that its producer never sent, later than the one that it made before our eyes.
+
+        An earlier one may be older than the recording, and come with a node that has been out of reach.
+        """
+        spec, first = each.record.spec, self.context.lives.first(each.var_id)
+        if first is None or spec.creation_time is None:
+            return
+        begin, original = first
+        known = original.record.spec
+        if spec.prod_id == known.prod_id and spec.creation_time > known.creation_time:
+            text = f"variable {each.var_id}: {name(seen.sender)} passes on {spec}, which {name(spec.prod_id)} never sent"
+            self.contradict(begin, original, each, text, (each.var_id, seen.sender))
+
+
+class Recreation(Invariant):
+    """Creations of one producer follow each other."""
+
+    id = "CK_VD_CREATION"
+    section = "dcp-vardis.md: RTDB-Create"
+    purpose = "A variable that is created again gets a later creationTime and starts with sequence number 0"
+    requirements = ("VD-CRE-09", "VD-CRE-10")
+    expect = "a later creationTime, and 0 as the first sequence number"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._last: dict[int, Instruction] = {}
+
+    def applies(self) -> str:
+        """Since 2.0."""
+        return "" if self.context.features.creation_time else "there is no creationTime before 2.0"
+
+    def feed(self, seen: Seen) -> None:
+        """Compare what producers themselves create."""
+        for each in seen.heard.instructions(ICType.CREATE_VARIABLES):
+            if each.record.spec.prod_id != seen.sender:
+                continue
+            before = self._last.get(each.var_id)
+            if before is not None or len(self._last) < MOST_VARIABLES:
+                self._last[each.var_id] = each
+            if before is None or before.record.spec.creation_time == each.record.spec.creation_time:
+                continue
+            if before.record.spec.prod_id != each.record.spec.prod_id:
+                self.note("another node takes a variable over (H4)", f"variable {each.var_id}", [before, each])
+                continue
+            self.exercised()
+            if each.record.spec.creation_time < before.record.spec.creation_time:
+                text = f"variable {each.var_id} is created again with an earlier creationTime"
+                self.violated(text, [before, each], "VD-CRE-09", once=each.var_id)
+            if each.record.upd.seqno > 1:
+                text = f"variable {each.var_id} starts again with sequence number {each.record.upd.seqno}"
+                self.note("the first number of a creation that was heard", text, [each], "VD-CRE-10")
+
+
+RULES: tuple[type[Invariant], ...] = (
+    SequenceForwards,
+    OneValue,
+    OneSpec,
+    Deleted,
+    Recreation,
+)
