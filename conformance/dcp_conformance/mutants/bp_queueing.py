@@ -1,0 +1,268 @@
+"""Faults in what BP keeps for its clients, and in what it takes from it for a beacon."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import msgspec
+from dcp_spec.constants import QueueingMode, SpecVersion
+from dcp_spec.status import BPStatus
+
+from dcp_stack.bp import BeaconingProtocol
+from dcp_stack.bp_clients import Chosen, ClientList
+from dcp_stack.bp_queue import QUEUEING, Client, ModeRule, PayloadQueue, Submission
+from dcp_stack.bp_services import NumberConfirm, RegisterConfirm
+from dcp_stack.bp_timing import BeaconSchedule
+
+from .mutant import mutant
+
+DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
+ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
+Table = ClassVar[dict[QueueingMode, ModeRule]]
+
+
+def rule(mode: QueueingMode, **changes: object) -> dict[QueueingMode, ModeRule]:
+    """The table of modes with another row."""
+    return {**QUEUEING, mode: msgspec.structs.replace(QUEUEING[mode], **changes)}
+
+
+# -- modes -------------------------------------------------------------------------------------------------------------
+
+
+@mutant("drops-head", "BP-QM-01 BP-TXP-04", "drops the oldest payload of a full DROPTAIL queue")
+class TailDropsHead(BeaconingProtocol):
+    queueing = rule(DROPTAIL, when_full="displace-oldest")
+
+
+@mutant("discards-new", "BP-QM-02 BP-TXP-05", "discards a new payload for a full DROPHEAD queue")
+class HeadDiscardsNew(BeaconingProtocol):
+    queueing = rule(DROPHEAD, when_full="discard-new")
+
+
+@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue again and again")
+class QueueRepeats(BeaconingProtocol):
+    queueing = rule(DROPTAIL, when_sent="keep")
+
+
+@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue again and again")
+class HeadQueueRepeats(BeaconingProtocol):
+    queueing = rule(DROPHEAD, when_sent="keep")
+
+
+@mutant("bounded", "BP-QM-03", "keeps one payload in a QUEUE", until=SpecVersion.V1_0)
+class QueueBounded(BeaconingProtocol):
+    queueing = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
+
+
+@mutant("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent")
+class OnceKeepsOldest(BeaconingProtocol):
+    queueing = rule(ONCE, when_full="discard-new")
+
+
+@mutant("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent")
+class OnceRepeats(BeaconingProtocol):
+    queueing = rule(ONCE, when_sent="keep")
+
+
+@mutant("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "empties a REPEAT buffer when it was sent")
+class RepeatForgets(BeaconingProtocol):
+    queueing = rule(REPEAT, when_sent="remove")
+
+
+@mutant("keeps-oldest", "BP-QM-05 BP-TXP-06", "never replaces the payload of a REPEAT buffer")
+class RepeatKeepsOldest(BeaconingProtocol):
+    queueing = rule(REPEAT, when_full="discard-new")
+
+
+class OwnQueue(ClientList):
+    """Gives clients another queue."""
+
+    queue: ClassVar[type[PayloadQueue]] = PayloadQueue
+
+    def insert(self, client: Client) -> None:
+        if client.queue is not None:
+            client.queue = self.queue(client.queue.rule, client.registration.max_entries)
+        super().insert(client)
+
+
+@mutant("newest-first", "BP-QM-03 BP-QM-02", "sends the newest payload of a queue first")
+class NewestFirst(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - takes the place of an attribute
+        def head(self) -> bytes | None:
+            return self._payloads[-1] if self._payloads else None
+
+        def sent(self) -> None:
+            if self.rule.when_sent == "remove":
+                self._payloads.pop()
+
+
+@mutant(
+    "one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries", since=SpecVersion.V1_1
+)
+class OnePlaceMore(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, max_entries + 1)
+
+
+@mutant("one-place-less", "BP-QM-02 BP-QM-01 BP-QRY-02", "keeps one payload less than maxEntries")
+class OnePlaceLess(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, max(max_entries - 1, 1))
+
+
+@mutant("forgets-all", "BP-TXP-05 BP-QM-02", "empties a full DROPHEAD queue to keep a new payload")
+class ForgetsAll(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def submit(self, payload: bytes) -> Submission:
+            outcome = super().submit(payload)
+            if outcome == "displaced":
+                self._payloads.clear()
+                self._payloads.append(payload)
+            return outcome
+
+
+@mutant("several", "BP-QM-07", "sends several payloads of a client in one beacon that asked for one")
+class AlwaysSeveral(ClientList):
+    def insert(self, client: Client) -> None:
+        client.several = client.queue is not None and client.queue.rule.several
+        super().insert(client)
+
+
+@mutant("entries-for-buffers", "BP-QM-09", "refuses buffers that are registered without entries")
+class EntriesForBuffers(BeaconingProtocol):
+    def register(self, prot_id: int, *rest: object, now: int, wall: int) -> RegisterConfirm:
+        confirm = super().register(prot_id, *rest, now=now, wall=wall)  # type: ignore[arg-type]
+        client = self.client(prot_id)
+        if confirm.status.is_ok and client is not None and client.registration.max_entries <= 0:
+            self.deregister(prot_id)
+            return RegisterConfirm(BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE, confirm.own_node_identifier)
+        return confirm
+
+
+@mutant("any", "BP-QM-06", "takes registrations with a mode that does not exist, as ONCE")
+class AnyMode(BeaconingProtocol):
+    def register(self, prot_id: int, *rest: object, now: int, wall: int) -> RegisterConfirm:
+        name, size, mode, entries, several = rest
+        known = mode if mode in set(self.queueing) else ONCE
+        return super().register(prot_id, name, size, known, entries, several, now=now, wall=wall)  # type: ignore[arg-type]
+
+
+# -- taking payloads ---------------------------------------------------------------------------------------------------
+
+
+@mutant("loses", "BP-TX-04", "loses a payload that does not fit into the next beacon")
+class Loses(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        waiting = [client for client in self if client.queue is not None and client.queue.head() is not None]
+        chosen = super().take(room, size, most)
+        served = {protocol_id for protocol_id, _ in chosen}
+        for client in waiting:
+            if chosen and client.queue is not None and client.protocol_id not in served:
+                client.queue.clear()
+        return chosen
+
+
+@mutant("cuts", "BP-TX-04 BP-FMT-01", "cuts a payload to what fits into the beacon")
+class Cuts(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        chosen: Chosen = []
+        for client in [*self][:most]:
+            payload = None if client.queue is None else client.queue.head()
+            if client.queue is None or payload is None or room < size(b"\0"):
+                continue
+            part = payload[: room - size(b"")]
+            chosen.append((client.protocol_id, part))
+            room -= size(part)
+            client.queue.sent()
+        return chosen
+
+
+@mutant("overtakes", "BP-TX-06", "sends a later payload of a queue when the head does not fit")
+class Overtakes(OwnQueue):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        used = 0
+        for client in self:
+            queue = client.queue
+            head = None if queue is None else queue.head()
+            if queue is None or head is None:
+                continue
+            if used + size(head) > room:
+                fitting = [each for each in queue._payloads if used + size(each) <= room]
+                if fitting:
+                    queue._payloads.remove(fitting[0])
+                    queue._payloads.appendleft(fitting[0])
+            used += size(queue.head() or b"")
+        return super().take(room, size, most)
+
+
+@mutant("one-client", "BP-TX-01 BP-QM-05", "serves one client in a beacon, and always the first that has something")
+class OneClient(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:  # noqa: ARG002 - one is enough
+        chosen = super().take(room, size, 1)
+        self._order = list(self)
+        return chosen
+
+
+# -- the number of payloads --------------------------------------------------------------------------------------------
+
+
+class Query(BeaconingProtocol):
+    """Answers questions for the number of payloads in another way."""
+
+    def query_number_buffered(self, prot_id: int) -> NumberConfirm:
+        confirm = super().query_number_buffered(prot_id)
+        client = self.client(prot_id)
+        if confirm.number is None or client is None or client.queue is None:
+            return confirm
+        return NumberConfirm(confirm.status, self.number(confirm.number, client.queue))
+
+    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - for those that look at it
+        """What is answered instead."""
+        return number
+
+
+@mutant("one-at-most", "BP-QRY-02", "answers 1 for a queue with several payloads")
+class OneAtMost(Query):
+    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - as above
+        return min(number, 1)
+
+
+@mutant("one-more", "BP-QRY-02 BP-QRY-03", "counts the payload that was sent last as buffered")
+class OneMore(Query):
+    def number(self, number: int, queue: PayloadQueue) -> int:
+        return number + (queue.rule.several and number > 0)
+
+
+@mutant("repeat-empty", "BP-QRY-03", "answers 0 for a REPEAT buffer that is occupied")
+class RepeatEmpty(Query):
+    def number(self, number: int, queue: PayloadQueue) -> int:
+        return 0 if queue.rule == QUEUEING[REPEAT] else number
+
+
+# -- timing ------------------------------------------------------------------------------------------------------------
+
+
+@mutant("slow", "BP-TX-01", "beacons with a period that is a tenth longer than the parameter")
+class Slow(BeaconSchedule):
+    def _place(self) -> None:
+        period, self._period = self._period, self._period * 11 // 10
+        super()._place()
+        self._period = period
+
+
+@mutant("jitter-added", "BP-TX-01", "adds its jitter to the period instead of varying around it")
+class JitterAdded(BeaconSchedule):
+    def _plan(self) -> None:
+        self._factor = self._rng.uniform(1, 1 + 2 * self._jitter)
+        self._place()
+
+
+@mutant("bursts", "BP-TX-01", "sends a beacon of its own for every payload")
+class Bursts(BeaconingProtocol):
+    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int):  # type: ignore[no-untyped-def] # noqa: ANN201 - as there
+        confirm = super().transmit_payload(prot_id, payload, now=now)
+        self._schedule.due = min(self._schedule.due, now)
+        return confirm

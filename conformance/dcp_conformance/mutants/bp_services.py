@@ -1,0 +1,584 @@
+"""Faults in the services of BP: registration, payloads, indications, management and parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from dcp_spec.constants import SpecVersion
+from dcp_spec.parameters import Violation
+from dcp_spec.status import BPStatus
+
+from dcp_stack.bp import BeaconingProtocol
+from dcp_stack.bp_clients import ClientList
+from dcp_stack.bp_parameters import MAX_PACKET, NETWORK, PERIOD, BPParameters
+from dcp_stack.bp_queue import Client
+from dcp_stack.bp_receive import Receiver
+from dcp_stack.bp_services import ListConfirm, NumberConfirm, RegisterConfirm, Registration, StatusConfirm
+from dcp_stack.bp_wire import Block
+from dcp_stack.config import NodeConfig
+from dcp_stack.effects import Effect, PayloadTransmitted
+
+from .air import Air
+from .mutant import mutant
+
+OK = StatusConfirm(BPStatus.OK)
+PLAIN = 0xF0
+"""Protocol identifiers from here on are those of clients outside of the node: SRP and VarDis stay as they are."""
+
+
+class Registrations(BeaconingProtocol):
+    """Judges registrations in another way; those of SRP and VarDis as they should be."""
+
+    def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
+        status = super()._registrable(registration, known=known)
+        return status if registration.protocol_id <= 2 else self.judged(status, registration)
+
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - for those that look
+        """The status instead of ``status``."""
+        return status
+
+
+@mutant("replaces", "BP-REG-02", "lets a second registration replace the first")
+class Replaces(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        if status is BPStatus.PROTOCOL_ALREADY_REGISTERED:
+            self._clients.remove(registration.protocol_id)
+            return BPStatus.OK
+        return status
+
+
+@mutant("forgets", "BP-REG-02", "empties the queue of a client that is registered a second time")
+class Forgets(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        client = self.client(registration.protocol_id)
+        if status is BPStatus.PROTOCOL_ALREADY_REGISTERED and client is not None and client.queue is not None:
+            client.queue.clear()
+        return status
+
+
+@mutant("nothing", "BP-REG-03", "registers clients with a maximum payload size of 0", since=SpecVersion.V1_1)
+class SizeOfNothing(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        return BPStatus.OK if not registration.max_payload_size else status
+
+
+@mutant("no-bound", "BP-REG-04", "registers clients whose payloads fit into no beacon")
+class NoBound(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        large = registration.max_payload_size > 0
+        return BPStatus.OK if status is BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE and large else status
+
+
+class Bound(Registrations):
+    """Has another bound for the maximum payload size."""
+
+    more = 0
+
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        if status not in (BPStatus.OK, BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE) or registration.max_payload_size <= 0:
+            return status
+        overhead = self._wire.header_size if self._features.registration_counts_bp_header else 4
+        bound = self._parameters.max_packet_size - self._wire.block_header_size - overhead + self.more
+        return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE if registration.max_payload_size > bound else BPStatus.OK
+
+
+@mutant("one-more", "BP-REG-04", "registers clients with one octet more than fits")
+class BoundPlusOne(Bound):
+    more = 1
+
+
+@mutant("one-less", "BP-REG-04", "refuses clients with exactly as much as fits")
+class BoundMinusOne(Bound):
+    more = -1
+
+
+@mutant(
+    "block-only", "BP-REG-04", "forgets the header of the beacon in the bound of registrations", since=SpecVersion.V1_1
+)
+class BoundOfBlock(Bound):
+    more = 18
+
+
+@mutant("no-entries", "BP-REG-05", "registers queues without a place", since=SpecVersion.V1_1)
+class NoEntries(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - as above
+        return BPStatus.OK if status is BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE else status
+
+
+@mutant("time", "BP-REG-06 BP-LST-01", "does not say when a client was registered")
+class NoTime(BeaconingProtocol):
+    def list_registered(self) -> ListConfirm:
+        confirm = super().list_registered()
+        listed = tuple(msgspec.structs.replace(each, time_stamp_registration=0) for each in confirm.protocols)
+        return ListConfirm(confirm.status, listed)
+
+
+@mutant("no-own-id", "BP-REG-07", "leaves its node identifier out of the confirm of registrations")
+class NoOwnIdentifier(BeaconingProtocol):
+    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
+        confirm = super().register(prot_id, *rest, now=now, wall=wall)
+        return confirm if prot_id <= 2 else RegisterConfirm(confirm.status, None)
+
+
+@mutant("other-id", "BP-REG-07", "confirms registrations with the identifier of another node")
+class OtherIdentifier(BeaconingProtocol):
+    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
+        confirm = super().register(prot_id, *rest, now=now, wall=wall)
+        own = confirm.own_node_identifier
+        return confirm if prot_id <= 2 or own is None else RegisterConfirm(confirm.status, own[:-1] + b"\x77")
+
+
+@mutant("size-first", "BP-REG-09", "looks at the size of a registration before it looks for a duplicate")
+class SizeFirst(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        if registration.max_payload_size <= 0 and self._features.version >= SpecVersion.V1_1:
+            return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
+        return status
+
+
+@mutant("queue-first", "BP-REG-09", "looks at maxEntries of a registration before it looks at the size")
+class QueueFirst(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        wrong = registration.max_entries <= 0 and self.queueing[registration.queue_mode].several  # type: ignore[index]
+        return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if wrong else status
+
+
+@mutant("ok", "BP-DRG-01", "confirms with OK that nobody was deregistered")
+class DeregistersAnybody(BeaconingProtocol):
+    def deregister(self, prot_id: int) -> StatusConfirm:
+        super().deregister(prot_id)
+        return OK
+
+
+@mutant("stays-listed", "BP-DRG-02", "goes on listing a client that was deregistered")
+class StaysListed(BeaconingProtocol):
+    gone: tuple[Registration, ...] = ()
+
+    def deregister(self, prot_id: int) -> StatusConfirm:
+        client = self.client(prot_id)
+        if client is not None:
+            self.gone = (*self.gone, client.registration)
+        return super().deregister(prot_id)
+
+    def list_registered(self) -> ListConfirm:
+        confirm = super().list_registered()
+        gone = tuple(each for each in self.gone if each.protocol_id not in self._clients)
+        return ListConfirm(confirm.status, (*confirm.protocols, *gone))
+
+
+@mutant("still-sends", "BP-DRG-03", "sends what a client had buffered when it was deregistered")
+class StillSends(ClientList):
+    def remove(self, protocol_id: int) -> None:
+        client = self._clients.pop(protocol_id)
+        client.stands = False
+
+
+@mutant("still-delivers", "BP-DRG-04 BP-REG-10 BP-RX-08", "delivers payloads to clients that were deregistered")
+class StillDelivers(Receiver):
+    known: tuple[int, ...] = ()
+
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        if block.protocol_id in self._clients:
+            self.known = (*self.known, block.protocol_id)
+            super()._deliver(block, sender)
+        elif block.protocol_id in self.known:
+            from dcp_stack.effects import PayloadReceived
+
+            self._emit(PayloadReceived(block.protocol_id, block.payload, sender))
+
+
+@mutant("old-queue", "BP-DRG-05 BP-REG-06", "gives a client that registers again the queue that it had")
+class OldQueue(ClientList):
+    def __init__(self) -> None:
+        super().__init__()
+        self._gone: dict[int, Client] = {}
+
+    def remove(self, protocol_id: int) -> None:
+        self._gone[protocol_id] = self._clients[protocol_id]
+        super().remove(protocol_id)
+
+    def insert(self, client: Client) -> None:
+        old = self._gone.pop(client.protocol_id, client)
+        client.queue = old.queue
+        super().insert(client)
+
+
+@mutant("one-missing", "BP-LST-01", "leaves the client that registered last out of the list")
+class OneMissing(BeaconingProtocol):
+    def list_registered(self) -> ListConfirm:
+        confirm = super().list_registered()
+        return ListConfirm(confirm.status, confirm.protocols[:-1])
+
+
+@mutant("wrong-size", "BP-LST-01", "lists the maximum payload size with the header of the block")
+class WrongSize(BeaconingProtocol):
+    def list_registered(self) -> ListConfirm:
+        confirm = super().list_registered()
+        listed = [
+            msgspec.structs.replace(each, max_payload_size=each.max_payload_size + 4) for each in confirm.protocols
+        ]
+        return ListConfirm(confirm.status, tuple(listed))
+
+
+# -- payloads ----------------------------------------------------------------------------------------------------------
+
+
+class Transmissions(BeaconingProtocol):
+    """Answers to submitted payloads in another way."""
+
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        status = super()._submit(client, payload, now)
+        return self.judged(status, client, payload, now)
+
+    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
+        """The status instead of ``status``."""
+        return status
+
+
+@mutant("ok", "BP-TXP-01 BP-REG-10", "confirms a payload of nobody with OK")
+class TakesUnknown(Transmissions):
+    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
+        return BPStatus.OK if client is None else status
+
+
+@mutant("no-limit", "BP-TXP-02", "takes payloads longer than the client registered")
+class AnyLength(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        if client is not None and client.queue is not None and len(payload) > client.registration.max_payload_size:
+            client.queue.submit(payload)
+            return BPStatus.OK
+        return super()._submit(client, payload, now)
+
+
+@mutant("one-less", "BP-TXP-02", "refuses payloads of exactly the length that the client registered")
+class OneLess(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        if client is not None and client.protocol_id > 2 and len(payload) >= client.registration.max_payload_size:
+            return BPStatus.PAYLOAD_TOO_LARGE
+        return super()._submit(client, payload, now)
+
+
+@mutant("truncates", "BP-TXP-02", "cuts a payload that is too long, and says OK")
+class Truncates(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        longest = len(payload) if client is None else client.registration.max_payload_size
+        return super()._submit(client, payload[:longest], now)
+
+
+@mutant("ok", "BP-TXP-03", "confirms an empty payload with OK", since=SpecVersion.V1_1)
+class EmptyIsOK(Transmissions):
+    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
+        return BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status
+
+
+@mutant("clears", "BP-TXP-03", "empties the buffer when an empty payload is submitted", since=SpecVersion.V1_1)
+class EmptyClears(Transmissions):
+    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
+        if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None:
+            client.queue.clear()
+        return status
+
+
+@mutant(
+    "refuses",
+    "BP-TXP-03",
+    "refuses an empty payload, which in 1.0 empties a buffer",
+    since=SpecVersion.V1_0,
+    until=SpecVersion.V1_0,
+)
+class EmptyRefused(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        return BPStatus.EMPTY_PAYLOAD if client is not None and not payload else super()._submit(client, payload, now)
+
+
+@mutant("status", "BP-TXP-04", "says that a payload was too large when a full DROPTAIL queue dropped it")
+class FullIsAnError(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        before = 0 if client is None or client.queue is None else len(client.queue)
+        status = super()._submit(client, payload, now)
+        rule = None if client is None or client.queue is None else client.queue.rule
+        if status is BPStatus.OK and client is not None and rule is not None and rule.when_full == "discard-new":
+            return BPStatus.OK if before < client.registration.max_entries else BPStatus.PAYLOAD_TOO_LARGE
+        return status
+
+
+@mutant("empty-first", "BP-TXP-10", "looks for an empty payload before it looks for the client", since=SpecVersion.V1_1)
+class EmptyFirst(Transmissions):
+    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
+        return BPStatus.EMPTY_PAYLOAD if not payload else status
+
+
+@mutant("ok", "BP-CLR-01", "confirms with OK that nobody's buffer was emptied")
+class ClearsAnybody(BeaconingProtocol):
+    def clear_buffer(self, prot_id: int) -> StatusConfirm:
+        super().clear_buffer(prot_id)
+        return OK
+
+
+@mutant("nothing", "BP-CLR-02", "does not empty queues")
+class QueuesStay(BeaconingProtocol):
+    def clear_buffer(self, prot_id: int) -> StatusConfirm:
+        client = self.client(prot_id)
+        queue = client is not None and client.queue is not None and client.queue.rule.several
+        return OK if queue else super().clear_buffer(prot_id)
+
+
+@mutant("head-only", "BP-CLR-02", "takes only the first payload out of a queue that is to be emptied")
+class HeadOnly(BeaconingProtocol):
+    def clear_buffer(self, prot_id: int) -> StatusConfirm:
+        client = self.client(prot_id)
+        if client is None or client.queue is None or not client.queue.rule.several or not len(client.queue):
+            return super().clear_buffer(prot_id)
+        client.queue.sent()
+        return OK
+
+
+@mutant("nothing", "BP-CLR-03", "does not empty buffers")
+class BuffersStay(BeaconingProtocol):
+    def clear_buffer(self, prot_id: int) -> StatusConfirm:
+        client = self.client(prot_id)
+        buffer = client is not None and client.queue is not None and not client.queue.rule.several
+        return OK if buffer else super().clear_buffer(prot_id)
+
+
+@mutant("ok", "BP-QRY-01", "answers that a client nobody knows has no payloads")
+class NobodyHasNone(BeaconingProtocol):
+    def query_number_buffered(self, prot_id: int) -> NumberConfirm:
+        confirm = super().query_number_buffered(prot_id)
+        return confirm if confirm.status.is_ok else NumberConfirm(BPStatus.OK, 0)
+
+
+class Indications(BeaconingProtocol):
+    """Tells clients outside of the node in another way what was transmitted."""
+
+    def __init__(self, config: NodeConfig, *, rng: Any, emit: Callable[[Effect], None], now: int, wall: int) -> None:
+        def changed(effect: Effect) -> None:
+            if isinstance(effect, PayloadTransmitted) and effect.protocol_id > 2:
+                for each in self.told(effect):
+                    emit(each)
+            else:
+                emit(effect)
+
+        super().__init__(config, rng=rng, emit=changed, now=now, wall=wall)
+        self.seen: set[int] = set()
+
+    def told(self, effect: PayloadTransmitted) -> list[Effect]:
+        """The indications instead of this one."""
+        return [effect]
+
+
+@mutant("missing", "BP-PTI-01", "does not tell clients that a payload was transmitted")
+class NotTold(Indications):
+    def told(self, effect: PayloadTransmitted) -> list[Effect]:  # noqa: ARG002 - none of them
+        return []
+
+
+@mutant("twice", "BP-PTI-01", "tells clients twice that a payload was transmitted")
+class ToldTwice(Indications):
+    def told(self, effect: PayloadTransmitted) -> list[Effect]:
+        return [effect, effect]
+
+
+@mutant("epoch-passed", "BP-PTI-02", "gives the time of the beacon that was sent as that of the next one")
+class EpochPassed(Indications):
+    def handle_timeout(self, now: int, wall: int) -> None:
+        self.at = now
+        super().handle_timeout(now, wall)
+
+    def told(self, effect: PayloadTransmitted) -> list[Effect]:
+        return [msgspec.structs.replace(effect, next_epoch=self.at)]
+
+
+@mutant("epoch-zero", "BP-PTI-02", "gives no time for the next beacon")
+class EpochZero(Indications):
+    def told(self, effect: PayloadTransmitted) -> list[Effect]:
+        return [msgspec.structs.replace(effect, next_epoch=0)]
+
+
+@mutant("first-only", "BP-PTI-03", "tells the client only of the first transmission of a REPEAT buffer")
+class FirstOnly(Indications):
+    def told(self, effect: PayloadTransmitted) -> list[Effect]:
+        client = self.client(effect.protocol_id)
+        if client is None or client.queue is None or client.queue.rule.when_sent != "keep":
+            return [effect]
+        head = hash((effect.protocol_id, client.queue.head()))
+        known = head in self.seen
+        self.seen.add(head)
+        return [] if known else [effect]
+
+
+# -- management --------------------------------------------------------------------------------------------------------
+
+
+@mutant("ignored", "BP-MGT-02 BP-TX-07", "goes on beaconing after it was deactivated")
+class GoesOn(BeaconingProtocol):
+    def deactivate(self) -> StatusConfirm:
+        super().deactivate()
+        self._active = True
+        return OK
+
+
+@mutant("sends", "BP-MGT-02 BP-TX-07", "sends what is submitted while it is inactive")
+class SendsInactive(BeaconingProtocol):
+    off = False
+
+    def deactivate(self) -> StatusConfirm:
+        self.off = True
+        return OK
+
+    def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
+        self.off = False
+        return OK
+
+    def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:
+        if not self.off:
+            super().handle_beacon(octets, now=now, wall=wall)
+
+
+@mutant("receives", "BP-MGT-03 BP-RX-13", "delivers what it receives while it is inactive")
+class ReceivesInactive(BeaconingProtocol):
+    def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+        self._receiver.receive(bytes(octets), now)
+
+
+@mutant("later", "BP-MGT-03 BP-RX-13", "delivers what it has received inactive when it is activated")
+class DeliversLater(BeaconingProtocol):
+    def __init__(self, *args: Any, **times: Any) -> None:
+        super().__init__(*args, **times)
+        self._kept: list[bytes] = []
+
+    def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:
+        if not self._active:
+            self._kept.append(octets)
+        super().handle_beacon(octets, now=now, wall=wall)
+
+    def activate(self, now: int) -> StatusConfirm:
+        confirm = super().activate(now)
+        kept, self._kept = self._kept, []
+        for octets in kept:
+            self._receiver.receive(octets, now)
+        return confirm
+
+
+@mutant("refuses", "BP-MGT-04", "refuses payloads while it is inactive")
+class RefusesInactive(BeaconingProtocol):
+    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
+        if not self._active:
+            return StatusConfirm(BPStatus.UNKNOWN_PROTOCOL)
+        return super().transmit_payload(prot_id, payload, now=now)
+
+
+@mutant("forgets", "BP-MGT-04 BP-MGT-05", "empties all queues when it is deactivated")
+class ForgetsPayloads(BeaconingProtocol):
+    def deactivate(self) -> StatusConfirm:
+        for client in self._clients:
+            if client.queue is not None:
+                client.queue.clear()
+        return super().deactivate()
+
+
+@mutant("no-resume", "BP-MGT-05", "confirms its activation and stays inactive")
+class NeverAgain(BeaconingProtocol):
+    def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
+        return OK
+
+
+@mutant("receives-only", "BP-MGT-05", "receives again when it is activated, but does not send")
+class ReceivesOnly(BeaconingProtocol):
+    def activate(self, now: int) -> StatusConfirm:
+        confirm = super().activate(now)
+        self._schedule.restart(now + 10**15)
+        return confirm
+
+
+@mutant("inactive", "BP-INI-03", "is inactive until it is activated")
+class StartsInactive(BeaconingProtocol):
+    def __init__(self, *args: Any, **times: Any) -> None:
+        super().__init__(*args, **times)
+        self._active = False
+
+
+@mutant("clients-survive", "BP-INI-01", "keeps its registered clients over a reset")
+class ClientsSurvive(Air):
+    def reset(self, now: int, wall: int) -> None:
+        outside = [client for client in self.bp._clients if client.protocol_id > 2]
+        super().reset(now, wall)
+        for client in outside:
+            self.bp._clients.insert(client)
+
+
+# -- parameters --------------------------------------------------------------------------------------------------------
+
+
+@mutant("ignored", "BP-PAR-02", "goes on with the beacon period that it started with")
+class PeriodStays(BeaconingProtocol):
+    def set_parameter(self, name: str, value: object) -> Violation | None:
+        return self._parameters.set(name, value)
+
+
+@mutant("network-stays", "BP-HDR-04 BP-PAR-05 BP-PAR-02", "sends the network identifier that it started with")
+class NetworkStays(BPParameters):
+    @property
+    def network_id(self) -> int | None:
+        return self.__dict__.setdefault("first", super().network_id)
+
+
+@mutant("any-period", "BP-PAR-03 BP-PAR-06", "takes a beacon period of 0")
+class AnyPeriod(BPParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        if name == PERIOD and value == 0:
+            self._values[PERIOD] = value
+            return None
+        return super().set(name, value)
+
+    @property
+    def period(self) -> int:
+        return super().period if self._values[PERIOD] else 100_000_000
+
+
+@mutant("no-upper-bound", "BP-PAR-04 BP-PAR-06", "takes a maximum packet size larger than the bearer's")
+class NoUpperBound(BPParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        violation = super().set(name, value)
+        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value > 1000:
+            self._values[name] = value
+            return None
+        return violation
+
+
+@mutant("no-lower-bound", "BP-PAR-04 BP-PAR-06", "takes a maximum packet size that no header fits into")
+class NoLowerBound(BPParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        violation = super().set(name, value)
+        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value < 1000:
+            self._values[name] = value
+            return None
+        return violation
+
+
+@mutant("loses-old", "BP-PAR-06", "goes back to the default when a value is refused")
+class LosesOld(BPParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        violation = super().set(name, value)
+        if violation is not None and name in self._values:
+            self._values[name] = {PERIOD: 100, MAX_PACKET: 1500, NETWORK: 0x1111}[name]
+        return violation
+
+
+@mutant("forgets", "BP-PAR-01", "tells the values that parameters had at the start")
+class TellsOld(BPParameters):
+    def as_dict(self) -> dict[str, Any]:
+        first: dict[str, Any] = self.__dict__.setdefault("first", super().as_dict())
+        return first
+
+
+@mutant("adds-up", "BP-PAR-08", "lets the maximum packet size of the bearer be set")
+class BearerSettable(BPParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        violation = super().set(name, value)
+        if name in self._fixed:
+            self._fixed[name] = value  # type: ignore[assignment]
+            return None
+        return violation

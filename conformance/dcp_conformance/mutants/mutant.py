@@ -1,0 +1,162 @@
+"""Mutants: our node with one small fault each, which a case that names the violated requirement must notice.
+
+A mutant is a subclass of one part of the node (an entity, its queue, its receiver, the node itself), put in that part's
+place; nothing of the node is changed, and no two mutants know of each other.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Final, TypeVar
+
+from dcp_spec.constants import SpecVersion
+from dcp_spec.requirements import requirement
+
+from dcp_conformance.reference.inprocess import MakeNode
+from dcp_stack.bp import BeaconingProtocol
+from dcp_stack.bp_clients import ClientList
+from dcp_stack.bp_parameters import BPParameters
+from dcp_stack.bp_receive import Receiver as BPReceiver
+from dcp_stack.bp_timing import BeaconSchedule
+from dcp_stack.bp_wire import BPWire
+from dcp_stack.config import NodeConfig
+from dcp_stack.neighbours import NeighbourTable
+from dcp_stack.node import Node
+from dcp_stack.srp import StateReporting
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_compose import Composer
+from dcp_stack.vardis_core import Core, Sequence
+from dcp_stack.vardis_db import Database
+from dcp_stack.vardis_parameters import VardisParameters
+from dcp_stack.vardis_receive import Receiver as VardisReceiver
+from dcp_stack.vardis_wire import Extractor
+
+MUTANTS: Final = "dcp_conformance.mutants"
+_ATTRIBUTE: Final = "__dcp_mutant__"
+
+#: A part, the part that it belongs to, and under which name.
+_PLACES: Final[tuple[tuple[type, type, str], ...]] = (
+    (BPWire, BeaconingProtocol, "wire_class"),
+    (BPParameters, BeaconingProtocol, "parameters_class"),
+    (ClientList, BeaconingProtocol, "clients_class"),
+    (BPReceiver, BeaconingProtocol, "receiver_class"),
+    (BeaconSchedule, BeaconingProtocol, "schedule_class"),
+    (BeaconingProtocol, Node, "bp_class"),
+    (NeighbourTable, StateReporting, "table_class"),
+    (StateReporting, Node, "srp_class"),
+    (Database, Core, "database_class"),
+    (Sequence, Core, "sequence_class"),
+    (VardisParameters, Core, "parameters_class"),
+    (Core, Vardis, "core_class"),
+    (Composer, Vardis, "composer_class"),
+    (Extractor, Vardis, "extractor_class"),
+    (VardisReceiver, Vardis, "receiver_class"),
+    (Vardis, Node, "vardis_class"),
+)
+
+Part = TypeVar("Part", bound=type)
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """One faulty node."""
+
+    id: str
+    """``M-<requirement>-<fault>``, never used for another fault."""
+    requirement: str
+    """The requirement that it violates."""
+    also: tuple[str, ...]
+    """Further requirements that the same fault violates, and that may be named instead."""
+    what: str
+    """What it does wrong, as a sentence whose subject is the node."""
+    make: MakeNode
+    since: SpecVersion = SpecVersion.V1_0
+    until: SpecVersion = SpecVersion.V2_0
+    """First and last version of the specification in which it is a fault."""
+
+    @property
+    def requirements(self) -> tuple[str, ...]:
+        """The requirement that it violates, and those that may be named instead."""
+        return (self.requirement, *self.also)
+
+    @property
+    def profile(self) -> str:
+        """The profile on which it is tried: of the newest version in which it is a fault."""
+        return f"dcp-{self.until}"
+
+    def exists_in(self, version: SpecVersion) -> bool:
+        """Whether it is a fault in a version."""
+        return self.since <= version <= self.until
+
+
+def mutant(
+    fault: str,
+    requirements: str,
+    what: str,
+    *,
+    since: SpecVersion | None = None,
+    until: SpecVersion = SpecVersion.V2_0,
+) -> Callable[[Part], Part]:
+    """Make a mutant of a subclass of a part of the node.
+
+    ``requirements`` are ids separated by spaces, the violated one first. ``since`` is by default the first version that
+    has this requirement. Raises ``UnknownRequirementError`` for an id that is none, ``TypeError`` for a class that is
+    no part of the node.
+    """
+    first, *also = requirements.split()
+    for each in also:
+        requirement(each)
+    begin = requirement(first).since if since is None else since
+
+    def decorate(part: Part) -> Part:
+        made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, _maker(node_with(part)), begin, until)
+        setattr(part, _ATTRIBUTE, made)
+        return part
+
+    return decorate
+
+
+def node_with(part: type) -> type[Node]:
+    """The class of a node that has ``part`` where it otherwise has the class that ``part`` derives from."""
+    if issubclass(part, Node):
+        return part
+    for base, owner, name in _PLACES:
+        if issubclass(part, base):
+            return node_with(type(owner.__name__, (owner,), {name: part}))
+    raise TypeError(f"{part.__name__} derives from no part of the node")
+
+
+def _maker(made_of: type[Node]) -> MakeNode:
+    def make(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Any:
+        return made_of(config, rng=rng, now=now, wall=wall)
+
+    return make
+
+
+def mutants_of(module: ModuleType) -> Iterator[Mutant]:
+    """The mutants of a module, in the order in which they stand there."""
+    for value in vars(module).values():
+        # A mutant that derives from another one has an attribute of its own.
+        made = vars(value).get(_ATTRIBUTE) if isinstance(value, type) else value
+        if isinstance(made, Mutant) and (not isinstance(value, type) or value.__module__ == module.__name__):
+            yield made
+
+
+def all_mutants() -> dict[str, Mutant]:
+    """All mutants by identifier, by module and line. Raises ``ValueError`` for an identifier that is there twice."""
+    found: dict[str, Mutant] = {}
+    package = importlib.import_module(MUTANTS)
+    for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
+        for each in mutants_of(importlib.import_module(f"{MUTANTS}.{name}")):
+            if each.id in found:
+                raise ValueError(f"{each.id} is there twice, the second time in {name}")
+            found[each.id] = each
+    return found
+
+
+__all__ = ["Mutant", "all_mutants", "mutant", "mutants_of", "node_with"]

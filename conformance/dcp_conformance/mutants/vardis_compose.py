@@ -1,0 +1,564 @@
+"""Faults in composing VarDis payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+import msgspec
+from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
+
+from dcp_codec.values import (
+    Beacon,
+    Container,
+    Payload,
+    VarCreate,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSumm,
+    VarUpdate,
+)
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_compose import Composer
+from dcp_stack.vardis_db import Database, DBEntry, IdQueue
+
+from .air import Air
+from .mutant import mutant
+
+C, D, U = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
+S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
+
+
+# -- how often ---------------------------------------------------------------------------------------------------------
+
+
+class Counts(Database):
+    """Repeats instructions another number of times."""
+
+    creates: ClassVar[int] = 0
+    updates: ClassVar[int] = 0
+    deletes: ClassVar[int] = 0
+
+    def arm_create(self, entry: DBEntry) -> None:
+        super().arm_create(entry)
+        entry.count_create += self.creates if entry.count_create > 1 or self.creates > 0 else 0
+
+    def arm_update(self, entry: DBEntry) -> None:
+        super().arm_update(entry)
+        entry.count_update += self.updates if entry.count_update > 1 or self.updates > 0 else 0
+
+    def mark_deleted(self, entry: DBEntry) -> None:
+        super().mark_deleted(entry)
+        if entry.count_delete:
+            entry.count_delete += self.deletes if entry.count_delete > 1 or self.deletes > 0 else 0
+
+
+@mutant("one-more", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "repeats creations once too often")
+class CreatesMore(Counts):
+    creates = 1
+
+
+@mutant("one-less", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "repeats creations once less than repCnt")
+class CreatesLess(Counts):
+    creates = -1
+
+
+@mutant("one-more", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "repeats updates once too often")
+class UpdatesMore(Counts):
+    updates = 1
+
+
+@mutant("one-less", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "repeats updates once less than repCnt")
+class UpdatesLess(Counts):
+    updates = -1
+
+
+@mutant("one-more", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "repeats deletions once too often")
+class DeletesMore(Counts):
+    deletes = 1
+
+
+@mutant("one-less", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "repeats deletions once less than repCnt")
+class DeletesLess(Counts):
+    deletes = -1
+
+
+@mutant("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "repeats creations seven times at most")
+class Capped(Database):
+    def arm_create(self, entry: DBEntry) -> None:
+        super().arm_create(entry)
+        entry.count_create = min(entry.count_create, 7)
+
+
+@mutant("not-restarted", "VD-UPD-08 VD-PU-07", "does not count anew when a variable is updated that it is repeating")
+class NotRestarted(Database):
+    def arm_update(self, entry: DBEntry) -> None:
+        if not entry.count_update:
+            super().arm_update(entry)
+
+
+@mutant(
+    "no-rotation", "VD-CMP-06 VD-PAY-06", "repeats the first creation until it is done before it begins with the next"
+)
+class NoRotation(Composer):
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        chosen, used = super()._fitting(kind, queue, room, largest)
+        if kind is not C or len(chosen) < 2:
+            return chosen, used
+        return chosen[:1], self._sizes.ic_header + self._record_size(kind, chosen[0])
+
+
+VarSpecKey = tuple[int, int | None]
+"""Identifier and creationTime: what tells creations apart."""
+
+
+# -- what records say --------------------------------------------------------------------------------------------------
+
+
+class Records(Composer):
+    """Sends other records."""
+
+    def _take(self, kind: ICType, var_id: int) -> Any:
+        return self.record(super()._take(kind, var_id), self._database.lookup(var_id))
+
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - for those that look at it
+        """The record that is sent instead."""
+        return record
+
+
+@mutant("summary-behind", "VD-CMP-04", "summarises the number before the current one")
+class SummaryBehind(Records):
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
+        return VarSumm(record.var_id, max(record.seqno - 1, 0)) if isinstance(record, VarSumm) else record
+
+
+@mutant("first-number", "VD-CMP-04", "summarises the number that a variable had at first")
+class FirstNumber(Records):
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.first: dict[VarSpecKey, int] = {}
+
+    def record(self, record: Any, entry: DBEntry | None) -> Any:
+        if not isinstance(record, VarSumm) or entry is None:
+            return record
+        return VarSumm(record.var_id, self.first.setdefault((record.var_id, entry.spec.creation_time), record.seqno))
+
+
+@mutant("seqno-zero", "VD-CMP-07", "sends creations with sequence number 0")
+class CreateZero(Records):
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
+        if not isinstance(record, VarCreate):
+            return record
+        return VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))
+
+
+@mutant("first-value", "VD-CMP-07 VD-UPD-10", "sends creations with the value that the variable had at first")
+class FirstValue(Records):
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.first: dict[VarSpecKey, VarCreate] = {}
+
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
+        if not isinstance(record, VarCreate):
+            return record
+        return self.first.setdefault((record.spec.var_id, record.spec.creation_time), record)
+
+
+@mutant("first-update", "VD-UPD-10 VD-UPD-09", "repeats an update with the value that it had when it was queued")
+class FirstUpdate(Records):
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.queued: dict[int, VarUpdate] = {}
+
+    def record(self, record: Any, entry: DBEntry | None) -> Any:
+        if not isinstance(record, VarUpdate) or entry is None:
+            return record
+        sent = self.queued.setdefault(record.var_id, record)
+        if not entry.count_update:
+            del self.queued[record.var_id]
+        return sent
+
+
+@mutant("received-number", "VD-CMP-11", "requests updates with the number that it wants, not the one that it has")
+class WantedNumber(Air):
+    def _build(self, now: int, wall: int) -> None:
+        super()._build(now, wall)
+        self.wanted: dict[int, int] = {}
+
+    def hears(self, octets: bytes) -> Iterable[bytes]:
+        for each in self.instructions(octets):
+            if self.kind(each) is S:
+                self.wanted.update({record.var_id: record.seqno for record in each.records})
+        yield octets
+
+    def containers(self, containers: tuple[Container, ...]) -> Iterable[Container]:
+        for each in containers:
+            if self.kind(each) is not RU:
+                yield each
+                continue
+            wanted = (VarReqUpdate(record.var_id, self.wanted.get(record.var_id, 0)) for record in each.records)
+            yield Container(each.ic_type, tuple(wanted))
+
+
+@mutant("ahead", "VD-CMP-11", "requests updates with the number after the one that it has")
+class RequestsAhead(Records):
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
+        return VarReqUpdate(record.var_id, (record.seqno + 1) % 256) if isinstance(record, VarReqUpdate) else record
+
+
+class Again(Air):
+    """Sends some requests a second time in the next payload."""
+
+    kind_again: ClassVar[ICType] = RU
+
+    def _build(self, now: int, wall: int) -> None:
+        super()._build(now, wall)
+        self.again: Container | None = None
+
+    def blocks(self, beacon: Beacon) -> Iterable[Payload]:
+        found = [each for block in beacon.payloads for each in block.vardis or () if self.kind(each) is self.kind_again]
+        again, self.again = self.again, found[0] if found and self.again is None else None
+        for block in beacon.payloads:
+            if block.vardis is None or again is None:
+                yield block
+            else:
+                yield Payload(block.protocol_id, (*block.vardis, again))
+                again = None
+        if again is not None:
+            yield Payload(BP_PROTID_VARDIS, (again,))
+
+
+@mutant("twice", "VD-CMP-11", "sends every request for an update twice")
+class RequestsUpdatesTwice(Again):
+    kind_again = RU
+
+
+@mutant("twice", "VD-CMP-12 VD-PS-01", "sends every request for a variable twice")
+class RequestsVariablesTwice(Again):
+    kind_again = RC
+
+
+@mutant("until-answered", "VD-CMP-12", "requests a variable in every payload until it has it")
+class UntilAnswered(Composer):
+    def _take(self, kind: ICType, var_id: int) -> Any:
+        record = super()._take(kind, var_id)
+        if isinstance(record, VarReqCreate):
+            self._database.req_create_q.append(var_id)
+        return record
+
+
+@mutant("update-until-answered", "VD-CMP-11", "requests an update in every payload until it has it")
+class UpdateUntilAnswered(Composer):
+    def _take(self, kind: ICType, var_id: int) -> Any:
+        record = super()._take(kind, var_id)
+        if isinstance(record, VarReqUpdate):
+            self._database.req_upd_q.append(var_id)
+        return record
+
+
+# -- how many, and in which order --------------------------------------------------------------------------------------
+
+
+@mutant("one-more", "VD-CMP-02", "sends one summary more than VARDISPAR_MAX_SUMMARIES")
+class SummaryMore(Composer):
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        chosen, used = super()._fitting(kind, queue, room, largest)
+        if kind is S and len(chosen) == self._parameters.max_summaries:
+            more = [each for each in queue if each not in chosen][:1]
+            chosen, used = chosen + more, used + len(more) * self._sizes.var_summ
+        return chosen, used
+
+
+@mutant("unlimited", "VD-CMP-02 VD-CMP-01 VD-PAR-06", "sends all summaries that fit, whatever the parameter says")
+class SummariesUnlimited(Composer):
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        if kind is not S:
+            return super()._fitting(kind, queue, room, largest)
+        chosen = list(queue)[: max((room - self._sizes.ic_header) // self._sizes.var_summ, 0)]
+        return chosen, self._sizes.ic_header + len(chosen) * self._sizes.var_summ
+
+
+@mutant("zero-is-all", "VD-CMP-01 VD-PAR-06", "sends all summaries when VARDISPAR_MAX_SUMMARIES is 0")
+class ZeroIsAll(SummariesUnlimited):
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        if kind is S and not self._parameters.max_summaries:
+            return super()._fitting(kind, queue, room, largest)
+        return Composer._fitting(self, kind, queue, room, largest)
+
+
+@mutant("stays", "VD-CMP-03", "summarises the same variables in every payload")
+class SummariesStay(Composer):
+    def _take(self, kind: ICType, var_id: int) -> Any:
+        before = list(self._database.summary_q)
+        record = super()._take(kind, var_id)
+        if kind is S:
+            for each in before:
+                self._database.summary_q.rotate(each)
+        return record
+
+
+@mutant("half-turn", "VD-CMP-03", "puts a variable that was summarised into the middle of summaryQ")
+class HalfTurn(Composer):
+    def _take(self, kind: ICType, var_id: int) -> Any:
+        record = super()._take(kind, var_id)
+        if kind is S:
+            others = [each for each in self._database.summary_q if each != var_id]
+            for each in others[len(others) // 2 :]:
+                self._database.summary_q.rotate(each)
+        return record
+
+
+class Ordered(Composer):
+    """Considers containers in another order."""
+
+    order: ClassVar[tuple[ICType, ...]] = (C, D, RC, S, U, RU)
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._order = tuple((kind, self._queue(kind)) for kind in self.order)
+
+
+@mutant("reversed", "VD-PAY-01", "composes containers in the reverse order")
+class Reversed(Ordered):
+    order = (RU, U, S, RC, D, C)
+
+
+@mutant("updates-early", "VD-PAY-01", "composes updates before summaries, as 1.0 did", since=SpecVersion.V1_1)
+class UpdatesEarly(Ordered):
+    order = (C, D, U, S, RC, RU)
+
+
+@mutant("requests-late", "VD-PAY-01", "composes requests for variables behind summaries", since=SpecVersion.V1_1)
+class RequestsLate(Ordered):
+    order = (C, D, S, RC, U, RU)
+
+
+@mutant(
+    "later-order",
+    "VD-PAY-01",
+    "composes in the order of later versions",
+    since=SpecVersion.V1_0,
+    until=SpecVersion.V1_0,
+)
+class LaterOrder(Ordered):
+    """Which is that of the class it derives from."""
+
+
+@mutant("summaries-missing", "VD-PAY-01 VD-PAY-02", "sends no summaries while it has creations to send")
+class SummariesMissing(Composer):
+    def compose(self, room: int) -> tuple[Container, ...]:
+        order = self._order
+        if self._database.create_q:
+            self._order = tuple(each for each in order if each[0] is not S)
+        composed = super().compose(room)
+        self._order = order
+        return composed
+
+
+class Fitting(Composer):
+    """Chooses other records."""
+
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        chosen, _ = super()._fitting(kind, queue, room, largest)
+        chosen = self.chosen(chosen, kind)
+        size = sum(self._record_size(kind, each) for each in chosen)
+        return chosen, size + self._sizes.ic_header * (-(-len(chosen) // 255))
+
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - for those that look at it
+        """The variables instead."""
+        return chosen
+
+
+@mutant("one-record", "VD-PAY-02", "sends one record in each container")
+class OneRecord(Fitting):
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - as above
+        return chosen[:1]
+
+
+@mutant("five-records", "VD-PAY-02", "sends five records at most in each container")
+class FiveRecords(Fitting):
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
+        return chosen if kind is S else chosen[:5]
+
+
+@mutant("sorted", "VD-PAY-06", "sends records in the order of their identifiers")
+class SortedRecords(Fitting):
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - as above
+        return sorted(chosen, reverse=True)
+
+
+@mutant("skips", "VD-PAY-06 VD-CMP-08", "goes on behind a record that does not fit")
+class Skips(Composer):
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        if kind is S:
+            return super()._fitting(kind, queue, room, largest)
+        chosen: list[int] = []
+        used = self._sizes.ic_header
+        for var_id in queue:
+            size = self._record_size(kind, var_id)
+            if used + size <= room and len(chosen) < 255:
+                chosen.append(var_id)
+                used += size
+        return chosen, used if chosen else 0
+
+
+@mutant("stops", "VD-CMP-08", "sends nothing behind a container whose first record does not fit")
+class Stops(Composer):
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        chosen, used = super()._fitting(kind, queue, room, largest)
+        return (chosen, used) if chosen or kind is S else (chosen, room)
+
+
+@mutant("doubled", "VD-PAY-03", "sends a variable twice in a container if there is room")
+class Doubled(Composer):
+    def compose(self, room: int) -> tuple[Container, ...]:
+        composed = super().compose(room // 2)
+        return tuple(Container(each.ic_type, (*each.records, *each.records)[:255]) for each in composed)
+
+
+@mutant("too-large", "VD-IC-05", "forgets the headers of containers when it looks what fits")
+class TooLarge(Composer):
+    def compose(self, room: int) -> tuple[Container, ...]:
+        header, self._sizes.ic_header = self._sizes.ic_header, 0
+        composed = super().compose(room)
+        self._sizes.ic_header = header
+        return composed
+
+
+@mutant(
+    "parameter", "VD-IC-05 VD-PAR-05", "fills payloads to the size that it registered with, whatever the parameter is"
+)
+class RegisteredSize(Vardis):
+    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+        if not self.active:
+            return
+        containers = self._composer.compose(self._registered_size)
+        if containers:
+            self._bp.transmit_payload(BP_PROTID_VARDIS, self._core.config.codec.encode_containers(containers), now=now)
+
+
+@mutant("empty", "VD-IC-03", "sends a container without records for every type that has nothing to say")
+class EmptyContainers(Vardis):
+    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+        if not self.active:
+            return
+        containers = self._composer.compose(self._registered_size - 12)
+        if containers:
+            there = {each.ic_type for each in containers}
+            empty = b"".join(bytes([kind, 0]) for kind in range(1, 7) if kind not in there)
+            payload = self._core.config.codec.encode_containers(containers) + empty
+            self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
+
+
+@mutant("types-exchanged", "VD-IC-02", "exchanges the numbers of CREATE-VARIABLES and DELETE-VARIABLES")
+class TypesExchanged(Vardis):
+    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+        if not self.active:
+            return
+        containers = self._composer.compose(min(self._parameters.max_payload_size, self._registered_size))
+        encode = self._core.config.codec.encode_containers
+        numbers = self._core.config.profile.vardis.container_types.by_name()
+        create, delete = numbers[C.label], numbers[D.label]
+        exchanged = {create: delete, delete: create}
+        payload = b""
+        for each in containers:
+            octets = encode((each,))
+            payload += bytes([exchanged.get(octets[0], octets[0])]) + octets[1:]
+        if payload:
+            self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
+
+
+@mutant("request-types-exchanged", "VD-IC-02", "exchanges the numbers of the two types of requests")
+class RequestsExchanged(Air):
+    def containers(self, containers: tuple[Container, ...]) -> Iterable[Container]:
+        for each in containers:
+            if self.kind(each) is RC:
+                yield Container(RU.value, tuple(VarReqUpdate(record.var_id, 0) for record in each.records))
+            elif self.kind(each) is RU:
+                yield Container(RC.value, tuple(VarReqCreate(record.var_id) for record in each.records))
+            else:
+                yield each
+
+
+@mutant("unknown-summarised", "VD-TYP-08 VD-SCP-01", "summarises variables that it has only heard summaries of")
+class UnknownSummarised(Air):
+    def _build(self, now: int, wall: int) -> None:
+        super()._build(now, wall)
+        self.heard: list[VarSumm] = []
+
+    def hears(self, octets: bytes) -> Iterable[bytes]:
+        for each in self.instructions(octets):
+            if self.kind(each) is S and self.vardis is not None:
+                self.heard += [record for record in each.records if record.var_id not in self.vardis._database.entries]
+        yield octets
+
+    def containers(self, containers: tuple[Container, ...]) -> Iterable[Container]:
+        heard, self.heard = self.heard[:20], []
+        number = self.config.profile.vardis.container_types.by_name()[S.label]
+        if not heard:
+            return containers
+        return (*(each for each in containers if each.ic_type != number), Container(number, tuple(heard)))
+
+
+# -- own creations on the wire -----------------------------------------------------------------------------------------
+
+
+class OwnSpec(Records):
+    """Sends another VarSpec."""
+
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
+        if not isinstance(record, VarCreate):
+            return record
+        return VarCreate(msgspec.structs.replace(record.spec, **self.members(record)), record.upd)
+
+    def members(self, record: VarCreate) -> dict[str, Any]:  # noqa: ARG002 - for those that look at it
+        """The members that are different."""
+        return {}
+
+
+def swapped(number: int, width: int) -> int:
+    """With its octets in the other order."""
+    return int.from_bytes(number.to_bytes(width, "big"), "little")
+
+
+@mutant("creation-time-swapped", "DATA-01", "sends creationTime least significant octet first", since=SpecVersion.V2_0)
+class SwappedCreationTime(OwnSpec):
+    def members(self, record: VarCreate) -> dict[str, Any]:
+        return {"creation_time": swapped(record.spec.creation_time or 0, 8)}
+
+
+@mutant(
+    "timeout-swapped",
+    "DATA-01 VD-TYP-04 VD-TYP-06",
+    "sends timeouts least significant octet first",
+    since=SpecVersion.V2_0,
+)
+class SwappedTimeout(OwnSpec):
+    def members(self, record: VarCreate) -> dict[str, Any]:
+        return {"timeout": swapped(record.spec.timeout or 0, 2)}
+
+
+@mutant(
+    "creation-time-ms", "DATA-05 VD-CRE-09", "sends creationTime in ms where the profile has ns", since=SpecVersion.V2_0
+)
+class CreationMilliseconds(OwnSpec):
+    def members(self, record: VarCreate) -> dict[str, Any]:
+        return {"creation_time": (record.spec.creation_time or 0) // 1_000_000}
+
+
+@mutant("timeout-seconds", "VD-TYP-04 VD-TYP-06", "sends timeouts in s", since=SpecVersion.V2_0)
+class TimeoutSeconds(OwnSpec):
+    def members(self, record: VarCreate) -> dict[str, Any]:
+        return {"timeout": (record.spec.timeout or 0) // 1000}
+
+
+@mutant("trailing-nul", "DATA-07", "ends descriptions with a zero octet", since=SpecVersion.V1_1)
+class TrailingNul(OwnSpec):
+    def members(self, record: VarCreate) -> dict[str, Any]:
+        return {"descr": record.spec.descr[:31] + b"\0"}
+
+
+@mutant("member-order", "VD-TYP-05", "sends repCnt and varId of a VarSpec in each other's place")
+class MemberOrder(OwnSpec):
+    def members(self, record: VarCreate) -> dict[str, Any]:
+        return {"var_id": record.spec.rep_cnt, "rep_cnt": record.spec.var_id}

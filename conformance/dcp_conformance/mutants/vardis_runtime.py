@@ -1,0 +1,510 @@
+"""Faults in parameters, initialization, running and scrubbing of VarDis, and what is left after a reset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+from dcp_spec.parameters import Violation
+from dcp_spec.status import VardisStatus
+
+from dcp_codec.values import VarUpdate
+from dcp_stack.config import MS, NodeConfig
+from dcp_stack.effects import Effect
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_confirms import Confirm
+from dcp_stack.vardis_parameters import (
+    BUFFER_CHECK_PERIOD,
+    DESCRIPTION_LENGTH,
+    PAYLOAD_SIZE,
+    REPETITIONS,
+    SCRUBBING_PERIOD,
+    SUMMARIES,
+    VALUE_LENGTH,
+    VardisParameters,
+)
+from dcp_stack.vardis_port import BPPort
+from dcp_stack.vardis_receive import Receiver
+from dcp_stack.vardis_table import Action, Cell, Event, State
+from dcp_stack.vardis_wire import Extracted
+
+from .air import Air
+from .mutant import mutant
+from .port import Port, registration
+from .vardis_states import Cells
+
+V2 = SpecVersion.V2_0
+V1_2 = SpecVersion.V1_2
+
+
+# -- parameters --------------------------------------------------------------------------------------------------------
+
+
+class Unbound(VardisParameters):
+    """Takes some values that are out of bounds."""
+
+    name: ClassVar[str] = ""
+    takes: ClassVar[Callable[[int], bool]] = staticmethod(lambda _: True)
+
+    def set(self, name: str, value: object) -> Violation | None:
+        violation = super().set(name, value)
+        if violation is not None and name == self.name and isinstance(value, int) and self.takes(value):
+            self._values[name] = value
+            return None
+        return violation
+
+
+@mutant("zero", "VD-PAR-02", "takes 0 as the longest value")
+class ValueZero(Unbound):
+    name = VALUE_LENGTH
+    takes = staticmethod(lambda value: value == 0)
+
+
+@mutant("no-bound", "VD-PAR-02", "takes lengths of values that no payload can hold")
+class ValueUnbound(Unbound):
+    name = VALUE_LENGTH
+    takes = staticmethod(lambda value: value > 0)
+
+
+@mutant("default", "VD-PAR-02", "has 64 as the longest value unless it is told otherwise")
+class ValueDefault(VardisParameters):
+    def __init__(self, config: NodeConfig) -> None:
+        super().__init__(config)
+        self.set(VALUE_LENGTH, 64)
+
+
+@mutant("zero", "VD-PAR-03", "takes 0 as the longest description")
+class DescriptionZero(Unbound):
+    name = DESCRIPTION_LENGTH
+    takes = staticmethod(lambda value: value == 0)
+
+
+@mutant("no-bound", "VD-PAR-03", "takes lengths of descriptions that no payload can hold")
+class DescriptionUnbound(Unbound):
+    name = DESCRIPTION_LENGTH
+    takes = staticmethod(lambda value: value > 0)
+
+
+@mutant("default", "VD-PAR-03", "has 64 as the longest description unless it is told otherwise")
+class DescriptionDefault(VardisParameters):
+    def __init__(self, config: NodeConfig) -> None:
+        super().__init__(config)
+        self.set(DESCRIPTION_LENGTH, 64)
+
+
+@mutant("zero", "VD-PAR-04", "takes 0 as the highest repetition count")
+class RepetitionsZero(Unbound):
+    name = REPETITIONS
+    takes = staticmethod(lambda value: value == 0)
+
+
+@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255", since=V1_2)
+class RepetitionsUnbound(Unbound):
+    name = REPETITIONS
+    takes = staticmethod(lambda value: 15 < value < 256)
+
+
+@mutant("zero", "VD-PAR-05", "takes 0 as the largest payload")
+class PayloadZero(Unbound):
+    name = PAYLOAD_SIZE
+    takes = staticmethod(lambda value: value == 0)
+
+    @property
+    def max_payload_size(self) -> int:
+        return super().max_payload_size or 1000
+
+
+@mutant("no-bound", "VD-PAR-05", "takes payload sizes that no beacon can hold")
+class PayloadUnbound(Unbound):
+    name = PAYLOAD_SIZE
+    takes = staticmethod(lambda value: value > 0)
+
+    @property
+    def max_payload_size(self) -> int:
+        return min(super().max_payload_size, 1000)
+
+
+@mutant("no-bound", "VD-PAR-06", "takes numbers of summaries that no payload can hold")
+class SummariesUnbound(Unbound):
+    name = SUMMARIES
+    takes = staticmethod(lambda value: value > 0)
+
+
+@mutant("no-zero", "VD-PAR-06", "refuses 0 as the number of summaries")
+class SummariesNoZero(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        if name == SUMMARIES and value == 0:
+            return Violation(parameter=name, value=value, bound="at least 1", requirement="VD-PAR-06")
+        return super().set(name, value)
+
+
+@mutant("zero", "VD-PAR-07", "takes 0 ms between two runs of scrubbing", since=V2)
+class ScrubbingZero(Unbound):
+    name = SCRUBBING_PERIOD
+    takes = staticmethod(lambda value: value == 0)
+
+    @property
+    def scrubbing_period_ms(self) -> int:
+        return super().scrubbing_period_ms or 1000
+
+
+@mutant("no-bound", "VD-PAR-07", "takes more than 65000 ms between two runs of scrubbing", since=V2)
+class ScrubbingUnbound(Unbound):
+    name = SCRUBBING_PERIOD
+    takes = staticmethod(lambda value: value > 0)
+
+
+@mutant("no-bound", "VD-PAR-08", "takes more than 65000 ms between two looks at the buffer")
+class CheckUnbound(Unbound):
+    name = BUFFER_CHECK_PERIOD
+    takes = staticmethod(lambda value: value > 0)
+
+
+@mutant("zero", "VD-PAR-08", "takes 0 ms between two looks at the buffer")
+class CheckZero(Unbound):
+    name = BUFFER_CHECK_PERIOD
+    takes = staticmethod(lambda value: value == 0)
+
+    @property
+    def buffer_check_period_ms(self) -> int:
+        return super().buffer_check_period_ms or 50
+
+
+@mutant("forgets", "VD-PAR-01", "goes on with the parameters that it started with")
+class Forgets(VardisParameters):
+    def __init__(self, config: NodeConfig) -> None:
+        super().__init__(config)
+        self._used = dict(self._values)
+
+    @property
+    def max_value_length(self) -> int:
+        return self._used[VALUE_LENGTH]
+
+    @property
+    def longest_description(self) -> int:
+        return self._used[DESCRIPTION_LENGTH] - self._terminator
+
+    @property
+    def max_repetitions(self) -> int:
+        return self._used[REPETITIONS]
+
+    @property
+    def max_summaries(self) -> int:
+        return self._used[SUMMARIES]
+
+
+@mutant("retroactive", "VD-PAR-01", "deletes variables whose value is longer than a lowered limit")
+class Retroactive(Vardis):
+    def set_parameter(self, name: str, value: object) -> Violation | None:
+        violation = super().set_parameter(name, value)
+        if violation is None and name in (VALUE_LENGTH, DESCRIPTION_LENGTH):
+            for entry in list(self._database.entries.values()):
+                long = len(entry.value) > self._parameters.max_value_length
+                if (long or len(entry.spec.descr) > self._parameters.longest_description) and not entry.is_deleted:
+                    self._database.mark_deleted(entry)
+        return violation
+
+
+@mutant("told-only", "VD-PAR-01", "tells values of parameters that it was given, and refuses none")
+class TellsAll(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        super().set(name, value)
+        return None
+
+
+# -- initialization ----------------------------------------------------------------------------------------------------
+
+
+class Ported(Vardis):
+    """Uses BP in another way."""
+
+    port: ClassVar[type[Port]] = Port
+
+    def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
+        port: Any = self.port(bp)
+        super().__init__(config, port, emit=emit, now=now, wall=wall)
+
+
+@mutant("mode", "VD-INI-02", "registers with mode REPEAT")
+class OtherMode(Ported):
+    class port(Port):  # noqa: N801 - takes the place of an attribute
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
+
+
+@mutant("droptail", "VD-INI-02", "registers with mode DROPTAIL, as 1.1 did", since=V1_2)
+class OldMode(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
+
+
+@mutant("several", "VD-INI-02", "registers for several payloads in a beacon", since=SpecVersion.V1_1)
+class OtherSeveral(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, several=True), **times)
+
+
+@mutant("name", "VD-INI-02", "registers without a name")
+class OtherName(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, name=""), **times)
+
+
+@mutant("size", "VD-INI-02", "registers with half of the parameter's size")
+class OtherSize(Vardis):
+    def _register(self, size: int, now: int, wall: int) -> Any:
+        return super()._register(size // 2, now, wall)
+
+
+@mutant("other-id", "VD-INI-05 VD-CRE-08", "creates variables with another identifier than the one that BP told")
+class OtherIdentifier(Vardis):
+    def _register(self, size: int, now: int, wall: int) -> Any:
+        status = super()._register(size, now, wall)
+        self._core.own_id = self._core.own_id[:-1] + b"\x78"
+        return status
+
+
+@mutant("survives", "VD-INI-04", "keeps its variables over a reset")
+class Survives(Air):
+    def reset(self, now: int, wall: int) -> None:
+        entries = {} if self.vardis is None else dict(self.vardis._database.entries)
+        super().reset(now, wall)
+        if self.vardis is not None:
+            self.vardis._database.entries.update(entries)
+
+
+@mutant("queue-survives", "VD-INI-04", "goes on after a reset with requests from before")
+class QueueSurvives(Air):
+    def reset(self, now: int, wall: int) -> None:
+        wanted = [] if self.vardis is None else list(self.vardis._database.req_create_q)
+        super().reset(now, wall)
+        if self.vardis is not None:
+            for var_id in wanted:
+                self.vardis._database.req_create_q.append(var_id)
+
+
+# -- activation --------------------------------------------------------------------------------------------------------
+
+
+@mutant("sends", "VD-MGT-02 VD-RUN-03", "goes on composing payloads while it is inactive", since=V1_2)
+class SendsInactive(Vardis):
+    def _generate(self, now: int, wall: int) -> None:
+        active, self._core.active = self._core.active, self.registered
+        super()._generate(now, wall)
+        self._core.active = active
+
+
+@mutant("ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms its deactivation and stays active", since=V1_2)
+class NeverInactive(Vardis):
+    def deactivate(self) -> Confirm:
+        return Confirm(VardisStatus.OK)
+
+
+@mutant("forgets", "VD-MGT-05", "empties the database when it is activated", since=V1_2)
+class ActivationForgets(Vardis):
+    def activate(self) -> Confirm:
+        self._database.clear()
+        return super().activate()
+
+
+@mutant("stays", "VD-MGT-05", "confirms its activation and stays inactive", since=V1_2)
+class NeverActive(Vardis):
+    def activate(self) -> Confirm:
+        return Confirm(VardisStatus.OK)
+
+
+@mutant("queue-forgotten", "VD-MGT-05", "forgets what it was repeating when it is deactivated", since=V1_2)
+class RepetitionsForgotten(Vardis):
+    def deactivate(self) -> Confirm:
+        for entry in self._database.entries.values():
+            entry.count_create = entry.count_update = entry.count_delete = 0
+        self._database.create_q.clear()
+        self._database.update_q.clear()
+        self._database.delete_q.clear()
+        return super().deactivate()
+
+
+# -- running -----------------------------------------------------------------------------------------------------------
+
+
+@mutant("ignored", "VD-RUN-01", "composes payloads only when it looks at the buffer")
+class IndicationIgnored(Vardis):
+    def payload_transmitted(self, now: int, wall: int) -> None:
+        pass
+
+
+@mutant("ignored", "VD-RUN-02", "composes payloads only when BP has sent one")
+class NeverChecks(Vardis):
+    def handle_timeout(self, now: int, wall: int) -> None:
+        self._last_check = now
+        super().handle_timeout(now, wall)
+
+
+@mutant("always", "VD-RUN-02", "composes a payload at every look, whatever is in the buffer")
+class AlwaysComposes(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def query_number_buffered(self, prot_id: int) -> Any:
+            confirm = self.bp.query_number_buffered(prot_id)
+            return type(confirm)(confirm.status, 0 if confirm.status.is_ok else None)
+
+
+@mutant("slow", "VD-RUN-02 VD-PAR-08", "looks at the buffer ten times less often than the parameter says")
+class ChecksSlowly(VardisParameters):
+    @property
+    def buffer_check_period_ms(self) -> int:
+        return super().buffer_check_period_ms * 10
+
+
+# -- scrubbing ---------------------------------------------------------------------------------------------------------
+
+
+@mutant("never", "VD-INI-06 VD-SCR-01", "never scrubs", since=V2)
+class NeverScrubs(Vardis):
+    def _scrub(self, now: int) -> None:
+        pass
+
+
+@mutant("slow", "VD-SCR-01", "scrubs at every third period", since=V2)
+class ScrubsSlowly(Vardis):
+    runs = 0
+
+    def _scrub(self, now: int) -> None:
+        self.runs += 1
+        if self.runs % 3 == 0:
+            super()._scrub(now)
+
+
+@mutant("zero", "VD-SCR-02", "deletes variables with timeout 0", since=V2)
+class ScrubsZero(Vardis):
+    def _scrub(self, now: int) -> None:
+        super()._scrub(now)
+        for entry in list(self._database.entries.values()):
+            if not entry.spec.timeout and not entry.is_deleted and now > entry.refreshed:
+                self._database.mark_deleted(entry)
+
+
+@mutant("deleted", "VD-SCR-02", "repeats deletions of variables that are deleted and have timed out", since=V2)
+class ScrubsDeleted(Cells):
+    cells: ClassVar = {
+        (Event.TIMED_OUT, State.DELETED_PRODUCER): Cell(Action.DELETE),
+        (Event.TIMED_OUT, State.DELETED_CONSUMER): Cell(Action.DELETE),
+    }
+
+
+@mutant("half", "VD-SCR-03", "deletes variables after half of their timeout", since=V2)
+class ScrubsEarly(Vardis):
+    def _scrub(self, now: int) -> None:
+        for entry in list(self._database.entries.values()):
+            timeout = (entry.spec.timeout or 0) * MS // 2
+            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
+                self._database.mark_deleted(entry)
+
+
+@mutant("boundary", "VD-SCR-03", "deletes variables as soon as their timeout has passed, not after it", since=V2)
+class ScrubsAtBoundary(Vardis):
+    def __init__(self, *args: Any, **times: Any) -> None:
+        super().__init__(*args, **times)
+        self._timed_out_at_timeout = True
+
+
+@mutant("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout", since=V2)
+class ScrubsLate(Vardis):
+    def _scrub(self, now: int) -> None:
+        for entry in list(self._database.entries.values()):
+            timeout = (entry.spec.timeout or 0) * MS * 2
+            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
+                self._database.mark_deleted(entry)
+
+
+@mutant("silent", "VD-SCR-04", "deletes variables that have timed out and tells nobody", since=V2)
+class ScrubsSilently(Vardis):
+    def _scrub(self, now: int) -> None:
+        before = {var_id for var_id, entry in self._database.entries.items() if not entry.is_deleted}
+        super()._scrub(now)
+        for var_id in before:
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                entry.count_delete = 0
+                self._database.delete_q.remove(var_id)
+
+
+@mutant("removed", "VD-SCR-04 VD-DB-02", "forgets variables that have timed out", since=V2)
+class ScrubsAway(Vardis):
+    def _scrub(self, now: int) -> None:
+        before = {var_id for var_id, entry in self._database.entries.items() if not entry.is_deleted}
+        super()._scrub(now)
+        for var_id in before:
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                self._database.delete_q.remove(var_id)
+                del self._database.entries[var_id]
+
+
+@mutant("own-only", "VD-SCR-05", "scrubs only its own variables", since=V2)
+class ScrubsOwn(Cells):
+    cells: ClassVar = {(Event.TIMED_OUT, State.ALIVE_CONSUMER): Cell(Action.NONE)}
+
+
+@mutant("foreign-only", "VD-SCR-05", "scrubs only variables of others", since=V2)
+class ScrubsForeign(Cells):
+    cells: ClassVar = {(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)}
+
+
+@mutant("not-refreshed", "VD-SCR-06", "does not count the time of a variable anew when an update of it comes", since=V2)
+class NotRefreshed(Receiver):
+    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        before = None if entry is None else entry.refreshed
+        super()._update(record, offset, now, wall)
+        if entry is not None and before is not None:
+            entry.refreshed = before
+
+
+@mutant(
+    "own-not-refreshed",
+    "VD-SCR-03 VD-UPD-08",
+    "does not count the time of its own variable anew when it is updated",
+    since=V2,
+)
+class OwnNotRefreshed(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        entry = self._database.lookup(var_id)
+        before = None if entry is None else entry.refreshed
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        if entry is not None and before is not None:
+            entry.refreshed = before
+        return confirm
+
+
+@mutant("summaries-refresh", "VD-SCR-03 VD-SCR-05", "takes a summary for a sign of life of a variable", since=V2)
+class SummariesRefresh(Receiver):
+    now = 0
+
+    def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
+        self.now = now
+        super().process(extracted, now=now, wall=wall)
+
+    def _summary(self, record: Any, offset: int) -> None:
+        super()._summary(record, offset)
+        entry = self._database.lookup(record.var_id)
+        if entry is not None and entry.seqno == record.seqno:
+            entry.refreshed = self.now
+
+
+@mutant("by-creation-time", "VD-SCR-03", "counts the time of a variable from its creationTime", since=V2)
+class ByCreationTime(Vardis):
+    wall = 0
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        self.wall = wall
+        super().handle_timeout(now, wall)
+
+    def _scrub(self, now: int) -> None:
+        for entry in list(self._database.entries.values()):
+            made = self._core.clock.wall(entry.spec.creation_time or 0, near=self.wall)
+            entry.refreshed = now - (self.wall - made)
+        super()._scrub(now)

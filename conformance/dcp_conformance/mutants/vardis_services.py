@@ -1,0 +1,644 @@
+"""Faults in the services of VarDis for applications."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import msgspec
+from dcp_spec.constants import SpecVersion
+from dcp_spec.status import VardisStatus
+
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_confirms import (
+    Confirm,
+    DescribeDatabaseConfirm,
+    DescribeVariableConfirm,
+    NoResponseError,
+    ReadConfirm,
+)
+from dcp_stack.vardis_core import Sequence
+from dcp_stack.vardis_db import DBEntry
+from dcp_stack.vardis_parameters import VardisParameters
+from dcp_stack.vardis_table import Action, Cell, Event, State
+
+from .mutant import mutant
+from .vardis_states import Cells
+
+V2 = SpecVersion.V2_0
+UNKNOWN, PRODUCED, CONSUMED = State.UNKNOWN, State.ALIVE_PRODUCER, State.ALIVE_CONSUMER
+DELETED_OWN, DELETED = State.DELETED_PRODUCER, State.DELETED_CONSUMER
+EXISTS, NOT_PRODUCER = VardisStatus.VARIABLE_EXISTS, VardisStatus.NOT_PRODUCER
+IS_DELETED, DOES_NOT_EXIST = VardisStatus.VARIABLE_IS_DELETED, VardisStatus.VARIABLE_DOES_NOT_EXIST
+OK = VardisStatus.OK
+
+
+def _refused(event: Event, status: VardisStatus, *states: State) -> dict[tuple[Event, State], Cell]:
+    return {(event, state): Cell(Action.REFUSE, status=status) for state in states}
+
+
+class Creates(Vardis):
+    """Answers RTDB-Create in another way."""
+
+    def create(
+        self,
+        var_id: int,
+        prod_id: bytes | None,
+        rep_cnt: int,
+        descr: bytes,
+        value: bytes,
+        timeout_ms: int = 0,
+        *,
+        now: int,
+        wall: int,
+    ) -> Confirm:
+        early = self.early(var_id, rep_cnt, descr, value)
+        if early is not None and self.active:
+            return Confirm(early)
+        rep_cnt, descr, value = self.changed(rep_cnt, descr, value)
+        return super().create(var_id, prod_id, rep_cnt, descr, value, timeout_ms, now=now, wall=wall)
+
+    def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
+        """A status before anything is looked at."""
+        return None
+
+    def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
+        """What the application is taken to have asked for."""
+        return rep_cnt, descr, value
+
+
+# -- RTDB-Create -------------------------------------------------------------------------------------------------------
+
+
+@mutant("foreign", "VD-CRE-02", "creates a variable that another node produces", since=V2)
+class CreatesForeign(Cells):
+    cells: ClassVar = {(Event.APP_CREATE, CONSUMED): Cell(Action.CREATE)}
+
+
+@mutant("foreign-deleted", "VD-CRE-02", "creates a variable that another node has deleted", since=V2)
+class CreatesForeignDeleted(Cells):
+    cells: ClassVar = {(Event.APP_CREATE, DELETED): Cell(Action.CREATE)}
+
+
+@mutant("status", "VD-CRE-02", "says NOT-PRODUCER of a variable that another node produces")
+class CreateStatus(Cells):
+    cells: ClassVar = _refused(Event.APP_CREATE, NOT_PRODUCER, CONSUMED, DELETED)
+
+
+@mutant("refused", "VD-CRE-03", "does not create its own variable anew", since=V2)
+class NotAnew(Cells):
+    cells: ClassVar = _refused(Event.APP_CREATE, EXISTS, PRODUCED)
+
+
+@mutant("deleted-refused", "VD-CRE-03", "does not create its own deleted variable anew", since=V2)
+class DeletedNotAnew(Cells):
+    cells: ClassVar = _refused(Event.APP_CREATE, EXISTS, DELETED_OWN)
+
+
+@mutant(
+    "accepted",
+    "VD-CRE-02 VD-CRE-03",
+    "creates a variable that it has anew, as only 2.0 does",
+    since=SpecVersion.V1_0,
+    until=SpecVersion.V1_3,
+)
+class CreatesAnew(Cells):
+    cells: ClassVar = {(Event.APP_CREATE, PRODUCED): Cell(Action.CREATE)}
+
+
+class Limits(VardisParameters):
+    """Judges lengths by other limits."""
+
+    value: ClassVar[int] = 0
+    description: ClassVar[int] = 0
+    repetitions: ClassVar[int] = 0
+
+    @property
+    def max_value_length(self) -> int:
+        return super().max_value_length + self.value
+
+    @property
+    def longest_description(self) -> int:
+        return super().longest_description + self.description
+
+    @property
+    def max_repetitions(self) -> int:
+        return super().max_repetitions + self.repetitions
+
+
+@mutant("one-more", "VD-CRE-04 VD-PC-05", "takes descriptions one octet too long")
+class DescriptionMore(Limits):
+    description = 1
+
+
+@mutant("one-less", "VD-CRE-04 VD-PC-05", "refuses descriptions of the longest length")
+class DescriptionLess(Limits):
+    description = -1
+
+
+@mutant("characters", "DATA-08 VD-CRE-04", "counts the characters of descriptions, not the octets")
+class Characters(Creates):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        descr: bytes = args[3]
+        fits = 0 < len(descr.decode(errors="replace")) <= self._parameters.longest_description
+        counted = descr[:1] if fits else descr
+        confirm = super().create(*args[:3], counted, *args[4:], **times)
+        entry = self._database.lookup(args[0])
+        if confirm.status is OK and entry is not None:
+            entry.spec = msgspec.structs.replace(entry.spec, descr=descr)
+        return confirm
+
+
+@mutant("cut", "VD-CRE-04", "cuts descriptions that are too long, and says OK")
+class DescriptionCut(Creates):
+    def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
+        return rep_cnt, descr[: self._parameters.longest_description], value
+
+
+@mutant("one-more", "VD-CRE-05 VD-UPD-05 VD-PC-04 VD-PU-04", "takes values one octet too long")
+class ValueMore(Limits):
+    value = 1
+
+
+@mutant("one-less", "VD-CRE-05 VD-UPD-05 VD-PC-04 VD-PU-04", "refuses values of the longest length")
+class ValueLess(Limits):
+    value = -1
+
+
+@mutant("cut", "VD-CRE-05", "cuts values that are too long, and says OK")
+class ValueCut(Creates):
+    def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
+        return rep_cnt, descr, value[: self._parameters.max_value_length]
+
+
+@mutant("taken", "VD-CRE-06 VD-TYP-02", "creates variables with an empty value, for which it puts a zero")
+class EmptyTaken(Creates):
+    def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
+        return rep_cnt, descr, value or b"\0"
+
+
+@mutant("status", "VD-CRE-06", "says VALUE-TOO-LONG of an empty value")
+class EmptyStatus(Creates):
+    def _refused_value(self, value: bytes) -> VardisStatus | None:
+        return super()._refused_value(value) and VardisStatus.VALUE_TOO_LONG
+
+
+@mutant("one-more", "VD-CRE-07 VD-PC-06", "takes repetition counts one above the maximum")
+class RepetitionsMore(Limits):
+    repetitions = 1
+
+
+@mutant("one-less", "VD-CRE-07 VD-PC-06", "refuses the highest repetition count")
+class RepetitionsLess(Limits):
+    repetitions = -1
+
+
+@mutant("zero", "VD-CRE-07", "takes a repetition count of 0 for 1")
+class RepetitionsZero(Creates):
+    def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
+        return rep_cnt or 1, descr, value
+
+
+@mutant("clamped", "VD-CRE-07", "lowers repetition counts to the maximum, and says OK")
+class RepetitionsClamped(Creates):
+    def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
+        return min(rep_cnt, self._parameters.max_repetitions), descr, value
+
+
+@mutant("given", "VD-CRE-08", "believes applications which node produces a variable", since=SpecVersion.V1_2)
+class ProducerGiven(Vardis):
+    def _producer(self, given: bytes | None) -> bytes:
+        return self._core.own_id if given is None else given
+
+
+@mutant("constant", "VD-CRE-09", "creates variables with the time of its start", since=V2)
+class ConstantTime(Vardis):
+    def __init__(self, *args: Any, now: int, wall: int, **more: Any) -> None:
+        super().__init__(*args, now=now, wall=wall, **more)
+        self.started = wall
+
+    def _creation_time(self, entry: DBEntry | None, wall: int) -> int | None:  # noqa: ARG002 - the same call
+        return super()._creation_time(None, self.started)
+
+
+@mutant("kept", "VD-CRE-09 VD-CRE-03", "creates variables anew with the creationTime that they had", since=V2)
+class TimeKept(Vardis):
+    def _creation_time(self, entry: DBEntry | None, wall: int) -> int | None:
+        return super()._creation_time(entry, wall) if entry is None else entry.spec.creation_time
+
+
+@mutant("not-later", "VD-CRE-09", "gives two creations at the same moment the same creationTime", since=V2)
+class NotLater(Vardis):
+    def _creation_time(self, entry: DBEntry | None, wall: int) -> int | None:  # noqa: ARG002 - the same call
+        return super()._creation_time(None, wall)
+
+
+@mutant("from-one", "VD-CRE-10", "begins with sequence number 1")
+class FromOne(Creates):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        var_id: int = args[0]
+        confirm = super().create(*args, **times)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            entry.seqno = 1
+        return confirm
+
+
+@mutant("goes-on", "VD-CRE-10 VD-CRE-03", "goes on with the number of a variable that is created anew", since=V2)
+class GoesOn(Creates):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        var_id: int = args[0]
+        before = self._database.lookup(var_id)
+        number = None if before is None else before.seqno
+        confirm = super().create(*args, **times)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None and number is not None:
+            entry.seqno = (number + 1) % 256
+        return confirm
+
+
+@mutant("stamp", "VD-CRE-10 VD-DB-03", "stores variables with no time of their own")
+class NoStamp(Creates):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        var_id: int = args[0]
+        confirm = super().create(*args, **times)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            entry.t_stamp = 0
+        return confirm
+
+
+@mutant("with-update", "VD-CRE-10 VD-CRE-12", "sends an update of the first value beside the creation")
+class WithUpdate(Creates):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        var_id: int = args[0]
+        confirm = super().create(*args, **times)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            self._database.arm_update(entry)
+        return confirm
+
+
+@mutant("not-summarised", "VD-CRE-12", "does not summarise its own variables")
+class NotSummarised(Creates):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        var_id: int = args[0]
+        confirm = super().create(*args, **times)
+        if confirm.status is OK:
+            self._database.summary_q.remove(var_id)
+        return confirm
+
+
+@mutant("only-summarised", "VD-CRE-12", "only summarises its own variables, and waits for requests")
+class OnlySummarised(Creates):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        var_id: int = args[0]
+        confirm = super().create(*args, **times)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            self._database.create_q.remove(var_id)
+            entry.count_create = 0
+        return confirm
+
+
+@mutant("repcnt-first", "VD-CRE-13 DATA-11", "looks at the repetition count first", since=SpecVersion.V1_1)
+class RepcntFirst(Creates):
+    def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
+        return None if 1 <= rep_cnt <= self._parameters.max_repetitions else VardisStatus.ILLEGAL_REPCOUNT
+
+
+@mutant(
+    "value-first", "VD-CRE-13 DATA-11", "looks at the value before it looks at the description", since=SpecVersion.V1_1
+)
+class ValueFirst(Creates):
+    def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
+        return None if self._database.lookup(var_id) is not None else self._refused_value(value)
+
+
+@mutant("exists-last", "VD-CRE-13 DATA-11", "looks last whether the variable exists", since=SpecVersion.V1_1)
+class ExistsLast(Creates):
+    def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
+        if len(descr) > self._parameters.longest_description:
+            return VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG
+        return self._refused_value(value)
+
+
+@mutant(
+    "inactive-last",
+    "VD-CRE-13 VD-CRE-01",
+    "looks at the value before it looks whether it is active",
+    since=SpecVersion.V1_2,
+)
+class InactiveLast(Vardis):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        if status := self._refused_value(args[4]):
+            return self._confirm(status)
+        return super().create(*args, **times)
+
+
+# -- RTDB-Delete, RTDB-Update, RTDB-Read -------------------------------------------------------------------------------
+
+
+@mutant("ok", "VD-DEL-02", "confirms with OK that an unknown variable was deleted")
+class DeletesUnknown(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        confirm = super().delete(var_id, now=now, wall=wall)
+        return Confirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
+
+
+@mutant("foreign", "VD-DEL-03", "deletes variables of other nodes")
+class DeletesForeign(Cells):
+    cells: ClassVar = {(Event.APP_DELETE, CONSUMED): Cell(Action.DELETE)}
+
+
+@mutant("status", "VD-DEL-03", "says of a deleted variable of another node that it is deleted", since=V2)
+class DeleteStatus(Cells):
+    cells: ClassVar = _refused(Event.APP_DELETE, IS_DELETED, DELETED)
+
+
+@mutant("again", "VD-DEL-04", "deletes a deleted variable again", since=V2)
+class DeletesAgain(Cells):
+    cells: ClassVar = {(Event.APP_DELETE, DELETED_OWN): Cell(Action.DELETE)}
+
+
+@mutant("does-not-exist", "VD-DEL-04", "says of its own deleted variable that it does not exist", since=V2)
+class DeletedDoesNotExist(Cells):
+    cells: ClassVar = _refused(Event.APP_DELETE, DOES_NOT_EXIST, DELETED_OWN)
+
+
+@mutant("silent", "VD-DEL-05", "deletes its own variables and tells nobody")
+class DeletesSilently(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        confirm = super().delete(var_id, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            self._database.delete_q.remove(var_id)
+            entry.count_delete = 0
+        return confirm
+
+
+@mutant("creates", "VD-UPD-02", "creates a variable that is updated and does not exist")
+class UpdateCreates(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        if confirm.status is DOES_NOT_EXIST:
+            return self.create(var_id, None, 1, b"updated", value, now=now, wall=wall)
+        return confirm
+
+
+@mutant("foreign", "VD-UPD-03", "updates variables of other nodes")
+class UpdatesForeign(Cells):
+    cells: ClassVar = {(Event.APP_UPDATE, CONSUMED): Cell(Action.UPDATE)}
+
+
+@mutant("status", "VD-UPD-03", "says of a deleted variable of another node that it is deleted", since=V2)
+class UpdateStatus(Cells):
+    cells: ClassVar = _refused(Event.APP_UPDATE, IS_DELETED, DELETED)
+
+
+@mutant("ok", "VD-UPD-04", "confirms updates of its own deleted variables with OK", since=V2)
+class UpdatesDeleted(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        return Confirm(OK) if confirm.status is IS_DELETED else confirm
+
+
+@mutant("revives", "VD-UPD-04", "revives its own deleted variable with an update", since=V2)
+class UpdateRevives(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is IS_DELETED and entry is not None:
+            self._database.insert(entry.spec, value, self._core.sequence.after(entry.seqno), now=now, wall=wall)
+            return Confirm(OK)
+        return confirm
+
+
+@mutant("cut", "VD-UPD-05", "cuts values of updates that are too long, and says OK")
+class UpdateCut(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        return super().update(var_id, value[: self._parameters.max_value_length], now=now, wall=wall)
+
+
+@mutant("ok", "VD-UPD-06", "confirms an empty update with OK")
+class UpdateEmpty(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        empty = (VardisStatus.EMPTY_VALUE, VardisStatus.INVALID_VALUE)
+        return Confirm(OK) if confirm.status in empty else confirm
+
+
+@mutant("constant", "VD-UPD-07", "does not count updates")
+class NumberStays(Sequence):
+    def after(self, seqno: int) -> int:
+        return seqno
+
+
+@mutant("by-two", "VD-UPD-07", "counts updates by two")
+class ByTwo(Sequence):
+    def after(self, seqno: int) -> int:
+        return (seqno + 2) % self._modulus
+
+
+@mutant("wraps-early", "VD-UPD-07 VD-TYP-03", "counts updates to 254, and then from 0")
+class WrapsEarly(Sequence):
+    def after(self, seqno: int) -> int:
+        return (seqno + 1) % (self._modulus - 1)
+
+
+@mutant("wraps-to-one", "VD-UPD-07 VD-TYP-03", "leaves out 0 when the numbers wrap")
+class WrapsToOne(Sequence):
+    def after(self, seqno: int) -> int:
+        return (seqno + 1) % self._modulus or 1
+
+
+@mutant("shared", "VD-TYP-03 VD-UPD-07", "counts the updates of all variables with one counter")
+class SharedCounter(Vardis):
+    counter = 0
+
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            self.counter = (self.counter + 1) % 256
+            entry.seqno = self.counter
+        return confirm
+
+
+@mutant("once", "VD-UPD-08", "sends updates once, whatever repCnt is")
+class UpdatedOnce(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            entry.count_update = 1
+        return confirm
+
+
+@mutant("stamp", "VD-UPD-08 VD-DB-03", "keeps the time of the creation when it is updated")
+class UpdateStamp(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        entry = self._database.lookup(var_id)
+        stamp = None if entry is None else entry.t_stamp
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        if entry is not None and stamp is not None:
+            entry.t_stamp = stamp
+        return confirm
+
+
+@mutant("unknown-empty", "VD-REA-02", "reads an empty value of a variable that does not exist")
+class ReadsUnknown(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        return ReadConfirm(OK, b"", 0) if confirm.status is DOES_NOT_EXIST else confirm
+
+
+@mutant("deleted", "VD-REA-03", "reads the last value of a deleted variable", since=V2)
+class ReadsDeleted(Cells):
+    cells: ClassVar = {(Event.APP_READ, state): Cell(Action.READ) for state in (DELETED, DELETED_OWN)}
+
+
+@mutant("does-not-exist", "VD-REA-03", "says of a deleted variable that it does not exist", since=V2)
+class ReadDoesNotExist(Cells):
+    cells: ClassVar = _refused(Event.APP_READ, DOES_NOT_EXIST, DELETED, DELETED_OWN)
+
+
+@mutant("with-value", "VD-REA-03", "adds the last value to IS-DELETED", since=V2)
+class ReadsWithValue(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        entry = self._database.lookup(var_id)
+        if confirm.status is IS_DELETED and entry is not None:
+            return ReadConfirm(confirm.status, entry.value, entry.t_stamp)
+        return confirm
+
+
+@mutant("first-value", "VD-REA-04", "reads the value that a variable had when it was read first")
+class ReadsFirst(Vardis):
+    def __init__(self, *args: Any, **times: Any) -> None:
+        super().__init__(*args, **times)
+        self._first: dict[tuple[int, int | None], ReadConfirm] = {}
+
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        entry = self._database.lookup(var_id)
+        if confirm.status is not OK or entry is None:
+            return confirm
+        return self._first.setdefault((var_id, entry.spec.creation_time), confirm)
+
+
+@mutant("no-stamp", "VD-REA-04 VD-DB-03", "reads the value without a time")
+class ReadsNoStamp(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        return msgspec.structs.replace(super().read(var_id), t_stamp=None)
+
+
+# -- descriptions ------------------------------------------------------------------------------------------------------
+
+
+@mutant(
+    "hides-deleted", "VD-DDB-02 VD-DB-02", "leaves deleted variables out of the database that it describes", since=V2
+)
+class HidesDeleted(Vardis):
+    def describe_database(self) -> DescribeDatabaseConfirm:
+        confirm = super().describe_database()
+        return msgspec.structs.replace(
+            confirm, variables=tuple(each for each in confirm.variables if not each.is_deleted)
+        )
+
+
+@mutant("own-only", "VD-DDB-02", "describes only its own variables")
+class OwnOnly(Vardis):
+    def describe_database(self) -> DescribeDatabaseConfirm:
+        confirm = super().describe_database()
+        own = tuple(each for each in confirm.variables if each.spec.prod_id == self.own_node_identifier)
+        return msgspec.structs.replace(confirm, variables=own)
+
+
+@mutant("unknown-ok", "VD-DVA-02", "describes variables that do not exist with OK")
+class DescribesUnknown(Vardis):
+    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
+        confirm = super().describe_variable(var_id)
+        return DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
+
+
+@mutant("deleted", "VD-DVA-03", "says of a deleted variable that it cannot describe it", since=V2)
+class HidesEntry(Vardis):
+    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
+        confirm = super().describe_variable(var_id)
+        deleted = confirm.entry is not None and confirm.entry.is_deleted
+        return DescribeVariableConfirm(IS_DELETED) if deleted else confirm
+
+
+@mutant("no-answer", "DATA-10", "does not answer when a variable to be deleted does not exist")
+class NoAnswer(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        confirm = super().delete(var_id, now=now, wall=wall)
+        if confirm.status is DOES_NOT_EXIST:
+            raise NoResponseError("nothing to say")
+        return confirm
+
+
+# -- inactive ----------------------------------------------------------------------------------------------------------
+
+
+class Inactive(Vardis):
+    """Serves some requests while it is inactive."""
+
+    serves: ClassVar[str] = ""
+
+    def __getattribute__(self, name: str) -> Any:
+        found = super().__getattribute__(name)
+        if name != type(self).serves:
+            return found
+
+        def served(*args: Any, **times: int) -> Any:
+            active, self._core.active = self._core.active, self.registered
+            try:
+                return found(*args, **times)
+            finally:
+                self._core.active = active
+
+        return served
+
+
+@mutant("served", "VD-DDB-01 VD-MGT-04", "describes the database while it is inactive", since=SpecVersion.V1_2)
+class InactiveDatabase(Inactive):
+    serves = "describe_database"
+
+
+@mutant("served", "VD-DVA-01 VD-MGT-04", "describes variables while it is inactive", since=SpecVersion.V1_2)
+class InactiveVariable(Inactive):
+    serves = "describe_variable"
+
+
+@mutant("served", "VD-CRE-01 VD-MGT-04", "creates variables while it is inactive", since=SpecVersion.V1_2)
+class InactiveCreate(Inactive):
+    serves = "create"
+
+
+@mutant("served", "VD-DEL-01 VD-MGT-04", "deletes variables while it is inactive", since=SpecVersion.V1_2)
+class InactiveDelete(Inactive):
+    serves = "delete"
+
+
+@mutant("served", "VD-UPD-01 VD-MGT-04", "updates variables while it is inactive", since=SpecVersion.V1_2)
+class InactiveUpdate(Inactive):
+    serves = "update"
+
+
+@mutant("served", "VD-REA-01 VD-MGT-04", "reads variables while it is inactive", since=SpecVersion.V1_2)
+class InactiveRead(Inactive):
+    serves = "read"
+
+
+@mutant(
+    "silently", "VD-MGT-04 VD-CRE-01", "says INACTIVE, and creates the variable all the same", since=SpecVersion.V1_2
+)
+class InactiveSilently(Inactive):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        if self.active or not self.registered:
+            return super().create(*args, **times)
+        self._core.active = True
+        super().create(*args, **times)
+        self._core.active = False
+        return Confirm(VardisStatus.INACTIVE)

@@ -1,0 +1,307 @@
+"""Who tests the tester: the suite against our node, which must pass, and against mutants of it, which must not.
+
+A mutant is *killed* by a case that fails with a check that names the requirement which the mutant violates. A case that
+fails with checks that only name other requirements is listed beside it (``also``): that may follow from the fault, but
+it would have sent whoever reads the report to the wrong place. A case that ends with ``error`` is the tester's own
+fault, whatever the implementation did.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from functools import cache
+from typing import Final
+
+import msgspec
+from dcp_spec.version import __version__
+
+from dcp_codec.codec import Codec
+
+from .bench import Session
+from .case import Case, all_cases
+from .errors import ConformanceError, UsageError
+from .mutants import Mutant, all_mutants
+from .pics import Pics
+from .reference.inprocess import InProcess, MakeNode, plain_node, reference_config
+from .results import CaseResult
+from .runner import Runner, ordered, timestamp
+from .verdict import Verdict
+
+SCHEMA: Final = "dcp-conformance-selftest/1"
+PROFILES: Final = ("dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-1.2", "cpp-1.3", "cpp-2.0")
+"""Profiles on which our node must pass: every version, and the layouts of the public C++ implementation."""
+_FINE: Final = frozenset({Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE})
+
+
+class Finding(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A case that came out as it does with our node as it is, or does not."""
+
+    case: str
+    verdict: Verdict
+    requirements: tuple[str, ...] = ()
+    """Those that failed checks name."""
+    reason: str = ""
+
+
+class Baseline(msgspec.Struct, frozen=True):
+    """The suite against our node as it is, on one profile."""
+
+    profile: str
+    cases: int
+    findings: tuple[Finding, ...]
+    """What is neither pass, info nor not applicable: there should be none."""
+    seconds: float
+
+    @property
+    def good(self) -> bool:
+        """Whether the node passes."""
+        return not self.findings
+
+
+class Trial(msgspec.Struct, frozen=True):
+    """A mutant, and what the suite said of it."""
+
+    mutant: str
+    requirements: tuple[str, ...]
+    what: str
+    profile: str
+    candidates: int
+    """Cases that name a requirement of the mutant and apply to the profile."""
+    cases: int
+    """Cases that were run."""
+    killers: tuple[Finding, ...]
+    """Cases that failed and name the requirement in a failed check; only the first one unless all were run."""
+    also: tuple[Finding, ...]
+    """Cases that failed and name other requirements."""
+    errors: tuple[Finding, ...]
+    """Cases in which the tester stumbled."""
+    seconds: float
+
+    @property
+    def killed(self) -> bool:
+        """Whether a case that names the violated requirement noticed."""
+        return bool(self.killers)
+
+
+class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What ``selftest.json`` holds."""
+
+    schema: str = SCHEMA
+    tool: str = f"dcp-conformance {__version__}"
+    started: str = ""
+    """ISO 8601, UTC."""
+    duration: float = 0.0
+    """Seconds."""
+    full: bool = False
+    """Whether every mutant met every case, not only those that name its requirement, and those until one failed."""
+    baselines: tuple[Baseline, ...] = ()
+    mutants: tuple[Trial, ...] = ()
+
+    @property
+    def survivors(self) -> tuple[Trial, ...]:
+        """Mutants that no case noticed which names the requirement."""
+        return tuple(each for each in self.mutants if not each.killed)
+
+    @property
+    def stumbled(self) -> bool:
+        """Whether a case ended in an error of the tester."""
+        findings = [each for baseline in self.baselines for each in baseline.findings]
+        return any(trial.errors for trial in self.mutants) or any(each.verdict is Verdict.ERROR for each in findings)
+
+    def exit_status(self) -> int:
+        """0: our node passes and every mutant is killed; 1: not so; 4: the tester stumbled."""
+        if self.stumbled:
+            return 4
+        return 1 if self.survivors or not all(each.good for each in self.baselines) else 0
+
+
+@cache
+def _cases() -> tuple[Case, ...]:
+    return tuple(ordered(all_cases().values()))
+
+
+@cache
+def _mutants() -> dict[str, Mutant]:
+    return all_mutants()
+
+
+@cache
+def _codec(profile: str) -> Codec:
+    return Codec(profile)
+
+
+class Suite:
+    """Our node, as it is or as a mutant, on one profile, with the cases one after the other."""
+
+    def __init__(self, profile: str, make: MakeNode = plain_node) -> None:
+        codec = _codec(profile)
+        self._sut = InProcess(reference_config(codec), make=make)
+        upper = self._sut.upper_tester()
+        self._runner = Runner(Session(codec, self._sut.lower_tester(), upper, Pics()), self._sut)
+        self._runner.prepare()
+
+    def run(self, cases: Iterable[Case]) -> Iterator[CaseResult]:
+        """The results of ``cases``; a node that died is started again, as with ``--restart``."""
+        for case in cases:
+            yield self._runner.run(case)
+
+
+def baseline(profile: str) -> Baseline:
+    """Run everything against our node as it is."""
+    begun = time.monotonic()
+    results = list(Suite(profile).run(_cases()))
+    findings = tuple(_finding(each) for each in results if each.verdict not in _FINE)
+    return Baseline(profile, len(results), findings, round(time.monotonic() - begun, 2))
+
+
+def trial(mutant: Mutant, *, profile: str | None = None, full: bool = False, every: bool = False) -> Trial:
+    """Run the cases that name a requirement of ``mutant`` until one kills it.
+
+    ``every``: all of these cases; ``full``: the whole suite. ``profile`` is by default the mutant's own.
+    """
+    begun = time.monotonic()
+    name = profile or mutant.profile
+    named = [case for case in _cases() if set(case.requirements) & set(mutant.requirements)]
+    killers: list[Finding] = []
+    also: list[Finding] = []
+    errors: list[Finding] = []
+    count = candidates = 0
+    try:
+        suite = Suite(name, mutant.make)
+    except ConformanceError as error:
+        # It cannot even be talked to; a run would end here, with this message.
+        return Trial(
+            mutant.id, mutant.requirements, mutant.what, name, len(named), 0, (), (),
+            (Finding("", Verdict.ERROR, reason=str(error)),), round(time.monotonic() - begun, 3),
+        )  # fmt: skip
+    for result in suite.run(_cases() if full else named):
+        count += result.verdict is not Verdict.NOT_APPLICABLE
+        candidates += result.verdict is not Verdict.NOT_APPLICABLE and bool(
+            set(result.requirements) & set(mutant.requirements)
+        )
+        finding = _finding(result)
+        if result.verdict is Verdict.ERROR:
+            errors.append(finding)
+        elif result.verdict is Verdict.FAIL:
+            hit = set(finding.requirements) & set(mutant.requirements) & set(result.requirements)
+            (killers if hit else also).append(finding)
+            if hit and not full and not every:
+                break
+    seconds = round(time.monotonic() - begun, 3)
+    return Trial(
+        mutant.id,
+        mutant.requirements,
+        mutant.what,
+        name,
+        candidates,
+        count,
+        tuple(killers),
+        tuple(also),
+        tuple(errors),
+        seconds,
+    )
+
+
+def _finding(result: CaseResult) -> Finding:
+    failed = [check for check in result.checks if check.verdict is Verdict.FAIL]
+    named = dict.fromkeys(each for check in failed for each in check.requirements)
+    return Finding(result.id, result.verdict, tuple(named), result.reason)
+
+
+def chosen(patterns: Sequence[str]) -> list[Mutant]:
+    """The mutants that identifiers, requirements or globs of either mean; all without any.
+
+    Raises :class:`UsageError` for a pattern that means none.
+    """
+    mutants = list(_mutants().values())
+    if not patterns:
+        return mutants
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        meant = [each.id for each in mutants if any(fnmatchcase(name, pattern) for name in (each.id, each.requirement))]
+        if not meant:
+            raise UsageError(
+                f"no mutant is called {pattern!r}; 'dcp-conformance selftest --list' shows those there are"
+            )
+        found.update(dict.fromkeys(meant))
+    return [each for each in mutants if each.id in found]
+
+
+def _baseline_task(profile: str) -> Baseline:
+    return baseline(profile)
+
+
+def _trial_task(mutant: str, profile: str, full: bool, every: bool) -> Trial:
+    return trial(_mutants()[mutant], profile=profile, full=full, every=every)
+
+
+Progress = Callable[[Baseline | Trial], None]
+
+
+def selftest(
+    mutants: Sequence[Mutant],
+    *,
+    profiles: Sequence[str] = (),
+    full: bool = False,
+    every: bool = False,
+    jobs: int | None = None,
+    on_start: Callable[[int], None] | None = None,
+    on_result: Progress | None = None,
+) -> SelftestResult:
+    """Our node as it is, then each of ``mutants``.
+
+    ``profiles``: instead of those in :data:`PROFILES` for the node and its own for each mutant; a mutant is tried on
+    those of them in whose version it is a fault. ``jobs``: processes, by default one for each processor.
+    """
+    begun, started = time.monotonic(), timestamp()
+    baselines: dict[str, Baseline] = {}
+    trials: dict[tuple[str, str], Trial] = {}
+    pairs = list(_pairs(mutants, profiles))
+    if on_start is not None:
+        on_start(len(profiles or PROFILES) + len(pairs))
+    # Before the processes are forked, so that each of them has it.
+    _cases(), _mutants()
+    with _pool(jobs or os.cpu_count() or 1) as pool:
+        waiting = [pool.submit(_baseline_task, profile) for profile in profiles or PROFILES]
+        for done in as_completed(waiting):
+            result = done.result()
+            baselines[result.profile] = result
+            if on_result is not None:
+                on_result(result)
+        tried = [pool.submit(_trial_task, each.id, profile, full, every) for each, profile in pairs]
+        for each in as_completed(tried):
+            outcome = each.result()
+            trials[outcome.mutant, outcome.profile] = outcome
+            if on_result is not None:
+                on_result(outcome)
+    return SelftestResult(
+        started=started,
+        duration=round(time.monotonic() - begun, 1),
+        full=full,
+        baselines=tuple(baselines[profile] for profile in profiles or PROFILES),
+        mutants=tuple(trials[each.id, profile] for each, profile in pairs),
+    )
+
+
+def _pairs(mutants: Sequence[Mutant], profiles: Sequence[str]) -> Iterator[tuple[Mutant, str]]:
+    for each in mutants:
+        if not profiles:
+            yield each, each.profile
+        for profile in profiles:
+            if each.exists_in(_codec(profile).profile.spec_version):
+                yield each, profile
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    pool = ProcessPoolExecutor(jobs)
+    try:
+        yield pool
+    finally:
+        # What has not begun is not begun any more: on Ctrl-C nobody waits for the rest.
+        pool.shutdown(cancel_futures=True)
