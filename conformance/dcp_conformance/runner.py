@@ -18,6 +18,8 @@ from .results import CaseResult, Check, EventRecord, Sut, Table
 from .traffic import Event
 from .verdict import Verdict
 
+#: Questions without an answer after which an implementation is taken for dead.
+_QUESTIONS = 4
 SANITY = "TC_DCP_SANITY_BV_01"
 """The case that shows that the implementation is there and answers: first, last, and after every destructive case."""
 
@@ -38,6 +40,8 @@ class Runner:
         self.control = control
         self.rerun = rerun
         self.notes: list[str] = []
+        self._lived = control is not None
+        """Whether there ever was a sign of life."""
         self.dead = ""
         """Why nothing can be run any more; empty while the implementation lives."""
         session.can_restart = control is not None and control.can_restart
@@ -127,19 +131,21 @@ class Runner:
         suspicious = case.destructive or bench.verdict().rank > Verdict.PASS.rank
         control = self.control
         alive = control.alive() if control is not None else None
-        if alive is None and suspicious:
-            alive = self._answers(bench)
-        if alive is not False:
+        silent = alive is None and suspicious and not self._answers(bench)
+        # One that was never there has not died here.
+        self._lived = self._lived or bool(bench.heard)
+        if (alive is not False and not silent) or not self._lived:
             self._clean(bench)
             return False
         why = control.why_dead() if control is not None else ""
+        observed = "there is no sign of life after this case" if silent else "it is dead after this case"
         table: Table = "robustness" if case.robustness else "conformance"
         bench.checks.append(
             Check(
                 Verdict.FAIL,
                 case.requirements,
                 "the implementation survives",
-                f"it is dead after this case{f': {why}' if why else ''}",
+                f"{observed}{f': {why}' if why else ''}",
                 table=table,
             )
         )
@@ -147,13 +153,16 @@ class Runner:
         return True
 
     def _answers(self, bench: Bench) -> bool:
-        """Whether there is still any sign of life, on the air or at the upper interface."""
+        """Whether there is still any sign of life, on the air or at the upper interface.
+
+        Frames get lost: only silence after several questions is silence.
+        """
         try:
             if self.session.upper is not None and "UT-Hello" in self.session.upper.methods:
                 self.session.upper.call("UT-Hello", {})
+                self._lived = True
                 return True
-            heard = bool(bench.beacons(1, 10))
-            return heard or bench.probe(10)
+            return any(bench.beacons(1, 5) or bench.probe(5) for _ in range(_QUESTIONS))
         except (UpperTesterError, LowerTesterError):
             return False
 

@@ -14,6 +14,7 @@ main = CommandLine(
     commands={
         "run": "Test an implementation.",
         "list": "Show the test cases.",
+        "probe": "Draft the PICS of an implementation by listening and asking.",
         "check": "Judge recordings of a network.",
         "replay": "Play a recording at an implementation.",
         "report": "Make a report again, or put several runs side by side.",

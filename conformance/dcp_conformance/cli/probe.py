@@ -1,0 +1,62 @@
+"""``dcp-conformance probe``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from dcp_conformance.errors import UsageError
+
+from .options import target_of, target_options
+
+
+@click.command(
+    "probe",
+    epilog="Exit status: 0 something was heard or answered; 2 wrong usage, or a file that cannot be written; 3 nothing "
+    "was heard and nobody answered; 4 the tester's own trouble.",
+)
+@target_options
+@click.option(
+    "--seconds", type=click.FloatRange(0.5, 3600), default=10.0, metavar="S", help="How long to listen.  [default: 10]"
+)
+@click.option("--passive", is_flag=True, help="Only listen: do not ask a silent implementation for variables.")
+@click.option(
+    "--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Where the PICS goes.  [default: stdout]"
+)
+def command(*, seconds: float, passive: bool, output: Path | None, **options: Any) -> int:
+    """Draft the PICS and PIXIT of an implementation by listening and asking.
+
+    What was seen or told is filled in, with the reason; everything else is a comment with a question for you.
+    """
+    from dcp_spec.profile_loading import BUILTIN_PROFILES
+
+    from dcp_codec.codec import Codec
+    from dcp_conformance.pics_file import write_pics
+    from dcp_conformance.probe import draft
+    from dcp_conformance.target import describe, open_lower
+    from dcp_conformance.upper.opening import open_upper
+
+    target = target_of(options)
+    if not target.foreign:
+        raise UsageError("which implementation? --interface IF for Ethernet, --link udp[:GROUP:PORT] for UDP")
+    codec, _ = describe(target)
+    chosen = target.profile is not None or target.pics is not None
+    candidates = [codec] if chosen else [Codec(name) for name in BUILTIN_PROFILES]
+    lower = open_lower(target, codec)
+    try:
+        upper = open_upper(target.ut) if target.ut is not None else None
+        try:
+            pics, remarks = draft(lower, upper, candidates, seconds, ask=not passive)
+        finally:
+            if upper is not None:
+                upper.close()
+    finally:
+        lower.close()
+    write_pics(pics, output, remarks)
+    if output is not None:
+        for remark in remarks:
+            click.echo(remark, err=True)
+    heard = not any(remark.startswith("nothing was heard") for remark in remarks)
+    return 0 if heard or upper is not None else 3
