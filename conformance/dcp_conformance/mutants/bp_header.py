@@ -190,10 +190,10 @@ class Numbers(BPWire):
         return seqno
 
 
-@mutant("starts-at-one", "BP-HDR-08 BP-INI-02", "begins with sequence number 1")
-class StartsAtOne(Numbers):
+@mutant("starts-at-two", "BP-HDR-08 BP-INI-02", "begins with sequence number 2", since=SpecVersion.V1_1)
+class StartsAtTwo(Numbers):
     def number(self, seqno: int) -> int:
-        return seqno + 1
+        return seqno + 2
 
 
 @mutant(
@@ -257,12 +257,6 @@ class Survives(Air):
 class NoLimit(BeaconingProtocol):
     def _room(self) -> int:
         return self._parameters.uwb_max_packet_size - self._wire.header_size
-
-
-@mutant("header-extra", "BP-FMT-02", "counts only the blocks against the maximum packet size")
-class HeaderExtra(BeaconingProtocol):
-    def _room(self) -> int:
-        return min(self._parameters.max_packet_size, self._parameters.uwb_max_packet_size - self._wire.header_size)
 
 
 @mutant("empty-beacons", "BP-FMT-03 BP-HDR-07 BP-HDR-09", "sends beacons without a payload when it has nothing to send")

@@ -198,14 +198,6 @@ class Overtakes(OwnQueue):
         return super().take(room, size, most)
 
 
-@mutant("one-client", "BP-TX-01 BP-QM-05", "serves one client in a beacon, and always the first that has something")
-class OneClient(ClientList):
-    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:  # noqa: ARG002 - one is enough
-        chosen = super().take(room, size, 1)
-        self._order = list(self)
-        return chosen
-
-
 # -- the number of payloads --------------------------------------------------------------------------------------------
 
 

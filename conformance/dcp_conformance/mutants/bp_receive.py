@@ -254,24 +254,6 @@ class PaddingRefused(Lenient):
         return octets if exact else octets[:4]
 
 
-@mutant("padding-parsed", "BP-RX-14", "processes what follows behind the length of the header")
-class PaddingParsed(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        rest = len(octets) - self.header_size
-        if 0 < self.number(octets, "length") < rest:
-            self.put(octets, "length", rest)
-        return octets
-
-
-@mutant("length-clamped", "BP-RX-15", "takes a length beyond the frame for all that the frame holds")
-class LengthClamped(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        rest = len(octets) - self.header_size
-        if self.number(octets, "length") > rest:
-            self.put(octets, "length", rest)
-        return octets
-
-
 @mutant("dies", "BP-RX-15", "dies of a length beyond the frame")
 class DiesOfLength(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
@@ -325,10 +307,10 @@ class NulCut(Deliveries):
         return payload.partition(b"\0")[0] or payload
 
 
-@mutant("limited", "BP-RXP-01", "delivers at most 256 octets of a payload")
+@mutant("limited", "BP-RXP-01", "delivers at most 255 octets of a payload")
 class Limited(Deliveries):
     def payload(self, payload: bytes) -> bytes:
-        return payload[:256]
+        return payload[:255]
 
 
 @mutant("aligned", "BP-RXP-01", "delivers payloads filled up to a multiple of four octets")

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
 from dcp_spec.parameters import Violation
-from dcp_spec.status import BPStatus, SRPStatus
+from dcp_spec.status import SRPStatus
 
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import Beacon, ExtendedSafetyData, Payload
@@ -351,13 +351,6 @@ class ByStamp(NeighbourTable):
 class Lazy(StateReporting):
     def poll_timeout(self) -> int | None:
         return self._traversed + self._timeout if self._table else None
-
-
-@mutant("default", "SRP-PAR-01", "forgets neighbours after 1 s unless it is told otherwise")
-class OtherDefault(StateReporting):
-    def start(self, now: int, wall: int) -> BPStatus:
-        self._timeout_ms = 1000
-        return super().start(now, wall)
 
 
 @mutant("fixed", "SRP-PAR-01", "takes another timeout and goes on with the old one")

@@ -74,19 +74,9 @@ class CreatesForeign(Cells):
     cells: ClassVar = {(Event.APP_CREATE, CONSUMED): Cell(Action.CREATE)}
 
 
-@mutant("foreign-deleted", "VD-CRE-02", "creates a variable that another node has deleted", since=V2)
-class CreatesForeignDeleted(Cells):
-    cells: ClassVar = {(Event.APP_CREATE, DELETED): Cell(Action.CREATE)}
-
-
 @mutant("status", "VD-CRE-02", "says NOT-PRODUCER of a variable that another node produces")
 class CreateStatus(Cells):
     cells: ClassVar = _refused(Event.APP_CREATE, NOT_PRODUCER, CONSUMED, DELETED)
-
-
-@mutant("refused", "VD-CRE-03", "does not create its own variable anew", since=V2)
-class NotAnew(Cells):
-    cells: ClassVar = _refused(Event.APP_CREATE, EXISTS, PRODUCED)
 
 
 @mutant("deleted-refused", "VD-CRE-03", "does not create its own deleted variable anew", since=V2)
@@ -141,7 +131,8 @@ class Characters(Creates):
         descr: bytes = args[3]
         fits = 0 < len(descr.decode(errors="replace")) <= self._parameters.longest_description
         counted = descr[:1] if fits else descr
-        confirm = super().create(*args[:3], counted, *args[4:], **times)
+        changed: list[Any] = [*args[:3], counted, *args[4:]]
+        confirm = super().create(*changed, **times)
         entry = self._database.lookup(args[0])
         if confirm.status is OK and entry is not None:
             entry.spec = msgspec.structs.replace(entry.spec, descr=descr)
