@@ -64,9 +64,11 @@ class Finding(NamedTuple):
 class Context:
     """What all invariants know: beforehand, and of the recording so far."""
 
-    def __init__(self, codec: Codec, pics: Pics) -> None:
+    def __init__(self, codec: Codec, pics: Pics, *, period_known: bool = True) -> None:
+        """``period_known``: the beacon period is stated, and not taken from the recording itself."""
         self.codec = codec
         self.pics = pics
+        self.period_known = period_known
         self.senders = Senders(MOST_SENDERS)
         self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
 
@@ -140,7 +142,8 @@ class Invariant:
                 return
             if len(self._keys) < MOST_VARIABLES:
                 self._keys.add(once)
-        if len(self.findings) >= MOST_FINDINGS:
+        # By verdict: what is merely observed must not crowd out what does not hold.
+        if sum(each.verdict is verdict for each in self.findings) >= MOST_FINDINGS:
             self.left_out += 1
             return
         marks = tuple(self._mark(each) for each in frames)

@@ -45,12 +45,15 @@ _KEPT = 20_000
 class Judge:
     """Feed it frames, and ask for the result. Nothing in a frame makes it raise."""
 
-    def __init__(self, codec: Codec, pics: Pics, *, recording: str = "", command: str = "") -> None:
+    def __init__(
+        self, codec: Codec, pics: Pics, *, recording: str = "", command: str = "", period_known: bool = True
+    ) -> None:
+        """``period_known`` False: the beacon period in ``pics`` was measured in the recording, and proves nothing."""
         self._codec = codec
         self._pics = pics
         self._recording = recording
         self._command = command
-        self._context = Context(codec, pics)
+        self._context = Context(codec, pics, period_known=period_known)
         self._rules = [rule(self._context) for rule in RULES]
         self._active = [rule for rule in self._rules if not rule.applies()]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
@@ -58,7 +61,7 @@ class Judge:
         self._findings = 0
         self._began = time.monotonic()
         self._started = timestamp()
-        self.frames = self.other = 0
+        self.frames = self.other = self.cut = 0
         self._senders: dict[bytes, int] = {}
 
     def feed(self, frame: Frame) -> None:
@@ -66,6 +69,10 @@ class Judge:
         framing = locate(frame.data, self._codec.profile.link)
         if isinstance(framing, OtherTraffic):
             self.other += 1
+            return
+        if frame.orig_len > len(frame.data):
+            # What is missing was cut off by the recorder; the sender may have sent it all.
+            self.cut += 1
             return
         self.frames += 1
         octets = frame.data[framing.start : framing.end]
@@ -108,6 +115,8 @@ class Judge:
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
         if self.other:
             about.append(f"{self.other} frames of other traffic were passed over")
+        if self.cut:
+            about.append(f"{self.cut} frames were not recorded to their end, and not judged")
         requirements: dict[str, Verdict] = {
             each: verdict
             for each, verdict in requirement_verdicts(cases).items()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import statistics
 from pathlib import Path
 
 import msgspec
@@ -10,25 +12,40 @@ from dcp_spec.profile_loading import ProfileError
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.codec import Codec
 from dcp_codec.frames import with_ether_type
+from dcp_codec.framing import OtherTraffic, locate
 from dcp_codec.guess import guess, sample
 from dcp_conformance.errors import UsageError
+from dcp_conformance.heard import Heard
 from dcp_conformance.pics import Pics
 from dcp_conformance.results import RunResult
 
 from .judge import Judge
 
+#: Frames from which the beacon period is taken, and intervals of a sender that this needs.
+_LOOKED_AT, _ENOUGH = 5_000, 10
+
 
 def judge_recording(
-    path: Path, profile: str | None, pics: Pics, *, ether_type: str | None = None, command: str = ""
+    path: Path,
+    profile: str | None,
+    pics: Pics,
+    *,
+    ether_type: str | None = None,
+    command: str = "",
+    period_known: bool = False,
 ) -> tuple[RunResult, Codec]:
     """Judge one recording; also the codec it was read with.
+
+    ``period_known``: the beacon period of ``pics`` is that of the network; otherwise the recording shows it.
 
     Raises :class:`UsageError`: no such file, no capture, no such profile, nothing in it that looks like DCP.
     """
     codec = _codec(path, profile or pics.pixit.profile, ether_type)
+    if not period_known:
+        pics = _with_period(pics, _period(path, codec))
     try:
         with open_capture(path) as reader:
-            judge = Judge(codec, pics, recording=path.name, command=command)
+            judge = Judge(codec, pics, recording=path.name, command=command, period_known=period_known)
             for frame in reader:
                 judge.feed(frame)
             problems = [problem.message for problem in reader.problems]
@@ -37,6 +54,34 @@ def judge_recording(
     if not judge.frames:
         raise UsageError(f"{path}: none of its {judge.other} frames is DCP in the profile {codec.profile.name}")
     return judge.result(problems), codec
+
+
+def _period(path: Path, codec: Codec) -> float | None:
+    """The longest beacon period of any sender in ms, as the beginning shows it; None if it does not."""
+    last: dict[bytes, Heard] = {}
+    intervals: dict[bytes, list[float]] = {}
+    try:
+        with open_capture(path) as reader:
+            for frame in itertools.islice(reader, _LOOKED_AT):
+                framing = locate(frame.data, codec.profile.link)
+                if isinstance(framing, OtherTraffic):
+                    continue
+                octets = frame.data[framing.start : framing.end]
+                heard = Heard(codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+                who = heard.sender or heard.source
+                before = last.get(who)
+                last[who] = heard
+                if before is not None and (before.seqno is None or heard.seqno == before.seqno + 1):
+                    intervals.setdefault(who, []).append((heard.time - before.time) / 1e6)
+    except CaptureError as error:
+        raise UsageError(str(error)) from None
+    return max((statistics.median(each) for each in intervals.values() if len(each) >= _ENOUGH), default=None)
+
+
+def _with_period(pics: Pics, period: float | None) -> Pics:
+    if period is None or period <= 0:
+        return pics
+    return msgspec.structs.replace(pics, pixit=msgspec.structs.replace(pics.pixit, beacon_period_ms=period))
 
 
 def _codec(path: Path, profile: str | None, ether_type: str | None) -> Codec:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections import deque
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 from dcp_spec.requirements import requirements
@@ -15,8 +16,14 @@ from .base import MOST_SENDERS, Context, Invariant, Seen, name
 
 MS = 1_000_000
 BROADCAST = b"\xff" * 6
-#: Beacons of a sender before its numbers may start again: it has been restarted.
+#: A sender that has been restarted has sent so many beacons at most, or two in each period since it was last heard.
 _RESTART = 3
+#: So many restarts, each after less than so many beacons on the average, are none.
+_RESTARTS, _LIVED = 5, 10
+#: Numbers that were missing, by sender, that may still come: the recorder has them out of order.
+_MISSING = 16
+#: A parameter may be changed; so many changes are no choice of anybody.
+_CHANGES = 3
 #: Intervals of a sender that statistics are made of.
 _INTERVALS = 20_000
 
@@ -52,7 +59,7 @@ class RecordRules(Invariant):
     id = "CK_VD_RECORDS"
     section = "dcp-vardis.md: Instruction Records"
     purpose = "No record breaks a rule that can be seen in it alone"
-    requirements = ("VD-IC-03", "VD-PAY-03", "VD-TYP-02")
+    requirements = ("VD-PAY-03", "VD-TYP-02", "VD-TYP-07", "VD-PC-06", "DATA-08")
     expect = "records as the specification wants them sent"
 
     def feed(self, seen: Seen) -> None:
@@ -60,6 +67,14 @@ class RecordRules(Invariant):
         if seen.heard.containers:
             self.exercised()
         for problem in seen.dissection.warnings:
+            if problem.reason == "foreign-node-id":
+                # CK_SRP_OWN looks at that.
+                continue
+            if problem.reason == "empty-description":
+                # Where an application may have it so, and everybody refuses it, nobody is to blame (X21).
+                text = f"{name(seen.sender)}: {problem}"
+                self.note("an empty description, which no node takes (X21)", text, [Mark(seen.number)], "VD-CRE-15")
+                continue
             known = problem.requirement if problem.requirement in requirements() else None
             mark = Mark(seen.number, problem.offset, 1, problem.path)
             self.violated(
@@ -98,13 +113,13 @@ class PacketSize(Invariant):
 
     id = "CK_BP_SIZE"
     section = "dcp-bp.md: Packet Format"
-    purpose = "No beacon is longer than the limit that the profile or the PIXIT gives"
+    purpose = "No beacon is longer than the limit that the PIXIT gives, or than the link of the profile carries"
     requirements = ("BP-FMT-02",)
     expect = "a bearer payload within the maximum packet size"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._limit = context.pics.pixit.max_packet_size or context.profile.limits.max_beacon_size
+        self._limit = context.pics.pixit.max_packet_size or context.profile.limits.uwb_max_packet
 
     def feed(self, seen: Seen) -> None:
         """Compare, without padding."""
@@ -127,6 +142,7 @@ class NetworkIdentifier(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._known: dict[bytes, tuple[int, Seen]] = {}
+        self._changes: dict[bytes, int] = {}
 
     def applies(self) -> str:
         """Since 2.0."""
@@ -142,8 +158,12 @@ class NetworkIdentifier(Invariant):
         if before is not None:
             self.exercised()
             if before[0] != number:
+                changes = self._changes[seen.sender] = self._changes.get(seen.sender, 0) + 1
                 text = f"{name(seen.sender)} changes from {before[0]:#06x} to {number:#06x}"
-                self.violated(text, [before[1], seen], once=(seen.sender, number))
+                if changes >= _CHANGES:
+                    self.violated(f"{text}; it has changed {changes} times", [before[1], seen], once=seen.sender)
+                else:
+                    self.note("a sender goes to another network", text, [before[1], seen])
         if before is not None or len(self._known) < MOST_SENDERS:
             self._known[seen.sender] = (number, seen)
 
@@ -160,6 +180,10 @@ class SequenceNumbers(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._last: dict[bytes, Seen] = {}
+        self._missing: dict[bytes, deque[int]] = {}
+        self._restarts: dict[bytes, tuple[int, int]] = {}
+        """How often a sender started again, and how many beacons of it there are."""
+        self._period = context.pics.pixit.beacon_period_ms * MS
         self._begin: int | None = None
         self.lost: dict[bytes, int] = {}
 
@@ -180,23 +204,48 @@ class SequenceNumbers(Invariant):
             return
         before = last.heard.seqno or 0
         step = (number - before) % BP_SEQNO_MODULUS
+        text = f"{name(seen.sender)}: {number} after {before}"
+        missing = self._missing.get(seen.sender)
+        restarts, beacons = self._restarts.get(seen.sender, (0, 1))
+        self._restarts[seen.sender] = (restarts, beacons + 1)
+        if missing is not None and number in missing:
+            missing.remove(number)
+            self.lost[seen.sender] -= 1
+            self.note("beacons that were recorded out of order", text, [last, seen])
+            return
         self._last[seen.sender] = seen
         if step == 1:
             self.exercised()
         elif step == 0 and seen.heard.octets == last.heard.octets:
             self.note("the same beacon twice", f"{name(seen.sender)}: seqno {number}", [last, seen])
-        elif number <= _RESTART and before > _RESTART:
-            self.note("a sender starts again", f"{name(seen.sender)}: {number} after {before}", [last, seen])
         elif 1 < step < BP_SEQNO_MODULUS // 2:
             self.lost[seen.sender] = self.lost.get(seen.sender, 0) + step - 1
+            self._missing.setdefault(seen.sender, deque(maxlen=_MISSING)).extend(
+                (before + each) % BP_SEQNO_MODULUS for each in range(1, min(step, _MISSING + 1))
+            )
+        elif self._restarted(number, seen.time - last.time, step):
+            restarts += 1
+            self._restarts[seen.sender] = (restarts, beacons + 1)
+            if restarts >= _RESTARTS and beacons < _LIVED * restarts:
+                self.violated(
+                    f"{text}; it has started again {restarts} times", [last, seen], once=(seen.sender, "again")
+                )
+            else:
+                self.note("a sender starts again", text, [last, seen])
         else:
-            text = f"{name(seen.sender)}: {number} after {before}"
             self.violated(text, [last, seen], once=(seen.sender, step if step < 2 else "back"))
+
+    def _restarted(self, number: int, pause: int, step: int) -> bool:
+        """Whether a sender may have been restarted and have come so far since it was last heard."""
+        if step == 0 and pause < 3 * self._period:
+            return False
+        return number <= _RESTART + 2 * pause / self._period
 
     def finish(self) -> None:
         """Say what was lost: that is the recorder's loss as likely as the sender's fault."""
         for sender, count in self.lost.items():
-            self.note("beacons that are not in the recording", f"{name(sender)}: {count}", [])
+            if count:
+                self.note("beacons that are not in the recording", f"{name(sender)}: {count}", [])
 
 
 class BeaconPeriod(Invariant):
@@ -238,6 +287,9 @@ class BeaconPeriod(Invariant):
             mean, spread = statistics.fmean(intervals), statistics.pstdev(intervals)
             error = 2.576 * spread / math.sqrt(len(intervals))
             text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99 %), n = {len(intervals)}, jitter {spread:.1f} ms"
+            if not self.context.period_known:
+                self.note("mean interval between beacons", f"{text}; the period is not stated", [])
+                continue
             self.exercised()
             period, tolerance = pixit.beacon_period_ms, pixit.period_tolerance * pixit.beacon_period_ms
             if mean - error > period + tolerance or mean + error < period - tolerance:

@@ -8,7 +8,8 @@ of many times.
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from dcp_spec.constants import ICType
 
@@ -16,7 +17,7 @@ from dcp_conformance.circular import Circle
 from dcp_conformance.heard import Instruction
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
-from .rules_vardis import seqno_of
+from .rules_vardis import SENT, seqno_of
 
 MS = 1_000_000
 #: For how long after it was shown that Y hears X this is believed, in ns.
@@ -25,6 +26,8 @@ _BELIEF = 20_000 * MS
 _GAP_SHOWS = 2_000 * MS
 #: So often it must look as if one node heard another.
 _SHOWN = 2
+#: Of the times at which it did, so many are remembered of each pair.
+_REMEMBERED = 64
 #: Of so many occasions this part must be missed for a verdict; of fewer, down to the second number, every one.
 _OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4
 _PENDING = 10_000
@@ -51,8 +54,7 @@ class Hearing:
         self._context = context
         self._origins: dict[tuple[int, int, ICType], tuple[int, set[bytes]]] = {}
         self._open: deque[_Shown] = deque()
-        self._heard: dict[tuple[bytes, bytes], int] = {}
-        self._counts: dict[tuple[bytes, bytes], int] = {}
+        self._heard: dict[tuple[bytes, bytes], deque[int]] = {}
 
     def feed(self, instruction: Instruction, sender: bytes, time: int) -> None:
         """Take an instruction."""
@@ -77,17 +79,18 @@ class Hearing:
             senders.add(sender)
 
     def _believe(self, shown: _Shown) -> None:
-        if self._context.senders.complete(shown.begin, shown.end) and len(self._counts) < MOST_VARIABLES:
-            pair = (shown.listener, shown.speaker)
-            self._counts[pair] = self._counts.get(pair, 0) + 1
-            if self._counts[pair] >= _SHOWN:
-                self._heard[pair] = shown.end
+        if self._context.senders.complete(shown.begin, shown.end) and len(self._heard) < MOST_VARIABLES:
+            self._heard.setdefault((shown.listener, shown.speaker), deque(maxlen=_REMEMBERED)).append(shown.end)
 
-    def listeners(self, speaker: bytes, time: int) -> list[bytes]:
-        """Who is known to hear ``speaker``."""
-        return [
-            listener for (listener, each), shown in self._heard.items() if each == speaker and time - shown <= _BELIEF
-        ]
+    def finish(self) -> None:
+        """No gap will show any more."""
+        while self._open:
+            self._believe(self._open.popleft())
+
+    def hears(self, listener: bytes, speaker: bytes, time: int) -> bool:
+        """Whether it was shown, not long before or after, that ``listener`` hears ``speaker``."""
+        shown = self._heard.get((listener, speaker), ())
+        return sum(abs(time - each) <= _BELIEF for each in shown) >= _SHOWN
 
 
 class _Due(NamedTuple):
@@ -97,6 +100,15 @@ class _Due(NamedTuple):
     var_id: int
     cause: Instruction
     seqno: int
+
+
+class _Outcome(NamedTuple):
+    """Something was due, and came or did not."""
+
+    judged: int
+    """When it is known whether the node hears the one that it should have reacted to."""
+    due: _Due
+    missed: bool
 
 
 class Counter:
@@ -129,9 +141,12 @@ class _Dialogue(Invariant):
         self.hearing = Hearing(context)
         self._known: dict[tuple[bytes, int], tuple[int, int]] = {}
         """(node, variable) -> number that it was last heard to have, and when."""
-        self._producers: dict[tuple[bytes, int], bytes] = {}
-        """(node, variable) -> who produces it, as the node has said."""
+        self._creations: dict[tuple[bytes, int], tuple[Any, ...]] = {}
+        """(node, variable) -> producer and creation time, as the node has said."""
+        self._holders: dict[int, set[bytes]] = {}
+        """Who was ever heard to have a variable."""
         self._due: deque[_Due] = deque()
+        self._outcomes: deque[_Outcome] = deque()
         self._counters: dict[tuple[bytes, int], Counter] = {}
         period = context.pics.pixit.beacon_period_ms * MS
         self.window = round((context.pics.pixit.reaction_periods + 1) * period)
@@ -140,20 +155,40 @@ class _Dialogue(Invariant):
         """Take all instructions of a beacon, then look at what it answers."""
         self._expire(seen.time)
         for each in seen.heard.instructions():
-            key = (seen.sender, each.var_id)
             self.hearing.feed(each, seen.sender, seen.time)
-            if each.kind is ICType.CREATE_VARIABLES and (
-                key in self._producers or len(self._producers) < MOST_VARIABLES
-            ):
-                self._producers[key] = each.record.spec.prod_id
+            if each.kind is ICType.DELETE_VARIABLES or (each.kind in SENT and self._begins_again(each, seen.sender)):
+                # Whatever was due was due of another life of the variable.
+                self._settle(seen.sender, each.var_id, lambda _due: True, met=None)
             self.met(each, seen)
-            if each.kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES):
-                if key in self._known or len(self._known) < MOST_VARIABLES:
-                    self._known[key] = (seqno_of(each), seen.time)
-            elif each.kind is ICType.DELETE_VARIABLES:
-                self._known.pop(key, None)
+            self._note(each, seen)
         for each in seen.heard.instructions():
             self.asked(each, seen)
+
+    def _begins_again(self, each: Instruction, node: bytes) -> bool:
+        """Whether a node has taken another creation than it had."""
+        key = (node, each.var_id)
+        if each.kind is ICType.CREATE_VARIABLES:
+            spec = each.record.spec
+            this = (spec.prod_id, spec.creation_time)
+            before = self._creations.get(key)
+            if before is not None or len(self._creations) < MOST_VARIABLES:
+                self._creations[key] = this
+            if before not in (None, this):
+                return True
+        known = self._known.get(key)
+        return known is not None and seqno_of(each) != known[0] and not self.circle.newer(seqno_of(each), known[0])
+
+    def _note(self, each: Instruction, seen: Seen) -> None:
+        key = (seen.sender, each.var_id)
+        if each.kind is ICType.DELETE_VARIABLES:
+            self._known.pop(key, None)
+        elif each.kind in SENT and (key in self._known or len(self._known) < MOST_VARIABLES):
+            self._known[key] = (seqno_of(each), seen.time)
+            self._holders.setdefault(each.var_id, set()).add(seen.sender)
+
+    def others(self, instruction: Instruction, seen: Seen) -> list[bytes]:
+        """Who else was ever heard to have the variable; whether they hear the sender is seen later."""
+        return [node for node in self._holders.get(instruction.var_id, ()) if node != seen.sender]
 
     def met(self, instruction: Instruction, seen: Seen) -> None:
         """A node says something: settle what was due from it."""
@@ -172,7 +207,8 @@ class _Dialogue(Invariant):
 
     def consumer(self, node: bytes, var_id: int) -> bool:
         """Whether a node has a variable of somebody else, as it said itself, or as there has only been one."""
-        producer = self._producers.get((node, var_id))
+        creation = self._creations.get((node, var_id))
+        producer: bytes | None = None if creation is None else creation[0]
         if producer is None and self.context.lives.born(var_id) is not None:
             producer = self.context.lives.producer(var_id)
         return producer is not None and producer != node
@@ -182,29 +218,48 @@ class _Dialogue(Invariant):
         if len(self._due) < _PENDING:
             self._due.append(_Due(seen.time + self.window, node, cause.var_id, cause, seqno))
 
-    def settle(self, node: bytes, var_id: int, done: object) -> None:
-        """``node`` did it; ``done(due)`` says for which occasions."""
+    def settle(self, node: bytes, var_id: int, done: Callable[[_Due], bool]) -> None:
+        """``node`` did it; ``done`` says for which occasions."""
+        self._settle(node, var_id, done, met=True)
+
+    def _settle(self, node: bytes, var_id: int, done: Callable[[_Due], bool], *, met: bool | None) -> None:
+        """``met`` None: there is no telling any more."""
+        if not any(due.node == node and due.var_id == var_id for due in self._due):
+            return
         kept: deque[_Due] = deque()
         for due in self._due:
-            if due.node == node and due.var_id == var_id and done(due):  # type: ignore[operator]
-                self._count(due, missed=False)
-            else:
+            if due.node != node or due.var_id != var_id or not done(due):
                 kept.append(due)
+            elif met is not None:
+                self._outcome(due, missed=False)
         self._due = kept
 
     def _expire(self, time: int) -> None:
         while self._due and self._due[0].deadline < time:
-            self._count(self._due.popleft(), missed=True)
+            due = self._due.popleft()
+            # If something of it is missing, perhaps it did what it had to do, unheard.
+            if self.context.senders.unbroken(due.node, due.cause.heard.wall):
+                self._outcome(due, missed=True)
+        while self._outcomes and self._outcomes[0].judged < time:
+            self._count(self._outcomes.popleft())
 
-    def _count(self, due: _Due, *, missed: bool) -> None:
-        if missed and not self.context.senders.unbroken(due.node, due.cause.heard.wall):
-            # Perhaps it did, and the recorder missed it.
+    def _outcome(self, due: _Due, *, missed: bool) -> None:
+        if len(self._outcomes) < _PENDING:
+            self._outcomes.append(_Outcome(due.cause.heard.wall + _BELIEF + _GAP_SHOWS, due, missed))
+
+    def _count(self, outcome: _Outcome) -> None:
+        due = outcome.due
+        speaker = due.cause.heard.sender or due.cause.heard.source
+        if not self.hearing.hears(due.node, speaker, due.cause.heard.wall):
             return
         if (due.node, due.var_id) in self._counters or len(self._counters) < MOST_VARIABLES:
-            self._counters.setdefault((due.node, due.var_id), Counter()).note(due.cause, missed=missed)
+            self._counters.setdefault((due.node, due.var_id), Counter()).note(due.cause, missed=outcome.missed)
 
     def finish(self) -> None:
         """Judge the counts."""
+        self.hearing.finish()
+        while self._outcomes:
+            self._count(self._outcomes.popleft())
         for (node, var_id), counter in self._counters.items():
             self.exercised()
             if counter.convincing:
@@ -231,14 +286,12 @@ class AnswersUpdateRequests(_Dialogue):
         if instruction.kind is ICType.UPDATES:
             number = seqno_of(instruction)
             self.settle(seen.sender, instruction.var_id, lambda due: not self.circle.newer(due.seqno, number))
-        elif instruction.kind is ICType.DELETE_VARIABLES:
-            self.settle(seen.sender, instruction.var_id, lambda _due: True)
 
     def asked(self, instruction: Instruction, seen: Seen) -> None:
         """Everybody who hears the request and has something newer owes an answer."""
         if instruction.kind is not ICType.REQUEST_VARUPDATES:
             return
-        for node in self.hearing.listeners(seen.sender, seen.time):
+        for node in self.others(instruction, seen):
             has = self.number(node, instruction.var_id)
             if has is not None and self.circle.newer(has, seqno_of(instruction)):
                 self.expect_from(node, instruction, seen, has)
@@ -255,14 +308,14 @@ class AnswersCreateRequests(_Dialogue):
 
     def met(self, instruction: Instruction, seen: Seen) -> None:
         """A create answers."""
-        if instruction.kind in (ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES):
+        if instruction.kind is ICType.CREATE_VARIABLES:
             self.settle(seen.sender, instruction.var_id, lambda _due: True)
 
     def asked(self, instruction: Instruction, seen: Seen) -> None:
         """Everybody who hears the request and has the variable owes an answer."""
         if instruction.kind is not ICType.REQUEST_VARCREATES:
             return
-        for node in self.hearing.listeners(seen.sender, seen.time):
+        for node in self.others(instruction, seen):
             if self.number(node, instruction.var_id) is not None:
                 self.expect_from(node, instruction, seen, 0)
 
@@ -278,17 +331,15 @@ class TakesUpdates(_Dialogue):
 
     def met(self, instruction: Instruction, seen: Seen) -> None:
         """Whatever carries the number, or a newer one, shows that it was taken."""
-        if instruction.kind in (ICType.SUMMARIES, ICType.UPDATES, ICType.CREATE_VARIABLES):
+        if instruction.kind in SENT:
             number = seqno_of(instruction)
             self.settle(seen.sender, instruction.var_id, lambda due: not self.circle.newer(due.seqno, number))
-        elif instruction.kind is ICType.DELETE_VARIABLES:
-            self.settle(seen.sender, instruction.var_id, lambda _due: True)
 
     def asked(self, instruction: Instruction, seen: Seen) -> None:
         """Everybody who hears the update, has the variable and is not its producer must take it."""
         if instruction.kind is not ICType.UPDATES:
             return
-        for node in self.hearing.listeners(seen.sender, seen.time):
+        for node in self.others(instruction, seen):
             has = self.number(node, instruction.var_id)
             if has is None or not self.consumer(node, instruction.var_id):
                 continue

@@ -94,13 +94,11 @@ class Repetitions(Invariant):
         """As the node said itself, or as it was said of the only life of the variable; else nobody knows."""
         own = self._creation.get((node, var_id))
         if own is not None:
-            count: int = own[2]
-            return count
+            return int(own[2])
         first = self.context.lives.first(var_id)
         if first is None or self.context.lives.born(var_id) is None:
             return None
-        count = first[1].record.spec.rep_cnt
-        return count
+        return int(first[1].record.spec.rep_cnt)
 
     def _sent(self, each: Instruction, seen: Seen) -> None:
         key = (seen.sender, each.var_id, each.kind)

@@ -11,7 +11,10 @@ from dcp_conformance.verdict import Verdict
 
 from .base import MOST_SENDERS, Context, Invariant, Seen, name
 
-_RESTART = 3
+#: A node whose state reports have started again has made so many at most, or one in so many ns.
+_RESTART, _SPACING = 3, 10_000_000
+#: A clock may be set back; so often it is not a clock.
+_STEPS = 3
 
 
 class OwnReports(Invariant):
@@ -86,6 +89,7 @@ class ReportNumbers(Invariant):
         super().__init__(context)
         self._last: dict[bytes, _Last] = {}
         self._lost: dict[bytes, int] = {}
+        self._back: dict[bytes, int] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare with the node's last report."""
@@ -103,12 +107,13 @@ class ReportNumbers(Invariant):
         both = [last.seen, seen]
         if step == 0:
             self.exercised("SRP-TYP-06")
-            if not same and report.t_stamp != last.report.t_stamp:
+            if not same and report.t_stamp != last.report.t_stamp and report.seqno > _RESTART:
                 self.violated(
                     f"{who}: another report with seqno {report.seqno}", both, "SRP-TYP-06", once=(who, "same")
                 )
             return
-        if report.seqno <= _RESTART < last.report.seqno:
+        pause = seen.time - last.seen.time
+        if step >= SRP_SEQNO_MODULUS // 2 and report.seqno <= _RESTART + pause / _SPACING:
             self.note("a node starts its reports again", who, both)
             return
         self.exercised()
@@ -119,7 +124,11 @@ class ReportNumbers(Invariant):
             self._lost[report.node_id] = self._lost.get(report.node_id, 0) + step - 1
         if report.t_stamp < last.report.t_stamp and step < SRP_SEQNO_MODULUS // 2:
             text = f"{who}: tStamp goes back by {last.report.t_stamp - report.t_stamp} with seqno {report.seqno}"
-            self.violated(text, both, "SRP-TYP-05", once=(who, "time"))
+            steps = self._back[report.node_id] = self._back.get(report.node_id, 0) + 1
+            if steps >= _STEPS:
+                self.violated(f"{text}; it has gone back {steps} times", both, "SRP-TYP-05", once=(who, "time"))
+            else:
+                self.note("a clock that was set back", text, both, "SRP-TYP-05")
 
     def finish(self) -> None:
         """Reports that were never seen: replaced before they were sent, or lost."""

@@ -235,7 +235,7 @@ class OneValue(_OfAllNodes):
             if newest is None and len(self._newest) >= MOST_VARIABLES:
                 return
             self._newest[var_id] = number
-            known = self._values.get(var_id, {})
+            known = self._values.setdefault(var_id, OrderedDict())
             for old in [each for each in known if self._far(each, number)]:
                 del known[old]
 
@@ -247,7 +247,7 @@ class OneValue(_OfAllNodes):
         newest = self._newest.get(each.var_id)
         if newest is None or self._far(record.seqno, newest):
             return
-        known = self._values.setdefault(each.var_id, OrderedDict())
+        known = self._values[each.var_id]
         before = known.get(record.seqno)
         if before is None:
             known[record.seqno] = (record.value, each)
@@ -314,7 +314,9 @@ class OneSpec(_OfAllNodes):
         begin, original = first
         known = original.record.spec
         if spec.prod_id == known.prod_id and spec.creation_time > known.creation_time:
-            text = f"variable {each.var_id}: {name(seen.sender)} passes on {spec}, which {name(spec.prod_id)} never sent"
+            text = (
+                f"variable {each.var_id}: {name(seen.sender)} passes on {spec}, which {name(spec.prod_id)} never sent"
+            )
             self.contradict(begin, original, each, text, (each.var_id, seen.sender))
 
 
@@ -330,6 +332,8 @@ class Recreation(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._last: dict[int, Instruction] = {}
+        self._life: dict[int, int] = {}
+        """The life of the producer in which it created the variable last."""
 
     def applies(self) -> str:
         """Since 2.0."""
@@ -340,21 +344,29 @@ class Recreation(Invariant):
         for each in seen.heard.instructions(ICType.CREATE_VARIABLES):
             if each.record.spec.prod_id != seen.sender:
                 continue
-            before = self._last.get(each.var_id)
-            if before is not None or len(self._last) < MOST_VARIABLES:
+            self._judge(each, seen)
+            if each.var_id in self._last or len(self._last) < MOST_VARIABLES:
                 self._last[each.var_id] = each
-            if before is None or before.record.spec.creation_time == each.record.spec.creation_time:
-                continue
-            if before.record.spec.prod_id != each.record.spec.prod_id:
-                self.note("another node takes a variable over (H4)", f"variable {each.var_id}", [before, each])
-                continue
-            self.exercised()
-            if each.record.spec.creation_time < before.record.spec.creation_time:
-                text = f"variable {each.var_id} is created again with an earlier creationTime"
+                self._life[each.var_id] = self.context.senders.life(seen.sender)
+
+    def _judge(self, each: Instruction, seen: Seen) -> None:
+        before = self._last.get(each.var_id)
+        if before is None or before.record.spec.creation_time == each.record.spec.creation_time:
+            return
+        if before.record.spec.prod_id != each.record.spec.prod_id:
+            self.note("another node takes a variable over (H4)", f"variable {each.var_id}", [before, each])
+            return
+        self.exercised()
+        if each.record.spec.creation_time < before.record.spec.creation_time:
+            text = f"variable {each.var_id} is created again with an earlier creationTime"
+            if self.context.senders.life(seen.sender) == self._life.get(each.var_id):
                 self.violated(text, [before, each], "VD-CRE-09", once=each.var_id)
-            if each.record.upd.seqno > 1:
-                text = f"variable {each.var_id} starts again with sequence number {each.record.upd.seqno}"
-                self.note("the first number of a creation that was heard", text, [each], "VD-CRE-10")
+            else:
+                # Its clock may have been wrong before, or be wrong now.
+                self.note("a creation that is older than the one before a restart (H5)", text, [before, each])
+        if each.record.upd.seqno > 1:
+            text = f"variable {each.var_id} starts again with sequence number {each.record.upd.seqno}"
+            self.note("the first number of a creation that was heard", text, [each], "VD-CRE-10")
 
 
 RULES: tuple[type[Invariant], ...] = (

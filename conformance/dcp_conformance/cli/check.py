@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import tomllib
 from pathlib import Path
 
 import click
@@ -18,7 +19,9 @@ from .options import EXIT_STATUS
 @click.option("--profile", metavar="NAME|FILE", help="Wire profile.  [default: guessed for each recording]")
 @click.option("--ether-type", metavar="HEX", help="Another EtherType than the profile's.")
 @click.option("--pics", type=click.Path(path_type=Path), metavar="FILE", help="PICS and PIXIT (TOML).")
-@click.option("--beacon-period", type=float, metavar="MS", help="The beacon period.  [default: 100]")
+@click.option(
+    "--beacon-period", type=float, metavar="MS", help="The beacon period.  [default: as it looks in the recording]"
+)
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
 @click.option("--quiet", "-q", is_flag=True, help="Only the findings.")
@@ -46,6 +49,7 @@ def command(
     from .display import console, print_summary
 
     known = load_pics(pics) if pics is not None else Pics()
+    stated = beacon_period is not None or (pics is not None and _states_period(pics))
     if beacon_period is not None:
         known = msgspec.structs.replace(
             known, pixit=msgspec.structs.replace(known.pixit, beacon_period_ms=beacon_period)
@@ -53,7 +57,9 @@ def command(
     worst_status = 0
     for capture in captures:
         words = ["dcp-conformance", "check", str(capture), *(["--profile", profile] if profile else [])]
-        run, codec = judge_recording(capture, profile, known, ether_type=ether_type, command=shlex.join(words))
+        run, codec = judge_recording(
+            capture, profile, known, ether_type=ether_type, command=shlex.join(words), period_known=stated
+        )
         report = ""
         if report_dir is not None:
             directory = report_dir if len(captures) == 1 else report_dir / capture.stem
@@ -69,6 +75,11 @@ def command(
                 out.print(f"  {identifier:<12} {verdict:<13} {requirements()[identifier].statement}", soft_wrap=True)
         worst_status = max(worst_status, exit_status(run.cases))
     return worst_status
+
+
+def _states_period(pics: Path) -> bool:
+    """Whether a PICS file says what the beacon period is, also if it is the usual one."""
+    return "beacon_period_ms" in tomllib.loads(pics.read_text(encoding="utf-8")).get("pixit", {})
 
 
 __all__ = ["UsageError", "command"]
