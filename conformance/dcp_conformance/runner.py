@@ -130,15 +130,15 @@ class Runner:
         """See whether the implementation survived; whether it is dead now. Brings it back if that can be done."""
         suspicious = case.destructive or bench.verdict().rank > Verdict.PASS.rank
         control = self.control
-        alive = control.alive() if control is not None else None
-        silent = alive is None and suspicious and not self._answers(bench)
+        dead = control is not None and control.alive() is False
+        mute = suspicious and not dead and not self._answers(bench)
         # One that was never there has not died here.
         self._lived = self._lived or bool(bench.heard)
-        if (alive is not False and not silent) or not self._lived:
+        if not (dead or mute) or not self._lived:
             self._clean(bench)
             return False
-        why = control.why_dead() if control is not None else ""
-        observed = "there is no sign of life after this case" if silent else "it is dead after this case"
+        why = control.why_dead() if control is not None and dead else ""
+        observed = "it is dead after this case" if dead else self._muteness(bench)
         table: Table = "robustness" if case.robustness else "conformance"
         bench.checks.append(
             Check(
@@ -149,36 +149,55 @@ class Runner:
                 table=table,
             )
         )
-        self._revive(case)
+        self._revive(case, "died" if dead else "fell silent")
         return True
 
     def _answers(self, bench: Bench) -> bool:
-        """Whether there is still any sign of life, on the air or at the upper interface.
-
-        Frames get lost: only silence after several questions is silence.
+        """Whether the implementation still takes part: what the sanity case asks. Only silence after several questions
+        is silence, since frames get lost.
         """
         try:
-            if self.session.upper is not None and "UT-Hello" in self.session.upper.methods:
-                self.session.upper.call("UT-Hello", {})
-                self._lived = True
-                return True
-            return any(bench.beacons(1, 5) or bench.probe(5) for _ in range(_QUESTIONS))
-        except (UpperTesterError, LowerTesterError):
+            if bench.pics.vardis is False:
+                return any(bench.beacons(1, 5) for _ in range(_QUESTIONS)) or self._serves()
+            return any(bench.probe(5) for _ in range(_QUESTIONS)) or (bench.pics.vardis is None and self._serves())
+        except LowerTesterError:
             return False
 
-    def _revive(self, case: Case) -> None:
+    def _serves(self) -> bool:
+        """Whether the upper tester answers."""
+        upper = self.session.upper
+        if upper is None or "UT-Hello" not in upper.methods:
+            return False
+        try:
+            upper.call("UT-Hello", {})
+        except UpperTesterError:
+            return False
+        self._lived = True
+        return True
+
+    def _muteness(self, bench: Bench) -> str:
+        """What is left of an implementation that does not answer."""
+        try:
+            if bench.beacons(1, 5):
+                return "VarDis does not answer any more, though there are beacons"
+        except LowerTesterError:
+            pass
+        runs = self.control is not None and self.control.alive()
+        return "it does not answer any more" + (", though its process runs" if runs else "")
+
+    def _revive(self, case: Case, how: str) -> None:
         control = self.control
         if control is None or not control.can_restart:
-            self.dead = f"the implementation died in {case.id}, and there is no command to restart it (--restart)"
+            self.dead = f"the implementation {how} in {case.id}, and there is no command to restart it (--restart)"
             self.notes.append(self.dead)
             return
         try:
             control.restart()
         except Exception as error:
-            self.dead = f"the implementation died in {case.id} and could not be restarted: {error}"
+            self.dead = f"the implementation {how} in {case.id} and could not be restarted: {error}"
             self.notes.append(self.dead)
             return
-        self.notes.append(f"the implementation died in {case.id} and was restarted")
+        self.notes.append(f"the implementation {how} in {case.id} and was restarted")
 
     def _clean(self, bench: Bench) -> None:
         """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up."""
@@ -275,11 +294,6 @@ def _short(data: object) -> str:
 
     text = msgspec.json.encode(data).decode()
     return text if len(text) <= 400 else f"{text[:400]}..."
-
-
-def ordered(cases: Iterable[Case]) -> list[Case]:
-    """In the order in which cases are run: sanity first, destructive ones last."""
-    return sorted(cases, key=lambda case: (case.base != SANITY, case.destructive))
 
 
 def timestamp() -> str:

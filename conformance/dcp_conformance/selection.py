@@ -61,8 +61,8 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
 
 
 def ordered(cases: Iterable[Case]) -> list[Case]:
-    """Sanity first, destructive cases last, otherwise as they stand."""
-    return sorted(cases, key=lambda case: (case.base != SANITY, case.destructive))
+    """Sanity first, what is about robustness behind all else, destructive cases last; otherwise as they stand."""
+    return sorted(cases, key=lambda case: (case.base != SANITY, case.destructive, case.robustness))
 
 
 def matches(case: Case, pattern: str) -> bool:
