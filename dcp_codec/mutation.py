@@ -21,7 +21,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 from .codec import Codec
-from .dissect import Field
+from .dissect import Field, dissect
+from .layout import references, walk
 from .plan import Many, Node, Scalar, Select
 
 Touch = tuple[str, str]
@@ -36,6 +37,8 @@ STRUCTURE_CLASSES: Final = ("cut", "trail", "twice", "drop", "reorder", "splice"
 _MORE_FIELDS, _STRUCTURE, _PREFERENCE, _ONLY_STRUCTURE = 0.3, 0.25, 0.25, 0.15
 #: How often a bomb repeats an element at most.
 _BOMB = 64
+#: Messages that are mutated at most.
+_MOST_SOURCES = 4096
 _INDEX = re.compile(r"\[\d+\]")
 
 
@@ -79,11 +82,10 @@ class Mutator:
 
         Raises ValueError for a pool without any octets.
         """
-        from .dissect import dissect
-
         layout = codec.beacon_plan if plan is None else plan
         self._rng = rng
-        self.sources = tuple(_taken_apart(dissect(layout, each).root, each) for each in pool if each)
+        self._layout = layout
+        self.sources = [_taken_apart(dissect(layout, each).root, each) for each in pool if each]
         if not self.sources:
             raise ValueError("there is nothing to mutate: the pool is empty")
         self.reached: Counter[Touch] = Counter()
@@ -112,6 +114,16 @@ class Mutator:
             "splice": self._splice,
             "bomb": self._bomb,
         }
+
+    def add(self, octets: bytes) -> None:
+        """Mutate this, too, from now on; what was added last takes the place of others when there are too many."""
+        if not octets:
+            return
+        source = _taken_apart(dissect(self._layout, octets).root, octets)
+        if len(self.sources) < _MOST_SOURCES:
+            self.sources.append(source)
+        else:
+            self.sources[self._rng.randrange(len(self.sources))] = source
 
     def mutate(self) -> Mutation:
         """The next mutation."""
@@ -220,7 +232,7 @@ def _taken_apart(root: Field, octets: bytes) -> Source:
     places: list[Place] = []
     elements: list[tuple[str, int, int]] = []
     counts: list[Place] = []
-    references = _references(root.layout)
+    referred = references(root.layout)
     keys = _keys(root.layout)
     for field in root.walk():
         if isinstance(field.layout, Many):
@@ -235,21 +247,13 @@ def _taken_apart(root: Field, octets: bytes) -> Source:
             known |= frozenset(layout.names)
         place = Place(generic(field.path), field.offset, field.offset + field.length, _options(field.raw, order, known))
         places.append(place)
-        if isinstance(layout, Scalar) and (layout.derived is not None or field.name in references):
+        if isinstance(layout, Scalar) and (layout.derived is not None or field.name in referred):
             counts.append(place)
     return Source(octets, tuple(places), tuple(place.start for place in places), tuple(elements), tuple(counts))
 
 
-def _references(layout: Node) -> frozenset[str]:
-    from .layout import references
-
-    return references(layout)
-
-
 def _keys(layout: Node) -> dict[str, frozenset[int]]:
     """Fields that choose a content -> the values for which there is one."""
-    from .layout import walk
-
     return {each.key.rsplit(".", 1)[-1]: frozenset(each.cases) for each in walk(layout) if isinstance(each, Select)}
 
 

@@ -17,6 +17,7 @@ main = CommandLine(
         "probe": "Draft the PICS of an implementation by listening and asking.",
         "check": "Judge recordings of a network.",
         "replay": "Play a recording at an implementation.",
+        "fuzz": "Find inputs that break an implementation.",
         "report": "Make a report again, or put several runs side by side.",
         "compare": "Show which verdicts differ between two runs.",
         "selftest": "Test the suite with mutants of our own node.",

@@ -98,7 +98,8 @@ class Oracle:
         self._limits = limits
         self._latency = latency
         self._window = window
-        self._owed: list[Owed] = []
+        self._owed: dict[int, list[Owed]] = {}
+        """By variable: there may be many, of many variables."""
 
     # -- what the node hears -----------------------------------------------------------------------------------
 
@@ -250,8 +251,13 @@ class Oracle:
 
     def overdue(self, time: int) -> list[Owed]:
         """What should have been said by now and was not; each is told once."""
-        late = [owed for owed in self._owed if owed.deadline < time]
-        self._owed = [owed for owed in self._owed if owed.deadline >= time]
+        late: list[Owed] = []
+        for var_id in list(self._owed):
+            owing = self._owed.pop(var_id)
+            late += [owed for owed in owing if owed.deadline < time]
+            if later := [owed for owed in owing if owed.deadline >= time]:
+                self._owed[var_id] = later
+        late.sort(key=lambda owed: owed.deadline)
         return [owed for owed in late if not self._variable(owed.var_id).uncertain]
 
     def holdings(self) -> Iterator[tuple[int, Version]]:
@@ -338,23 +344,24 @@ class Oracle:
         self._owe(kind, var_id, seqno, time, frame, requirement)
 
     def _owe(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
-        if not any(owed.kind is kind and owed.var_id == var_id and owed.seqno == seqno for owed in self._owed):
-            self._owed.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
+        owing = self._owed.setdefault(var_id, [])
+        if not any(owed.kind is kind and owed.seqno == seqno for owed in owing):
+            owing.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
 
     def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
         """Something was said, or need not be any more. A newer number does for an older one; a create for an update."""
-        self._owed = [owed for owed in self._owed if not self._done(owed, kind, var_id, seqno)]
+        owing = self._owed.pop(var_id, None)
+        if owing and (left := [owed for owed in owing if not self._done(owed, kind, seqno)]):
+            self._owed[var_id] = left
 
-    def _done(self, owed: Owed, kind: ICType, var_id: int, seqno: int | None) -> bool:
-        if owed.var_id != var_id:
-            return False
+    def _done(self, owed: Owed, kind: ICType, seqno: int | None) -> bool:
         if owed.kind is kind:
             return kind is not ICType.UPDATES or seqno is None or not self._circle.newer(owed.seqno, seqno)
         return False
 
     def _forget(self, var_id: int) -> None:
         """A creation or deletion: everything that was to be said of the variable is dropped (VD-PC-08, VD-PD-04)."""
-        self._owed = [owed for owed in self._owed if owed.var_id != var_id]
+        self._owed.pop(var_id, None)
 
     def _remove_when_told(self, var_id: int, time: int) -> None:
         """Before 2.0 a variable is gone once its deletion was told often enough."""

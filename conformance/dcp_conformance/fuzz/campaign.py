@@ -1,0 +1,231 @@
+"""One campaign: generate, execute, and hand what was found to the minimiser. Bounded by time, cases or findings."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+
+from dcp_codec.codec import Codec
+from dcp_codec.mutation import Mutator, Touch
+from dcp_conformance.errors import ConformanceError, UsageError
+
+from .artefact import Artefact, SavedTarget, make_artefact, save
+from .coverage import Coverage, tables
+from .minimise import Minimised, Minimiser
+from .steps import Effect, Frame, Step, Target
+
+STATE_FILE = "campaign.json"
+"""In the folder of artefacts: what ``--resume`` goes on from."""
+
+
+class Generator(Protocol):
+    """Draws test after test."""
+
+    last: str
+    """The kind of the last one."""
+
+    def draw(self) -> list[Step]:
+        """The next one."""
+        ...
+
+    def keep(self, steps: list[Step]) -> None:
+        """This one is worth going on from."""
+        ...
+
+
+class State(msgspec.Struct):
+    """How far a campaign is."""
+
+    profile: str
+    mode: str
+    seed: int
+    cases: int = 0
+    frames: int = 0
+    seconds: float = 0.0
+    findings: dict[str, str] = {}
+    """Signature of the effect -> artefact."""
+    kinds: dict[str, int] = {}
+    coverage: Coverage = msgspec.field(default_factory=Coverage)
+
+
+@dataclass(slots=True)
+class Limits:
+    """When a campaign ends, whatever comes first. ``rate``: cases in a second at most, None for no bound."""
+
+    seconds: float | None = None
+    cases: int | None = None
+    findings: int | None = None
+    rate: float | None = None
+
+
+@dataclass(slots=True)
+class Progress:
+    """What is told once in a second."""
+
+    cases: int
+    per_second: float
+    findings: int
+    seconds: float
+
+
+@dataclass(slots=True)
+class Campaign:
+    """Runs tests from a generator on a target."""
+
+    codec: Codec
+    target: Target
+    generator: Generator
+    saved_target: SavedTarget
+    seed: int
+    directory: Path | None = None
+    """Where artefacts go, None for nowhere."""
+    mutator: Mutator | None = None
+    states: Callable[[], Counter[tuple[str, str]]] | None = None
+    """Pairs of state and message of the last case."""
+    model: Target | None = None
+    """Something fast, on which a finding that shows there too is minimised; it is confirmed on the target."""
+    after_case: Callable[[list[Step]], None] | None = None
+    """For guidance: what is done with each case behind its execution."""
+    lines: Callable[[], int] | None = None
+    profile_text: str = ""
+    budget: int = 600
+    on_progress: Callable[[Progress], None] | None = None
+    on_finding: Callable[[Artefact], None] | None = None
+    state: State = field(init=False)
+    artefacts: list[Artefact] = field(default_factory=list)
+    reached_states: Counter[tuple[str, str]] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        self.state = State(self.codec.profile.name, self.saved_target.mode, self.seed)
+
+    def resume(self) -> None:
+        """Go on from the state in the folder. Raises :class:`UsageError` if there is none, or another campaign's."""
+        if self.directory is None:
+            raise UsageError("--resume needs the folder of the campaign: --artefacts DIR")
+        self.state = read_state(self.directory)
+        if (self.state.profile, self.state.mode) != (self.codec.profile.name, self.saved_target.mode):
+            of = f"{self.state.mode} with the profile {self.state.profile}"
+            raise UsageError(f"{self.directory}: the campaign in it is of {of}")
+        for pair in self.state.coverage.states:
+            self.reached_states[pair.what, pair.how] += pair.count
+        if self.mutator is not None:
+            self.mutator.reached.update({(pair.what, pair.how): pair.count for pair in self.state.coverage.fields})
+
+    def run(self, limits: Limits) -> State:
+        """Run until a limit is reached. Ctrl-C ends it, with everything saved. Raises what the target raises."""
+        begun = told = time.monotonic()
+        done_before = self.state.seconds
+        first = self.state.cases
+        kinds = Counter(self.state.kinds)
+        try:
+            while not self._over(limits, begun, first):
+                steps = self.generator.draw()
+                effect = self.target.run(steps)
+                self.state.cases += 1
+                kinds[self.generator.last] += 1
+                self.state.frames += sum(1 for step in steps if type(step) is Frame)
+                if self.states is not None:
+                    self.reached_states.update(self.states())
+                if self.after_case is not None:
+                    self.after_case(steps)
+                if effect is not None and effect.signature not in self.state.findings:
+                    self._found(steps, effect)
+                now = time.monotonic()
+                if limits.rate is not None:
+                    ahead = begun + (self.state.cases - first) / limits.rate - now
+                    if ahead > 0:
+                        time.sleep(ahead)
+                if self.on_progress is not None and now - told >= 1:
+                    told = now
+                    seconds = now - begun
+                    per_second = (self.state.cases - first) / seconds
+                    self.on_progress(Progress(self.state.cases, per_second, len(self.state.findings), seconds))
+        finally:
+            self.state.seconds = done_before + time.monotonic() - begun
+            self.state.kinds = dict(kinds)
+            self.state.coverage = self.coverage()
+            if self.directory is not None:
+                write_state(self.state, self.directory)
+        return self.state
+
+    def coverage(self) -> Coverage:
+        """What was reached so far."""
+        fields: Counter[Touch] = self.mutator.reached if self.mutator is not None else Counter()
+        possible = self.mutator.possible if self.mutator is not None else frozenset[Touch]()
+        return tables(fields, self.reached_states, possible, self.lines() if self.lines is not None else 0)
+
+    def _over(self, limits: Limits, begun: float, first: int) -> bool:
+        if limits.seconds is not None and time.monotonic() - begun >= limits.seconds:
+            return True
+        if limits.cases is not None and self.state.cases - first >= limits.cases:
+            return True
+        return limits.findings is not None and len(self.artefacts) >= limits.findings
+
+    def _found(self, steps: list[Step], effect: Effect) -> None:
+        """Minimise it, confirm it, keep it."""
+        trouble: ConformanceError | None = None
+        minimised: Minimised | None = None
+        try:
+            minimised = self._small(steps, effect)
+        except ConformanceError as error:
+            # The implementation is gone for good: what is known must not go with it.
+            trouble = error
+        kept, shown = (steps, effect) if minimised is None else (minimised.steps, minimised.effect)
+        artefact = make_artefact(
+            self.codec,
+            kept,
+            shown,
+            self.saved_target,
+            seed=self.seed,
+            directory=self.directory or Path(),
+            profile_text=self.profile_text,
+            minimised=minimised is not None,
+            confirmed=minimised is not None,
+        )
+        self.state.findings[effect.signature] = artefact.id
+        self.artefacts.append(artefact)
+        if self.directory is not None:
+            save(artefact, self.directory)
+        if self.on_finding is not None:
+            self.on_finding(artefact)
+        if trouble is not None:
+            raise trouble
+
+    def _small(self, steps: list[Step], effect: Effect) -> Minimised | None:
+        """Minimise in process if it shows there and the result is confirmed, else on the target itself."""
+        if self.model is not None and (like := self.model.run(steps)) is not None:
+            found = Minimiser(self.model.run, like, self.codec, budget=self.budget).minimise(steps)
+            if found is not None:
+                again = self.target.run(found.steps)
+                if again is not None and again.signature == effect.signature:
+                    return Minimised(found.steps, again, found.tries + 1)
+        return Minimiser(self.target.run, effect, self.codec, budget=self.budget).minimise(steps)
+
+
+def read_state(directory: Path) -> State:
+    """The state of the campaign in a folder. Raises :class:`UsageError`."""
+    path = directory / STATE_FILE
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=State)
+    except OSError as error:
+        raise UsageError(f"{path}: there is no campaign to go on with: {error.strerror or error}") from None
+    except msgspec.DecodeError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def write_state(state: State, directory: Path) -> None:
+    """Keep the state of a campaign. Raises :class:`UsageError`."""
+    path = directory / STATE_FILE
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        beside = path.with_suffix(".new")
+        beside.write_bytes(msgspec.json.format(msgspec.json.encode(state), indent=1) + b"\n")
+        beside.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -1,0 +1,57 @@
+"""Artefacts as conformance cases: what once broke an implementation is tested again in every run.
+
+The identifier of a case is ``TC_DCP_FUZZ_BI_01-`` and that of its artefact, which follows from what is in it: it stays
+the same whatever else lies in the folder.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Case, Kind
+
+from .artefact import Artefact, found_in, load
+from .differential import Comparison
+from .live import PROBES, RATE, REQUIREMENTS, ailing, carry_out, observer_of
+
+BASE = "TC_DCP_FUZZ_BI_01"
+
+
+def artefact_cases(folder: Path) -> list[Case]:
+    """The cases of a folder; artefacts of functions in process are left out. Raises ``UsageError``."""
+    artefacts = [(path, load(path)) for path in found_in([folder])]
+    return [case_of(artefact, path) for path, artefact in artefacts if artefact.target.mode != "codec"]
+
+
+def case_of(artefact: Artefact, path: Path) -> Case:
+    """The case of one artefact."""
+    return Case(
+        id=f"{BASE}-{artefact.id}",
+        purpose=f"What the fuzzer once found does not show: {artefact.effect.detail}"[:160],
+        requirements=REQUIREMENTS,
+        kind=Kind.INVALID,
+        stimulus=f"the {len(artefact.steps)} steps of {path.name}, {artefact.frames} of them frames",
+        expect="the implementation lives, answers, and holds what the model holds",
+        window=4,
+        section="Fuzzing: findings of earlier campaigns",
+        module=__name__,
+        run=partial(run, artefact),
+        destructive=artefact.effect.kind in ("raised", "dead", "hang", "mute"),
+        robustness=True,
+    )
+
+
+def run(artefact: Artefact, bench: Bench) -> None:
+    """Carry out the steps of an artefact as a case."""
+    if artefact.profile != bench.profile.name:
+        bench.inconclusive(
+            f"the profile of the artefact, {artefact.profile}", f"the implementation speaks {bench.profile.name}"
+        )
+    if (why := ailing(bench, None)) is not None:
+        bench.inconclusive("a healthy implementation before anything is sent", why.detail)
+    state = artefact.effect.kind in ("state", "said", "disagrees")
+    comparison = Comparison(bench, observer_of(bench)) if state else None
+    effect = carry_out(bench, artefact.as_steps(), None, round(1e9 / RATE), PROBES, comparison)
+    bench.check(effect is None, "nothing is wrong after these steps", effect.detail if effect is not None else "")

@@ -1,0 +1,198 @@
+"""What an implementation shows of its state, against the model: summaries, values, services, neighbour table.
+
+Only what the specification decides is compared: of variables about which a damaged or disputed message has spoken, and
+of the order in which things are said, nothing is expected.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.errors import DecodeError
+from dcp_conformance.bench import Bench
+from dcp_conformance.oracle.vardis import Version
+from dcp_conformance.services import described, rows
+from dcp_conformance.upper import Answer
+
+from .observing import Observer
+from .steps import Call, Effect
+
+#: Neighbours whose reports may have expired are not expected any more after this part of the timeout.
+_FRESH = 0.5
+
+
+class Comparison:
+    """Compares one implementation with its model, on the bench of one case."""
+
+    def __init__(self, bench: Bench, observer: Observer) -> None:
+        self._bench = bench
+        self._observer = observer
+        self._reports: dict[bytes, int] = {}
+        """Who reported to the implementation, and when last."""
+        self._judged = len(bench.heard)
+        upper = bench.session.upper
+        self._methods = upper.methods if upper is not None else frozenset[str]()
+
+    # -- while steps are carried out ---------------------------------------------------------------------------
+
+    def sent(self, octets: bytes) -> None:
+        """A bearer payload was sent to the implementation."""
+        bench = self._bench
+        self._observer.hears(octets, bench.now(), bench.traffic.frames)
+        try:
+            beacon = bench.codec.decode(octets)
+        except DecodeError:
+            # Whether a report in front of the damage was taken is open; who else it was about is not asked.
+            return
+        if not self._observer.is_for_node(beacon):
+            return
+        for payload in beacon.payloads:
+            report = payload.srp
+            if report is not None and report.node_id != self._observer.own_id:
+                self._reports[report.node_id] = bench.now()
+
+    def called(self, step: Call, answer: Answer, at: int) -> Effect | None:
+        """A service was called: whether success is what the model expects; if so, the model follows."""
+        var_id = step.params.get("varId")
+        if type(var_id) is not int:
+            return None
+        expected = self._expected(step.method, var_id)
+        if expected is not None and expected != answer.ok and answer.code is None:
+            what = "succeeds" if answer.ok else "is refused"
+            detail = f"{step.method} of variable {var_id} {what} with {answer.status}"
+            return Effect("state", detail, at, f"{step.method} {answer.status}")
+        if not answer.ok:
+            return None
+        oracle, now = self._observer.oracle, self._bench.now()
+        match step.method:
+            case "RTDB-Create":
+                self._created(var_id, step.params)
+            case "RTDB-Update":
+                oracle.updated(var_id, bytes.fromhex(step.params["value"]), now)
+            case "RTDB-Delete":
+                oracle.deleted(var_id, now)
+        return None
+
+    def _expected(self, method: str, var_id: int) -> bool | None:
+        """Whether a service must succeed; None where the specification or the model leaves it open."""
+        known = self._observer.oracle.variables.get(var_id)
+        if known is not None and known.uncertain:
+            return None
+        version = known.now if known is not None else None
+        own = version is not None and version.spec is not None and version.spec.prod_id == self._observer.own_id
+        alive = version is not None and version.state == "alive"
+        match method:
+            case "RTDB-Update":
+                return None if alive and own else False
+            case "RTDB-Delete":
+                return alive and own
+            case "RTDB-Create":
+                return False if alive and not own else None
+            case "RTDB-Read":
+                return alive
+        return None
+
+    def _created(self, var_id: int, params: dict[str, Any]) -> None:
+        bench = self._bench
+        creation: int | None = None
+        if "RTDB-DescribeVariable" in self._methods:
+            found = described(bench.call("RTDB-DescribeVariable", varId=var_id)).get("creationTime")
+            creation = found if isinstance(found, int) else None
+        spec = bench.spec(
+            var_id,
+            self._observer.own_id,
+            rep_cnt=params["repCnt"],
+            descr=params["descr"].encode(),
+            creation_time=0 if creation is None else creation,
+        )
+        self._observer.created(spec, bytes.fromhex(params["value"]), bench.now())
+        if creation is None and self._observer.compares_creations:
+            # Which creations of others are later is not known.
+            self._observer.oracle.doubt(var_id)
+
+    def said(self, at: int) -> Effect | None:
+        """Judge what was heard since the last time."""
+        bench = self._bench
+        heard, self._judged = bench.heard[self._judged :], len(bench.heard)
+        most = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
+        for each in heard:
+            effect = self._observer.says(each.octets, most, each.time, each.number, at)
+            if effect is not None:
+                return effect
+        return None
+
+    # -- at the end of a round ---------------------------------------------------------------------------------
+
+    def round(self, at: int) -> Effect | None:
+        """Wait until everything had its time, and compare all that can be seen from outside."""
+        bench, observer = self._bench, self._observer
+        bench.wait(bench.reaction + 2)
+        effect = self.said(at)
+        if effect is not None:
+            return effect
+        for owed in observer.oracle.overdue(bench.now()):
+            detail = f"variable {owed.var_id}: {owed.kind.label} did not come"
+            return Effect("said", detail, at, f"missing {owed.kind.label} {owed.requirement}")
+        return self._variables(at) or self._summaries(at) or self._neighbours(at)
+
+    def _variables(self, at: int) -> Effect | None:
+        bench = self._bench
+        certain = list(self._observer.certain(list(self._observer.oracle.variables)))
+        if "RTDB-DescribeDatabase" in self._methods:
+            listed = {row.get("varId"): row for row in rows(bench.call("RTDB-DescribeDatabase"), "variables")}
+            for var_id, version in certain:
+                row = listed.get(var_id)
+                alive = row is not None and not row.get("isDeleted", False)
+                if alive != (version.state == "alive"):
+                    shown = "alive" if alive else "not alive"
+                    return self._differs(at, "RTDB-DescribeDatabase", var_id, shown, version)
+        for var_id, version in certain:
+            if version.state != "alive":
+                continue
+            if "RTDB-Read" in self._methods:
+                value = bench.call("RTDB-Read", varId=var_id).result.get("value")
+                if value != version.value.hex():
+                    return self._differs(at, "RTDB-Read", var_id, f"value {value}", version)
+            if "RTDB-DescribeVariable" in self._methods:
+                seqno = described(bench.call("RTDB-DescribeVariable", varId=var_id)).get("seqno")
+                if seqno is not None and seqno != version.seqno:
+                    return self._differs(at, "RTDB-DescribeVariable", var_id, f"number {seqno}", version)
+        return None
+
+    def _differs(self, at: int, method: str, var_id: int, shown: str, version: Version) -> Effect:
+        expected = f"{version.state}, number {version.seqno}, value {version.value.hex()}"
+        return Effect("state", f"variable {var_id}: {method} says {shown}; the model has it {expected}", at, method)
+
+    def _summaries(self, at: int) -> Effect | None:
+        """The last summary of each variable has the number that it should have; deleted ones have none any more."""
+        bench = self._bench
+        if bench.parameter("VARDISPAR_MAX_SUMMARIES") <= 0:
+            return None
+        last: dict[int, int] = {}
+        for heard in bench.heard[-2:]:
+            for each in heard.instructions(ICType.SUMMARIES):
+                last[each.var_id] = each.record.seqno
+        for var_id, version in self._observer.certain(list(last)):
+            expected = version.seqno if version.state == "alive" else None
+            # What it was when the payload was composed counts, too.
+            if last[var_id] != expected and bench.now() - version.since > 3 * bench.period:
+                detail = f"variable {var_id} is summarised with {last[var_id]}, where the model has {expected}"
+                return Effect("state", detail, at, "summary")
+        return None
+
+    def _neighbours(self, at: int) -> Effect | None:
+        bench = self._bench
+        if "SRP-NeighbourTable" not in self._methods or not self._reports:
+            return None
+        text = bench.profile.types.node_id.representation == "text"
+        table = {str(row.get("nodeId")) for row in rows(bench.call("SRP-NeighbourTable"), "neighbours")}
+        fresh = bench.now() - round(bench.pixit.neighbour_timeout_ms * 1_000_000 * _FRESH)
+        most = bench.profile.limits.max_neighbours
+        for node_id, time in self._reports.items():
+            name = node_id.decode(errors="replace") if text else node_id.hex(":")
+            there = name in table or node_id.hex() in table or name.replace(":", "") in table
+            if time >= fresh and not there and (most is None or len(self._reports) < most):
+                return Effect("state", f"the neighbour {name} is not in the table", at, "neighbour missing")
+        return None

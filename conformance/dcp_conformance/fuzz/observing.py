@@ -1,0 +1,236 @@
+"""Comparing an implementation with the independent model while steps are carried out."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterable
+
+import msgspec
+from dcp_spec.constants import ICType, features
+
+from dcp_codec.codec import Codec
+from dcp_codec.dissect import dissect
+from dcp_codec.errors import DecodeError
+from dcp_codec.values import (
+    Beacon,
+    Container,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
+from dcp_conformance.circular import Circle
+from dcp_conformance.oracle import Limits, Oracle
+from dcp_conformance.oracle.vardis import Version
+
+from .steps import Effect
+
+#: How old a payload may be when it is seen on the air, and how long a reaction may take, in beacon periods.
+LATENCY, WINDOW = 1.6, 8.0
+
+
+class Observer:
+    """The model of one node, fed with what the node hears and says.
+
+    ``reached`` counts pairs of (state of the variable, kind of message) that the node was brought into.
+    """
+
+    def __init__(
+        self,
+        codec: Codec,
+        own_id: bytes,
+        period: int,
+        *,
+        network: int | None,
+        limits: Limits | None = None,
+        window: float = WINDOW,
+    ) -> None:
+        """``period``: of beacons, ns. ``network``: of the node, None where beacons name none.
+
+        ``window``: beacon periods until something that is owed must have been said.
+        """
+        self.codec = codec
+        self.own_id = own_id
+        self.reached: Counter[tuple[str, str]] = Counter()
+        profile = codec.profile
+        self._latency = round(LATENCY * period)
+        self._network = network if profile.has_header_field("networkId") else None
+        most = profile.limits
+        limits = limits or Limits(most.max_value_length, most.max_description_length, most.max_repetitions)
+        self._features = features(profile.spec_version)
+        self._circle = Circle(profile.types.var_seqno.width)
+        self.oracle = Oracle(
+            own_id,
+            self._features,
+            profile.types.var_seqno.width,
+            limits,
+            latency=self._latency,
+            window=round(window * period),
+        )
+        numbers = profile.vardis.container_types.by_name()
+        self._kinds = {numbers[kind.label]: kind for kind in ICType}
+
+    # -- what the node hears -----------------------------------------------------------------------------------
+
+    def hears(self, octets: bytes, time: int, number: int) -> list[int]:
+        """The node has received this bearer payload; the variables that it is about."""
+        try:
+            beacon = self.codec.decode(octets)
+        except DecodeError:
+            return self._doubtful(octets)
+        if not self.is_for_node(beacon):
+            return []
+        touched: list[int] = []
+        for payload in beacon.payloads:
+            containers = payload.content
+            if isinstance(containers, tuple):
+                touched += self._payload(containers, time, number)
+        return touched
+
+    @property
+    def compares_creations(self) -> bool:
+        """Whether creation times decide which creation counts."""
+        return self._features.creation_time
+
+    def is_for_node(self, beacon: Beacon) -> bool:
+        """Whether the node has to look at a beacon."""
+        header = beacon.bp
+        if header is None:
+            return True
+        return header.sender_id != self.own_id and (self._network is None or header.network_id == self._network)
+
+    def _doubtful(self, octets: bytes) -> list[int]:
+        """What a node takes of a damaged beacon is open (X34)."""
+        for each in dissect(self.codec.beacon_plan, octets).root.walk():
+            if each.name == "varId" and isinstance(each.value, int):
+                self.oracle.doubt(each.value)
+                self.reached["any", "damaged"] += 1
+        return []
+
+    def _payload(self, containers: tuple[Container, ...], time: int, number: int) -> list[int]:
+        records: list[VardisRecord] = [record for container in containers for record in container.records]
+        touched = []
+        for record in records:
+            var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
+            touched.append(var_id)
+            self._note(record, var_id)
+            if isinstance(record, VarCreate):
+                self._open_questions(record)
+            if self._features.removed_after_deletion and self._was_deleted(var_id):
+                # When a deleted variable leaves the database shows only when something is said to the node about it.
+                self.oracle.doubt(var_id)
+        self.oracle.hear(records, time, number)
+        return touched
+
+    def _was_deleted(self, var_id: int) -> bool:
+        known = self.oracle.variables.get(var_id)
+        return known is not None and any(version.state == "deleted" for version in known.versions)
+
+    def _open_questions(self, record: VarCreate) -> None:
+        """What a node makes of these is left open, or depends on its clock."""
+        spec = record.spec
+        if record.upd.var_id != spec.var_id:
+            self.oracle.doubt(spec.var_id)
+            self.oracle.doubt(record.upd.var_id)
+        if spec.timeout:
+            self.oracle.doubt(spec.var_id)
+        known = self.oracle.variables.get(spec.var_id)
+        own = known.now.spec if known is not None else None
+        if own is not None and own.prod_id == self.own_id and own.creation_time is None and self.compares_creations:
+            self.oracle.doubt(spec.var_id)
+
+    def _note(self, record: VardisRecord, var_id: int) -> None:
+        known = self.oracle.variables.get(var_id)
+        version = known.now if known is not None else None
+        self.reached[self._state(version), self._message(record, version)] += 1
+
+    def _state(self, version: Version | None) -> str:
+        if version is None or version.state == "unknown":
+            return "unknown"
+        own = version.spec is not None and version.spec.prod_id == self.own_id
+        return f"{version.state} {'own' if own else 'foreign'}"
+
+    def _message(self, record: VardisRecord, version: Version | None) -> str:
+        match record:
+            case VarDelete():
+                return "delete"
+            case VarReqCreate():
+                return "request-create"
+            case VarCreate():
+                return f"create {self._compared(record, version)}".rstrip()
+            case VarUpdate():
+                name = "update"
+            case VarSumm():
+                name = "summary"
+            case VarReqUpdate():
+                name = "request-update"
+        if version is None or version.state == "unknown":
+            return name
+        if record.seqno == version.seqno:
+            return f"{name} equal"
+        if self._circle.newer(record.seqno, version.seqno):
+            return f"{name} newer"
+        return f"{name} older" if self._circle.newer(version.seqno, record.seqno) else f"{name} opposite"
+
+    def _compared(self, record: VarCreate, version: Version | None) -> str:
+        if version is None or version.spec is None or record.spec.creation_time is None:
+            return ""
+        before = version.spec.creation_time or 0
+        if record.spec.creation_time == before:
+            return "equal"
+        return "later" if record.spec.creation_time > before else "earlier"
+
+    # -- what its applications ask -----------------------------------------------------------------------------
+
+    def created(self, spec: VarSpec, value: bytes, time: int) -> None:
+        """RTDB-Create was confirmed with OK."""
+        self.oracle.created(msgspec.structs.replace(spec, prod_id=self.own_id), value, time)
+
+    # -- what the node says and holds --------------------------------------------------------------------------
+
+    def says(self, octets: bytes, most: int, time: int, number: int, step: int) -> Effect | None:
+        """Judge a beacon of the node, which must not be larger than ``most`` octets."""
+        if len(octets) > most:
+            return Effect("bad-beacon", f"a beacon of {len(octets)} octets, where {most} are allowed", step)
+        try:
+            beacon = self.codec.decode(octets)
+        except DecodeError as error:
+            return Effect("bad-beacon", f"a beacon that is none: {error}", step, error.problem.reason)
+        if beacon.bp is not None and beacon.bp.sender_id != self.own_id:
+            return Effect("bad-beacon", f"a beacon of {beacon.bp.sender_id.hex(':')}", step, "sender")
+        for payload in beacon.payloads:
+            if isinstance(payload.content, tuple):
+                effect = self._judged(payload.content, time, number, step)
+                if effect is not None:
+                    return effect
+        return None
+
+    def _judged(self, containers: tuple[Container, ...], time: int, number: int, step: int) -> Effect | None:
+        said = [(self._kinds[each.ic_type], record) for each in containers for record in each.records]
+        for each in self.oracle.said(said, time, number):
+            if each.requirement == "VD-SCP-02" and self._hasty(each.var_id):
+                continue
+            detail = f"variable {each.var_id}: expected {each.expected}, said {each.observed}"
+            return Effect("said", detail, step, each.requirement)
+        return None
+
+    def _hasty(self, var_id: int) -> bool:
+        """Whether a payload about an earlier life of a variable may have been counted for its present one."""
+        versions = self.oracle.variables[var_id].versions
+        stamps = [version.since for version in versions]
+        if any(after - before < self._latency for before, after in itertools.pairwise(stamps)):
+            return True
+        lives = [(version.state, version.seqno) for version in versions]
+        return len(set(lives)) < len(lives)
+
+    def certain(self, var_ids: Iterable[int]) -> Iterable[tuple[int, Version]]:
+        """What the model says of these variables, as far as it is sure."""
+        for var_id in var_ids:
+            variable = self.oracle.variables.get(var_id)
+            if variable is not None and not variable.uncertain:
+                yield var_id, variable.now

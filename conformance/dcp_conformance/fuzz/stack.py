@@ -1,0 +1,270 @@
+"""A sans-IO stack in this process as a target: thousands of sequences a second, held against the model at each step.
+
+Time is virtual and nothing is lost, so that every finding happens again. ``make`` builds the node, so that another one,
+or a mutant, can be put in its place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any
+
+from dcp_codec.codec import Codec
+from dcp_codec.values import VarSumm
+from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.forge import Forge
+from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
+
+from .observing import Observer
+from .steps import Call, Effect, Frame, Step, Wait
+
+#: Seconds of CPU time for one sequence; those that are thousands of frames long take the most.
+TIME_LIMIT = 8.0
+#: Beacon periods until a probe must be answered, behind everything else that a full database has to say.
+_PATIENCE = 300
+#: Beacons of a node that may have no place for a probe's answer.
+_PROBER = b"\x02\xdc\x91\x00\x00\x01"
+
+
+class Overtime(BaseException):
+    """Raised inside of code that does not come back: no ``except Exception`` of it keeps it."""
+
+
+class _Watched(InProcess):
+    """Keeps what the node raised, and where."""
+
+    place = ""
+
+    def guarded(self, step: Callable[[], None]) -> None:
+        if self.died:
+            return
+        try:
+            step()
+            self.carry_out()
+        except Exception as error:
+            self.died = f"{type(error).__name__}: {error}"
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            self.place = f"{type(error).__name__} in {last.name}"
+            self.arrivals.clear()
+
+
+class StackTarget:
+    """A node that is made anew for every sequence."""
+
+    def __init__(
+        self,
+        codec: Codec,
+        *,
+        make: MakeNode = plain_node,
+        seed: int = 1,
+        time_limit: float = TIME_LIMIT,
+        name: str = "our own node in this process",
+    ) -> None:
+        """``time_limit``: seconds of CPU time for one sequence, after which the node counts as hanging."""
+        self.name = name
+        self.codec = codec
+        self.config = reference_config(codec)
+        self.own_id = self.config.node_id
+        self._make = make
+        self._seed = seed
+        self._time_limit = time_limit
+        self._forge = Forge(codec)
+        self._period = self.config.bp.beacon_period_ms * 1_000_000
+        self._network = codec.profile.bp.network_id
+        self._most = codec.profile.limits.max_beacon_size
+        self.observer = self._observer()
+        """What watched the last sequence."""
+        self.frames = 0
+        """Frames that were delivered in all."""
+        self._probe_number = 0
+
+    def _observer(self) -> Observer:
+        return Observer(self.codec, self.own_id, self._period, network=self._network)
+
+    def run(self, steps: list[Step]) -> Effect | None:
+        """See :class:`~dcp_conformance.fuzz.steps.Target`."""
+        self.observer = self._observer()
+        self._number = 0
+        at = -1
+        try:
+            with limited(self._time_limit):
+                self._sut = sut = _Watched(self.config, seed=self._seed, make=self._make)
+                self._upper: VirtualUpperTester | None = None
+                for at, step in enumerate(steps):
+                    effect = self._step(step, at)
+                    if effect is not None:
+                        return effect
+                return self._final(sut, at)
+        except Overtime:
+            return Effect("hang", f"no end after {self._time_limit:g} s of CPU time", max(at, 0))
+        except Exception as error:
+            # Not through the guard: while the node was made, or when it was asked for its deadline or its state.
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{type(error).__name__} in {last.name}"
+            return Effect("raised", f"{type(error).__name__}: {error}", max(at, 0), place)
+
+    def _step(self, step: Step, at: int) -> Effect | None:
+        sut = self._sut
+        touched: list[int] = []
+        if type(step) is Frame:
+            self._number += 1
+            self.frames += 1
+            # What the node has said before is judged by what it knew then.
+            touched = self.observer.hears(step.octets, sut.now, self._number)
+            sut.deliver(step.octets)
+        elif type(step) is Wait:
+            return self._wait(step.periods, at)
+        elif type(step) is Call:
+            effect, touched = self._call(step, at)
+            if effect is not None:
+                return effect
+        return self._died(at) or self._drained(at) or self._compare(touched, at)
+
+    def _died(self, at: int) -> Effect | None:
+        return Effect("raised", self._sut.died, at, self._sut.place) if self._sut.died else None
+
+    def _drained(self, at: int) -> Effect | None:
+        """Judge the beacons that have come."""
+        sut = self._sut
+        while sut.arrivals:
+            arrival = sut.arrivals.popleft()
+            effect = self.observer.says(arrival.octets, self._most, arrival.time, self._number, at)
+            if effect is not None:
+                return effect
+        return None
+
+    def _wait(self, periods: float, at: int) -> Effect | None:
+        sut = self._sut
+        until = sut.now + round(periods * self._period)
+        while True:
+            sut.advance(until)
+            effect = self._died(at) or self._drained(at)
+            if effect is not None or sut.now >= until:
+                return effect
+
+    def _compare(self, var_ids: list[int], at: int) -> Effect | None:
+        """What the node holds of these variables, against the model."""
+        vardis = self._sut.node.vardis
+        for var_id, version in self.observer.certain(dict.fromkeys(var_ids)):
+            entry = vardis.describe_variable(var_id).entry
+            alive = entry is not None and not entry.is_deleted
+            if alive != (version.state == "alive"):
+                observed = "alive" if alive else "not alive"
+                return Effect("state", f"variable {var_id} is {observed}, where the model has it {version.state}", at)
+            if not alive:
+                continue
+            if (entry.seqno, entry.value) != (version.seqno, version.value):
+                held = f"number {entry.seqno} value {entry.value.hex()!r}"
+                expected = f"number {version.seqno} value {version.value.hex()!r}"
+                return Effect("state", f"variable {var_id} has {held}, where the model has {expected}", at)
+            spec = version.spec
+            if spec is not None and spec.prod_id != self.own_id and entry.spec != spec:
+                return Effect("state", f"variable {var_id} has other attributes than the model", at)
+        return None
+
+    # -- services ----------------------------------------------------------------------------------------------
+
+    def _call(self, step: Call, at: int) -> tuple[Effect | None, list[int]]:
+        sut, oracle = self._sut, self.observer.oracle
+        if self._upper is None:
+            self._upper = sut.upper_tester()
+        try:
+            answer = self._upper.call(step.method, step.params)
+        except UpperTesterError:
+            return self._died(at) or Effect("mute", f"no answer to {step.method}", at), []
+        if answer.code == -32603:
+            return Effect("raised", f"{step.method}: {answer.message}", at, f"{step.method}: internal error"), []
+        var_id = step.params.get("varId")
+        if not answer.ok or not isinstance(var_id, int):
+            return None, []
+        match step.method:
+            case "RTDB-Create":
+                entry = sut.node.vardis.describe_variable(var_id).entry
+                if entry is not None:
+                    self.observer.created(entry.spec, bytes.fromhex(step.params["value"]), sut.now)
+            case "RTDB-Update":
+                oracle.updated(var_id, bytes.fromhex(step.params["value"]), sut.now)
+            case "RTDB-Delete":
+                oracle.deleted(var_id, sut.now)
+        return None, [var_id]
+
+    # -- in the end --------------------------------------------------------------------------------------------
+
+    def _final(self, sut: InProcess, at: int) -> Effect | None:
+        at = max(at, 0)
+        held = self._compare(list(self.observer.oracle.variables), at)
+        return held or self._unbounded(sut.node, at) or self._probed(sut, at)
+
+    def _unbounded(self, node: Any, at: int) -> Effect | None:
+        """Whether queues hold more than there are variables."""
+        most = 1 << (8 * min(self.codec.profile.types.var_id.width, 2))
+        for name, queue in node.vardis.snapshot()["queues"].items():
+            if len(queue) > min(most, 4096):
+                return Effect("unbounded", f"{name} has {len(queue)} entries", at, name)
+        return None
+
+    def _probed(self, sut: InProcess, at: int) -> Effect | None:
+        """A summary of a variable that it cannot know must bring a request for it."""
+        top = min(255, (1 << (8 * self.codec.profile.types.var_id.width)) - 1)
+        known = self.observer.oracle.variables
+        var_id = next((number for number in range(top, -1, -1) if number not in known), None)
+        if var_id is None:
+            return self._wait(2.0, at)
+        profile = self.codec.profile
+        self._probe_number += 1
+        sender = _PROBER.hex(":").encode() if profile.types.node_id.representation == "text" else _PROBER
+        width = profile.types.node_id.width
+        octets = self._forge.beacon(
+            sender if profile.types.node_id.representation == "text" else sender[-width:].rjust(width, b"\2"),
+            1,
+            [self._forge.vardis(VarSumm(var_id, 1))],
+            network_id=self._network if profile.has_header_field("networkId") else None,
+        )
+        self.observer.hears(octets, sut.now, self._number)
+        sut.deliver(octets)
+        until = sut.now + _PATIENCE * self._period
+        while sut.now < until:
+            sut.advance(until)
+            effect = self._died(at)
+            if effect is not None:
+                return effect
+            answered = any(self._requests(arrival.octets, var_id) for arrival in sut.arrivals)
+            effect = self._drained(at)
+            if effect is not None or answered:
+                return effect
+        return Effect("mute", "VarDis does not answer a summary of a variable that it cannot know", at)
+
+    def _requests(self, octets: bytes, var_id: int) -> bool:
+        from dcp_spec.constants import ICType
+
+        from dcp_conformance.heard import Heard
+
+        heard = Heard(self.codec, 0, 0, 0, octets, b"")
+        return heard.about(ICType.REQUEST_VARCREATES, var_id) is not None
+
+
+def _overtime(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
+    raise Overtime
+
+
+@contextlib.contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """End what is inside after so much CPU time with :class:`Overtime`; not outside of the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGVTALRM, _overtime)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, before)
+
+
+__all__ = ["TIME_LIMIT", "Overtime", "StackTarget", "limited"]
