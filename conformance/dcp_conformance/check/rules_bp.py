@@ -7,12 +7,11 @@ import statistics
 from collections import deque
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
-from dcp_spec.requirements import requirements
 
 from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
-from .base import MOST_SENDERS, Context, Invariant, Seen, name
+from .base import MOST_SENDERS, Context, Invariant, Seen, broken_by, name
 
 MS = 1_000_000
 BROADCAST = b"\xff" * 6
@@ -43,12 +42,11 @@ class BeaconFormat(Invariant):
         """Report what the dissector says, by requirement."""
         self.exercised()
         for problem in seen.dissection.errors:
-            known = problem.requirement if problem.requirement in requirements() else None
             mark = Mark(seen.number, problem.offset, 1, problem.path)
             self.violated(
                 f"{name(seen.sender)}: {problem}",
                 [mark],
-                *((known,) if known else ()),
+                *broken_by(problem),
                 once=(seen.sender, problem.reason),
             )
 
@@ -59,7 +57,7 @@ class RecordRules(Invariant):
     id = "CK_VD_RECORDS"
     section = "dcp-vardis.md: Instruction Records"
     purpose = "No record breaks a rule that can be seen in it alone"
-    requirements = ("VD-PAY-03", "VD-TYP-02", "VD-TYP-07", "VD-PC-06", "DATA-08")
+    requirements = ("VD-PAY-03", "VD-TYP-02", "VD-TYP-07", "DATA-08")
     expect = "records as the specification wants them sent"
 
     def feed(self, seen: Seen) -> None:
@@ -75,12 +73,11 @@ class RecordRules(Invariant):
                 text = f"{name(seen.sender)}: {problem}"
                 self.note("an empty description, which no node takes (X21)", text, [Mark(seen.number)], "VD-CRE-15")
                 continue
-            known = problem.requirement if problem.requirement in requirements() else None
             mark = Mark(seen.number, problem.offset, 1, problem.path)
             self.violated(
                 f"{name(seen.sender)}: {problem}",
                 [mark],
-                *((known,) if known else ()),
+                *broken_by(problem),
                 once=(seen.sender, problem.reason),
             )
 

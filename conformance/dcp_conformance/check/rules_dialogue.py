@@ -30,6 +30,8 @@ _SHOWN = 2
 _REMEMBERED = 64
 #: Of so many occasions this part must be missed for a verdict; of fewer, down to the second number, every one.
 _OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4
+#: Beacons that a node must have sent in the window.
+_CHANCES = 3
 _PENDING = 10_000
 
 
@@ -100,6 +102,8 @@ class _Due(NamedTuple):
     var_id: int
     cause: Instruction
     seqno: int
+    beacons: int
+    """How many beacons of the node had been heard by then."""
 
 
 class _Outcome(NamedTuple):
@@ -215,8 +219,9 @@ class _Dialogue(Invariant):
 
     def expect_from(self, node: bytes, cause: Instruction, seen: Seen, seqno: int) -> None:
         """Something is due from ``node`` within the window."""
-        if len(self._due) < _PENDING:
-            self._due.append(_Due(seen.time + self.window, node, cause.var_id, cause, seqno))
+        sender = self.context.senders.get(node)
+        if sender is not None and len(self._due) < _PENDING:
+            self._due.append(_Due(seen.time + self.window, node, cause.var_id, cause, seqno, sender.beacons))
 
     def settle(self, node: bytes, var_id: int, done: Callable[[_Due], bool]) -> None:
         """``node`` did it; ``done`` says for which occasions."""
@@ -237,8 +242,14 @@ class _Dialogue(Invariant):
     def _expire(self, time: int) -> None:
         while self._due and self._due[0].deadline < time:
             due = self._due.popleft()
-            # If something of it is missing, perhaps it did what it had to do, unheard.
-            if self.context.senders.unbroken(due.node, due.cause.heard.wall):
+            sender = self.context.senders.get(due.node)
+            # If something of it is missing, perhaps it did what it had to do, unheard. If it fell silent, it had no
+            # occasion.
+            if (
+                sender is not None
+                and sender.unbroken <= due.cause.heard.wall
+                and sender.beacons >= due.beacons + _CHANCES
+            ):
                 self._outcome(due, missed=True)
         while self._outcomes and self._outcomes[0].judged < time:
             self._count(self._outcomes.popleft())

@@ -124,16 +124,19 @@ class Repetitions(Invariant):
         """What somebody says may be a reason for others to send again."""
         if len(self._reasons) < _PENDING:
             self._reasons.append((seen.time, seen.sender, each))
-        for kind in (ICType.CREATE_VARIABLES, ICType.UPDATES):
+        for kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES):
             for node in self._senders.get((each.var_id, kind), ()):
                 run = self._runs.get((node, each.var_id, kind))
                 if run is not None and node != seen.sender:
-                    self._weigh(run, kind, seqno_of(run.last), each)
+                    self._weigh(run, kind, seqno_of(run.last) if kind is ICType.UPDATES else 0, each)
 
     def _weigh(self, run: _Run, kind: ICType, number: int, reason: Instruction) -> None:
         """Allow more, if this is a reason for that kind of instruction."""
         if kind is ICType.CREATE_VARIABLES:
             run.allowed += run.rep_cnt if reason.kind is ICType.REQUEST_VARCREATES else 0
+        elif kind is ICType.DELETE_VARIABLES:
+            # Created again, and deleted again before that was passed on.
+            run.allowed += run.rep_cnt if reason.kind is ICType.CREATE_VARIABLES else 0
         elif kind is ICType.UPDATES and reason.kind in (ICType.REQUEST_VARUPDATES, ICType.SUMMARIES, ICType.UPDATES):
             told = seqno_of(reason)
             if told == number:
