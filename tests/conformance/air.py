@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from dcp_conformance.check import Judge
 from dcp_conformance.pics import Pics
@@ -13,6 +14,21 @@ from dcp_spec.constants import features
 
 from dcp_codec import Codec
 from dcp_codec.capture import Frame
+from dcp_codec.values import (
+    Beacon,
+    BPHeader,
+    Container,
+    ExtendedSafetyData,
+    Payload,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 from dcp_stack.links.memory import PERFECT, Quality
 from dcp_stack.links.topology import Full, Topology
@@ -31,7 +47,7 @@ class Recorder:
         self.frames: list[Frame] = []
         self._ether_type = (codec.profile.link.ether_type or 0x4953).to_bytes(2, "big")
 
-    def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:  # noqa: ARG002 - a Watcher
+    def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
         """Note a transmission."""
         data = b"\xff" * 6 + source + self._ether_type + octets
         self.frames.append(Frame(len(self.frames) + 1, wall, data, len(data)))
@@ -112,8 +128,10 @@ def _has_timeout(network: Network) -> bool:
 
 
 def judged(frames: Iterable[Frame], profile: str, pics: Pics | None = None) -> RunResult:
-    """What the invariants say of a recording."""
-    judge = Judge(codec_of(profile), pics or Pics(), recording="test.mcap", command="again")
+    """What the invariants say of a recording; without ``pics`` nobody has stated its beacon period."""
+    judge = Judge(
+        codec_of(profile), pics or Pics(), recording="test.mcap", command="again", period_known=pics is not None
+    )
     for frame in frames:
         judge.feed(frame)
     return judge.result()
@@ -138,3 +156,86 @@ def thinned(frames: Sequence[Frame], share: float, seed: int) -> list[Frame]:
     """Without so many of the frames, drawn by chance: what a recorder has that loses some."""
     rng = random.Random(f"loss/{seed}")
     return [frame for frame in frames if rng.random() >= share]
+
+
+KINDS = {
+    VarCreate: "CREATE-VARIABLES",
+    VarDelete: "DELETE-VARIABLES",
+    VarReqCreate: "REQUEST-VARCREATES",
+    VarSumm: "SUMMARIES",
+    VarUpdate: "UPDATES",
+    VarReqUpdate: "REQUEST-VARUPDATES",
+}
+
+
+class Script:
+    """A recording made by hand: beacons of nodes 1, 2, 3, ... in turn, all well formed unless ``patch`` says otherwise.
+
+    ``period`` is what passes between two beacons of one node when three take turns.
+    """
+
+    def __init__(self, profile: str = "dcp-2.0", period: int = 100 * MS) -> None:
+        self.profile = profile
+        self.codec = codec_of(profile)
+        self.frames: list[Frame] = []
+        self.time = 1_767_225_600 * SECOND
+        self.step = period // 3
+        self.seqno: dict[int, int] = {}
+        self._reports: dict[int, int] = {}
+
+    def node(self, number: int) -> bytes:
+        """The identifier of a node."""
+        return b"\x02\0\0\0\0" + bytes([number])
+
+    def say(
+        self,
+        number: int,
+        *records: VardisRecord,
+        report: ExtendedSafetyData | None = None,
+        network_id: int = 0x1111,
+        seqno: int | None = None,
+        destination: bytes = b"\xff" * 6,
+        source: int | None = None,
+        patch: Callable[[bytes], bytes] = bytes,
+    ) -> int:
+        """A beacon of a node, with containers in the order of ``records``; its frame number."""
+        types = self.codec.profile.vardis.container_types.by_name()
+        containers = tuple(
+            Container(types[KINDS[kind]], tuple(group)) for kind, group in itertools.groupby(records, type)
+        )
+        payloads = ((Payload(1, report),) if report is not None else ()) + (
+            (Payload(2, containers),) if containers else ()
+        )
+        this = self.seqno.get(number, 0) if seqno is None else seqno
+        self.seqno[number] = (this + 1) % 2**32
+        has_network = self.codec.profile.has_header_field("networkId")
+        header = BPHeader(self.node(number), this, network_id=network_id if has_network else None)
+        octets = patch(self.codec.encode(Beacon(header, payloads)))
+        data = destination + self.node(source or number) + b"\x49\x53" + octets
+        self.time += self.step
+        self.frames.append(Frame(len(self.frames) + 1, self.time, data, len(data)))
+        return len(self.frames)
+
+    def idle(self, rounds: int, *said: tuple[VardisRecord, ...], nodes: Sequence[int] = (1, 2, 3)) -> None:
+        """So many beacons of every node; ``said`` by node in the same order, by default summaries of nothing."""
+        for _ in range(rounds):
+            for place, number in enumerate(nodes):
+                records = said[place] if place < len(said) else ()
+                self.say(number, *(records or (VarSumm(200 + number, 0),)))
+
+    def create(self, var_id: int, producer: int, *, seqno: int = 0, value: bytes = b"abcd", rep_cnt: int = 1,
+               age: int = 0, descr: bytes = b"v") -> VarCreate:  # fmt: skip
+        """A creation as the producer sends it; ``age`` in seconds."""
+        has_time = features(self.codec.profile.spec_version).creation_time
+        created = (1_767_225_600 - age) * SECOND if has_time else None
+        spec = VarSpec(var_id, self.node(producer), rep_cnt, descr, created, 0 if has_time else None)
+        return VarCreate(spec, VarUpdate(var_id, seqno, value))
+
+    def report(self, number: int, *, about: int | None = None, seqno: int | None = None, late: int = 0,
+               t_stamp: int | None = None) -> ExtendedSafetyData:  # fmt: skip
+        """A state report of a node, made just now or ``late`` ns ago."""
+        this = self._reports.get(number, 0) if seqno is None else seqno
+        self._reports[number] = this + 1
+        data = self.codec.safety_data_type(*([1.0] * len(self.codec.safety_data_type.__struct_fields__)))
+        stamp = self.time - late if t_stamp is None else t_stamp
+        return ExtendedSafetyData(data, self.node(about or number), stamp, this)

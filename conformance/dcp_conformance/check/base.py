@@ -18,6 +18,7 @@ from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
 from .lives import Lives
+from .said import Said, speaker
 from .senders import Senders
 
 #: Findings of one invariant that are shown with their frames; all are counted.
@@ -25,6 +26,15 @@ MOST_FINDINGS = 20
 #: Senders, and variables of each, that are followed; what a forged recording has beyond that is not judged.
 MOST_SENDERS = 4096
 MOST_VARIABLES = 65_536
+
+
+class Trace(NamedTuple):
+    """What of a frame can be remembered for long."""
+
+    number: int
+    time: int
+    seqno: int | None
+    octets: bytes
 
 
 class Seen(NamedTuple):
@@ -36,6 +46,13 @@ class Seen(NamedTuple):
     start: int
     """Where the bearer payload starts in the frame."""
     frame: bytes
+    said: tuple[Said, ...]
+    """All that it says of variables, in order."""
+
+    @property
+    def trace(self) -> Trace:
+        """What may be kept of it."""
+        return Trace(self.number, self.time, self.heard.seqno, self.heard.octets)
 
     @property
     def number(self) -> int:
@@ -50,7 +67,7 @@ class Seen(NamedTuple):
     @property
     def sender(self) -> bytes:
         """The node that speaks; for a beacon without sender the station it came from."""
-        return self.heard.sender or self.heard.source
+        return speaker(self.heard)
 
 
 class Finding(NamedTuple):
@@ -61,6 +78,10 @@ class Finding(NamedTuple):
     expected: str
     observed: str
     frames: tuple[Mark, ...]
+
+
+Evidence = Seen | Trace | Said | Instruction | Mark
+"""What can be cited."""
 
 
 class Context:
@@ -77,8 +98,8 @@ class Context:
     def feed(self, seen: Seen) -> None:
         """The next frame, before the invariants get it."""
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
-        for each in seen.heard.instructions():
-            self.lives.feed(each, seen.sender)
+        for each in seen.said:
+            self.lives.feed(each)
 
     @property
     def profile(self) -> Profile:
@@ -131,7 +152,7 @@ class Invariant:
     def violated(
         self,
         observed: str,
-        frames: Iterable[Seen | Instruction | Mark],
+        frames: Iterable[Evidence],
         *requirements: str,
         expected: str = "",
         verdict: Verdict = Verdict.FAIL,
@@ -153,19 +174,19 @@ class Invariant:
             Finding(verdict, requirements or self.requirements, expected or self.expect, observed, marks)
         )
 
-    def note(
-        self, question: str, observed: str, frames: Iterable[Seen | Instruction | Mark], *requirements: str
-    ) -> None:
+    def note(self, question: str, observed: str, frames: Iterable[Evidence], *requirements: str) -> None:
         """Something that the specification leaves open, or a hazard that it brings about."""
         self.violated(
             observed, frames, *requirements, expected=question, verdict=Verdict.INFO, once=(question, observed)
         )
 
-    def _mark(self, what: Seen | Instruction | Mark) -> Mark:
+    def _mark(self, what: Evidence) -> Mark:
         if isinstance(what, Mark):
             return what
-        if isinstance(what, Seen):
+        if isinstance(what, Seen | Trace):
             return Mark(what.number)
+        if isinstance(what, Said):
+            return Mark(what.frame, path=f"{what.kind.label} {what.var_id}")
         return Mark(what.heard.number, path=f"{what.kind.label} {what.var_id}")
 
 
@@ -182,7 +203,7 @@ _OF_THE_SENDER = {
     "VD-RX-05": "VD-IC-02",
     "VD-RX-06": "VD-IC-03",
     "VD-RX-07": "VD-IC-01",
-    "VD-PC-06": "VD-CRE-05",
+    "VD-PC-06": "VD-CRE-07",
 }
 
 

@@ -28,6 +28,7 @@ from dcp_conformance.verdict import Verdict, worst
 
 from . import rules_bp, rules_data, rules_dialogue, rules_repetition, rules_srp, rules_vardis, rules_variables
 from .base import Context, Invariant, Seen
+from .said import said_in
 
 RULES: tuple[type[Invariant], ...] = (
     *rules_data.RULES,
@@ -78,7 +79,7 @@ class Judge:
         octets = frame.data[framing.start : framing.end]
         heard = Heard(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
         dissection = self._codec.dissect(frame.data[: framing.end], start=framing.start, base=framing.start)
-        seen = Seen(heard, dissection, framing.dst, framing.start, frame.data)
+        seen = Seen(heard, dissection, framing.dst, framing.start, frame.data, said_in(heard))
         if seen.sender in self._senders or len(self._senders) < 4096:
             self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1
         self._recent[frame.number] = (frame, framing.start, seen.sender)

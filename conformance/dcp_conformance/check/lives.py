@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarSpec
-from dcp_conformance.heard import Instruction
 
+from .said import Said
 from .senders import Senders
 
 
@@ -24,7 +24,7 @@ class Life:
 
     producer: bytes | None = None
     spec: VarSpec | None = None
-    first: Instruction | None = None
+    first: Said | None = None
     """Its producer's first create, if nobody had spoken of it before."""
     producer_life: int = 0
     mixed: bool = False
@@ -40,23 +40,23 @@ class Lives:
         self._creation_time = creation_time
         self._known: dict[int, Life] = {}
 
-    def feed(self, instruction: Instruction, sender: bytes) -> None:
+    def feed(self, said: Said) -> None:
         """Something is said of a variable."""
-        life = self._known.get(instruction.var_id)
-        create = instruction.record if instruction.kind is ICType.CREATE_VARIABLES else None
+        life = self._known.get(said.var_id)
+        create = said.record if said.kind is ICType.CREATE_VARIABLES else None
         if life is None:
             if len(self._known) >= self._most:
                 return
-            life = self._known[instruction.var_id] = Life()
-            if create is not None and create.spec.prod_id == sender and create.upd.seqno == 0:
-                life.first = instruction
+            life = self._known[said.var_id] = Life()
+            if create is not None and create.spec.prod_id == said.sender and create.upd.seqno == 0:
+                life.first = said
         if create is not None:
             if life.spec is None:
                 life.spec, life.producer = create.spec, create.spec.prod_id
                 life.producer_life = self._senders.life(create.spec.prod_id)
-            elif self._another(life.spec, create.spec, sender):
+            elif self._another(life.spec, create.spec, said.sender):
                 life.mixed = True
-        elif instruction.kind is ICType.DELETE_VARIABLES:
+        elif said.kind is ICType.DELETE_VARIABLES:
             # It may come back, and not all nodes need have heard that it had gone.
             life.mixed = True
 
@@ -72,10 +72,10 @@ class Lives:
         life = self._known.get(var_id)
         return None if life is None else life.producer
 
-    def first(self, var_id: int) -> tuple[int, Instruction] | None:
+    def first(self, var_id: int) -> tuple[int, Said] | None:
         """When its producer created a variable of which nobody had spoken before, in ns since 1970, and the record."""
         life = self._known.get(var_id)
-        return None if life is None or life.first is None else (life.first.heard.wall, life.first)
+        return None if life is None or life.first is None else (life.first.time, life.first)
 
     def born(self, var_id: int) -> int | None:
         """When a variable was created of which the recording shows the only life so far, from its beginning.
@@ -86,7 +86,7 @@ class Lives:
         life = self._known.get(var_id)
         if life is None or life.first is None or life.mixed or life.producer is None:
             return None
-        begin = life.first.heard.wall
+        begin = life.first.time
         if life.producer_life != self._senders.life(life.producer) or not self._senders.unbroken(life.producer, begin):
             return None
         return begin

@@ -11,7 +11,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
-from .base import MOST_SENDERS, Context, Invariant, Seen, broken_by, name
+from .base import MOST_SENDERS, Context, Invariant, Seen, Trace, broken_by, name
 
 MS = 1_000_000
 BROADCAST = b"\xff" * 6
@@ -138,7 +138,7 @@ class NetworkIdentifier(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._known: dict[bytes, tuple[int, Seen]] = {}
+        self._known: dict[bytes, tuple[int, Trace]] = {}
         self._changes: dict[bytes, int] = {}
 
     def applies(self) -> str:
@@ -162,7 +162,7 @@ class NetworkIdentifier(Invariant):
                 else:
                     self.note("a sender goes to another network", text, [before[1], seen])
         if before is not None or len(self._known) < MOST_SENDERS:
-            self._known[seen.sender] = (number, seen)
+            self._known[seen.sender] = (number, seen.trace)
 
 
 class SequenceNumbers(Invariant):
@@ -176,7 +176,7 @@ class SequenceNumbers(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._last: dict[bytes, Seen] = {}
+        self._last: dict[bytes, Trace] = {}
         self._missing: dict[bytes, deque[int]] = {}
         self._restarts: dict[bytes, tuple[int, int]] = {}
         """How often a sender started again, and how many beacons of it there are."""
@@ -195,11 +195,11 @@ class SequenceNumbers(Invariant):
         if last is None:
             if len(self._last) >= MOST_SENDERS:
                 return
-            self._last[seen.sender] = seen
+            self._last[seen.sender] = seen.trace
             if number == first and seen.time > self._begin:
                 self.exercised("BP-HDR-08")
             return
-        before = last.heard.seqno or 0
+        before = last.seqno or 0
         step = (number - before) % BP_SEQNO_MODULUS
         text = f"{name(seen.sender)}: {number} after {before}"
         missing = self._missing.get(seen.sender)
@@ -210,10 +210,10 @@ class SequenceNumbers(Invariant):
             self.lost[seen.sender] -= 1
             self.note("beacons that were recorded out of order", text, [last, seen])
             return
-        self._last[seen.sender] = seen
+        self._last[seen.sender] = seen.trace
         if step == 1:
             self.exercised()
-        elif step == 0 and seen.heard.octets == last.heard.octets:
+        elif step == 0 and seen.heard.octets == last.octets:
             self.note("the same beacon twice", f"{name(seen.sender)}: seqno {number}", [last, seen])
         elif 1 < step < BP_SEQNO_MODULUS // 2:
             self.lost[seen.sender] = self.lost.get(seen.sender, 0) + step - 1
@@ -256,7 +256,7 @@ class BeaconPeriod(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._last: dict[bytes, Seen] = {}
+        self._last: dict[bytes, Trace] = {}
         self._intervals: dict[bytes, list[float]] = {}
 
     def feed(self, seen: Seen) -> None:
@@ -264,10 +264,10 @@ class BeaconPeriod(Invariant):
         last = self._last.get(seen.sender)
         if last is None and len(self._last) >= MOST_SENDERS:
             return
-        self._last[seen.sender] = seen
-        if last is None or seen.heard.seqno is None or last.heard.seqno is None:
+        self._last[seen.sender] = seen.trace
+        if last is None or seen.heard.seqno is None or last.seqno is None:
             return
-        if (seen.heard.seqno - last.heard.seqno) % BP_SEQNO_MODULUS == 1:
+        if (seen.heard.seqno - last.seqno) % BP_SEQNO_MODULUS == 1:
             intervals = self._intervals.setdefault(seen.sender, [])
             if len(intervals) < _INTERVALS:
                 intervals.append((seen.time - last.time) / MS)
@@ -306,7 +306,7 @@ class SenderIdentifier(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._known: dict[bytes, tuple[bytes, Seen]] = {}
+        self._known: dict[bytes, tuple[bytes, Trace]] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare by source address."""
@@ -316,7 +316,7 @@ class SenderIdentifier(Invariant):
         before = self._known.get(source)
         if before is None:
             if len(self._known) < MOST_SENDERS:
-                self._known[source] = (sender, seen)
+                self._known[source] = (sender, seen.trace)
             return
         self.exercised()
         if before[0] != sender:

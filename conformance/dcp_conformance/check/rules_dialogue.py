@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 from dcp_spec.constants import ICType
 
 from dcp_conformance.circular import Circle
-from dcp_conformance.heard import Instruction
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .rules_vardis import SENT, seqno_of
+from .said import Said
 
 MS = 1_000_000
 #: For how long after it was shown that Y hears X this is believed, in ns.
@@ -54,11 +54,12 @@ class Hearing:
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self._half = 1 << (8 * context.profile.types.var_seqno.width - 1)
         self._origins: dict[tuple[int, int, ICType], tuple[int, set[bytes]]] = {}
         self._open: deque[_Shown] = deque()
         self._heard: dict[tuple[bytes, bytes], deque[int]] = {}
 
-    def feed(self, instruction: Instruction, sender: bytes, time: int) -> None:
+    def feed(self, instruction: Said, sender: bytes, time: int) -> None:
         """Take an instruction."""
         while self._open and self._open[0].end + _GAP_SHOWS < time:
             self._believe(self._open.popleft())
@@ -69,14 +70,21 @@ class Hearing:
         if lives.born(instruction.var_id) is None:
             self._origins.pop(key, None)
             return
-        begin, senders = self._origins.get(key, (0, set()))
-        if not senders or time - begin > _BELIEF:
-            # The numbers come round again.
+        # The numbers come round again: half a circle ahead is half a circle back.
+        opposite = (key[1] + self._half) % (2 * self._half)
+        self._origins.pop((instruction.var_id, opposite, instruction.kind), None)
+        begin, senders = self._origins.get(key, (time, set()))
+        if not senders:
             if len(self._origins) >= MOST_VARIABLES:
                 self._origins.clear()
             self._origins[key] = (time, {sender})
         elif sender not in senders:
-            if len(senders) == 1 and lives.producer(instruction.var_id) != sender and len(self._open) < _PENDING:
+            if (
+                len(senders) == 1
+                and time - begin < _BELIEF
+                and lives.producer(instruction.var_id) != sender
+                and len(self._open) < _PENDING
+            ):
                 self._open.append(_Shown(begin, time, sender, next(iter(senders))))
             senders.add(sender)
 
@@ -100,7 +108,7 @@ class _Due(NamedTuple):
     node: bytes
     """Who has to do something."""
     var_id: int
-    cause: Instruction
+    cause: Said
     seqno: int
     beacons: int
     """How many beacons of the node had been heard by then."""
@@ -120,9 +128,9 @@ class Counter:
 
     def __init__(self) -> None:
         self.occasions = self.missed = 0
-        self.examples: list[Instruction] = []
+        self.examples: list[Said] = []
 
-    def note(self, cause: Instruction, *, missed: bool) -> None:
+    def note(self, cause: Said, *, missed: bool) -> None:
         self.occasions += 1
         if missed:
             self.missed += 1
@@ -158,17 +166,17 @@ class _Dialogue(Invariant):
     def feed(self, seen: Seen) -> None:
         """Take all instructions of a beacon, then look at what it answers."""
         self._expire(seen.time)
-        for each in seen.heard.instructions():
+        for each in seen.said:
             self.hearing.feed(each, seen.sender, seen.time)
             if each.kind is ICType.DELETE_VARIABLES or (each.kind in SENT and self._begins_again(each, seen.sender)):
                 # Whatever was due was due of another life of the variable.
                 self._settle(seen.sender, each.var_id, lambda _due: True, met=None)
             self.met(each, seen)
             self._note(each, seen)
-        for each in seen.heard.instructions():
+        for each in seen.said:
             self.asked(each, seen)
 
-    def _begins_again(self, each: Instruction, node: bytes) -> bool:
+    def _begins_again(self, each: Said, node: bytes) -> bool:
         """Whether a node has taken another creation than it had."""
         key = (node, each.var_id)
         if each.kind is ICType.CREATE_VARIABLES:
@@ -182,7 +190,7 @@ class _Dialogue(Invariant):
         known = self._known.get(key)
         return known is not None and seqno_of(each) != known[0] and not self.circle.newer(seqno_of(each), known[0])
 
-    def _note(self, each: Instruction, seen: Seen) -> None:
+    def _note(self, each: Said, seen: Seen) -> None:
         key = (seen.sender, each.var_id)
         if each.kind is ICType.DELETE_VARIABLES:
             self._known.pop(key, None)
@@ -190,15 +198,15 @@ class _Dialogue(Invariant):
             self._known[key] = (seqno_of(each), seen.time)
             self._holders.setdefault(each.var_id, set()).add(seen.sender)
 
-    def others(self, instruction: Instruction, seen: Seen) -> list[bytes]:
+    def others(self, instruction: Said, seen: Seen) -> list[bytes]:
         """Who else was ever heard to have the variable; whether they hear the sender is seen later."""
         return [node for node in self._holders.get(instruction.var_id, ()) if node != seen.sender]
 
-    def met(self, instruction: Instruction, seen: Seen) -> None:
+    def met(self, instruction: Said, seen: Seen) -> None:
         """A node says something: settle what was due from it."""
         raise NotImplementedError
 
-    def asked(self, instruction: Instruction, seen: Seen) -> None:
+    def asked(self, instruction: Said, seen: Seen) -> None:
         """A node says something: note what others have to do about it."""
         raise NotImplementedError
 
@@ -217,7 +225,7 @@ class _Dialogue(Invariant):
             producer = self.context.lives.producer(var_id)
         return producer is not None and producer != node
 
-    def expect_from(self, node: bytes, cause: Instruction, seen: Seen, seqno: int) -> None:
+    def expect_from(self, node: bytes, cause: Said, seen: Seen, seqno: int) -> None:
         """Something is due from ``node`` within the window."""
         sender = self.context.senders.get(node)
         if sender is not None and len(self._due) < _PENDING:
@@ -245,23 +253,19 @@ class _Dialogue(Invariant):
             sender = self.context.senders.get(due.node)
             # If something of it is missing, perhaps it did what it had to do, unheard. If it fell silent, it had no
             # occasion.
-            if (
-                sender is not None
-                and sender.unbroken <= due.cause.heard.wall
-                and sender.beacons >= due.beacons + _CHANCES
-            ):
+            if sender is not None and sender.unbroken <= due.cause.time and sender.beacons >= due.beacons + _CHANCES:
                 self._outcome(due, missed=True)
         while self._outcomes and self._outcomes[0].judged < time:
             self._count(self._outcomes.popleft())
 
     def _outcome(self, due: _Due, *, missed: bool) -> None:
         if len(self._outcomes) < _PENDING:
-            self._outcomes.append(_Outcome(due.cause.heard.wall + _BELIEF + _GAP_SHOWS, due, missed))
+            self._outcomes.append(_Outcome(due.cause.time + _BELIEF + _GAP_SHOWS, due, missed))
 
     def _count(self, outcome: _Outcome) -> None:
         due = outcome.due
-        speaker = due.cause.heard.sender or due.cause.heard.source
-        if not self.hearing.hears(due.node, speaker, due.cause.heard.wall):
+        speaker = due.cause.sender
+        if not self.hearing.hears(due.node, speaker, due.cause.time):
             return
         if (due.node, due.var_id) in self._counters or len(self._counters) < MOST_VARIABLES:
             self._counters.setdefault((due.node, due.var_id), Counter()).note(due.cause, missed=outcome.missed)
@@ -280,7 +284,7 @@ class _Dialogue(Invariant):
     def example(self, counter: Counter) -> str:
         """More about what was missed."""
         first = counter.examples[0]
-        return f", first after frame {first.heard.number} of {name(first.heard.sender or b'')}"
+        return f", first after frame {first.frame} of {name(first.sender)}"
 
 
 class AnswersUpdateRequests(_Dialogue):
@@ -292,13 +296,13 @@ class AnswersUpdateRequests(_Dialogue):
     requirements = ("VD-RU-04",)
     expect = "an update within the reaction time after a request that tells an older number"
 
-    def met(self, instruction: Instruction, seen: Seen) -> None:
+    def met(self, instruction: Said, seen: Seen) -> None:
         """An update answers every request with an older number."""
         if instruction.kind is ICType.UPDATES:
             number = seqno_of(instruction)
             self.settle(seen.sender, instruction.var_id, lambda due: not self.circle.newer(due.seqno, number))
 
-    def asked(self, instruction: Instruction, seen: Seen) -> None:
+    def asked(self, instruction: Said, seen: Seen) -> None:
         """Everybody who hears the request and has something newer owes an answer."""
         if instruction.kind is not ICType.REQUEST_VARUPDATES:
             return
@@ -317,12 +321,12 @@ class AnswersCreateRequests(_Dialogue):
     requirements = ("VD-RC-03",)
     expect = "a create within the reaction time after a request"
 
-    def met(self, instruction: Instruction, seen: Seen) -> None:
+    def met(self, instruction: Said, seen: Seen) -> None:
         """A create answers."""
         if instruction.kind is ICType.CREATE_VARIABLES:
             self.settle(seen.sender, instruction.var_id, lambda _due: True)
 
-    def asked(self, instruction: Instruction, seen: Seen) -> None:
+    def asked(self, instruction: Said, seen: Seen) -> None:
         """Everybody who hears the request and has the variable owes an answer."""
         if instruction.kind is not ICType.REQUEST_VARCREATES:
             return
@@ -340,13 +344,13 @@ class TakesUpdates(_Dialogue):
     requirements = ("VD-PU-07", "VD-RX-04")
     expect = "the newer number in the summaries and updates of a node that hears the update"
 
-    def met(self, instruction: Instruction, seen: Seen) -> None:
+    def met(self, instruction: Said, seen: Seen) -> None:
         """Whatever carries the number, or a newer one, shows that it was taken."""
         if instruction.kind in SENT:
             number = seqno_of(instruction)
             self.settle(seen.sender, instruction.var_id, lambda due: not self.circle.newer(due.seqno, number))
 
-    def asked(self, instruction: Instruction, seen: Seen) -> None:
+    def asked(self, instruction: Said, seen: Seen) -> None:
         """Everybody who hears the update, has the variable and is not its producer must take it."""
         if instruction.kind is not ICType.UPDATES:
             return

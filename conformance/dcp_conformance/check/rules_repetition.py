@@ -9,12 +9,12 @@ from typing import Any
 from dcp_spec.constants import ICType
 
 from dcp_conformance.circular import Circle
-from dcp_conformance.heard import Instruction
 from dcp_conformance.results import Mark
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .rules_dialogue import Counter
 from .rules_vardis import SENT, seqno_of
+from .said import Said
 
 MS = 1_000_000
 #: For how many beacon periods before it is seen on the air a payload may have been composed.
@@ -33,7 +33,7 @@ class _Run:
     """Life of the node, creation, number."""
     rep_cnt: int
     begin: int
-    last: Instruction
+    last: Said
     beacons: int = 1
     allowed: int = 0
     told: int = 0
@@ -41,7 +41,7 @@ class _Run:
 
 
 class Repetitions(Invariant):
-    """Instructions are repeated as often as the VarSpec says.
+    """Saids are repeated as often as the VarSpec says.
 
     Somebody whom the recorder does not hear may have given a reason to send again. So a node is judged by most of what
     it repeats, and by nothing during which a beacon was missed.
@@ -61,7 +61,7 @@ class Repetitions(Invariant):
         self._runs: dict[_Key, _Run] = {}
         self._senders: dict[tuple[int, ICType], set[bytes]] = {}
         """Who has a run of that kind, by variable."""
-        self._reasons: deque[tuple[int, bytes, Instruction]] = deque()
+        self._reasons: deque[tuple[int, bytes, Said]] = deque()
         """What was said lately that can be a reason for others, when, and by whom."""
         self._closed: deque[tuple[int, _Key, _Run]] = deque()
         self._counters: dict[tuple[bytes, ICType, bool], Counter] = {}
@@ -73,7 +73,7 @@ class Repetitions(Invariant):
         while self._reasons and self._reasons[0][0] < seen.time - self._composed:
             self._reasons.popleft()
         self._count(seen.time)
-        for each in seen.heard.instructions():
+        for each in seen.said:
             node, var_id = seen.sender, each.var_id
             if each.kind is ICType.CREATE_VARIABLES and (
                 (node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES
@@ -100,7 +100,7 @@ class Repetitions(Invariant):
             return None
         return int(first[1].record.spec.rep_cnt)
 
-    def _sent(self, each: Instruction, seen: Seen) -> None:
+    def _sent(self, each: Said, seen: Seen) -> None:
         key = (seen.sender, each.var_id, each.kind)
         number = seqno_of(each) if each.kind is ICType.UPDATES else 0
         what = (self.context.senders.life(seen.sender), *self._creation.get(key[:2], ())[:2], number)
@@ -120,7 +120,7 @@ class Repetitions(Invariant):
             if node != seen.sender and reason.var_id == each.var_id:
                 self._weigh(run, each.kind, number, reason)
 
-    def _reason(self, each: Instruction, seen: Seen) -> None:
+    def _reason(self, each: Said, seen: Seen) -> None:
         """What somebody says may be a reason for others to send again."""
         if len(self._reasons) < _PENDING:
             self._reasons.append((seen.time, seen.sender, each))
@@ -130,7 +130,7 @@ class Repetitions(Invariant):
                 if run is not None and node != seen.sender:
                     self._weigh(run, kind, seqno_of(run.last) if kind is ICType.UPDATES else 0, each)
 
-    def _weigh(self, run: _Run, kind: ICType, number: int, reason: Instruction) -> None:
+    def _weigh(self, run: _Run, kind: ICType, number: int, reason: Said) -> None:
         """Allow more, if this is a reason for that kind of instruction."""
         if kind is ICType.CREATE_VARIABLES:
             run.allowed += run.rep_cnt if reason.kind is ICType.REQUEST_VARCREATES else 0
@@ -156,7 +156,7 @@ class Repetitions(Invariant):
     def _count(self, now: int) -> None:
         while self._closed and self._closed[0][0] + _GAP_SHOWS < now:
             _, (node, var_id, kind), run = self._closed.popleft()
-            if not self.context.senders.complete(run.begin - self._composed, run.last.heard.wall):
+            if not self.context.senders.complete(run.begin - self._composed, run.last.time):
                 continue
             missed, told = run.beacons > run.allowed, bool(run.told) and kind is ICType.UPDATES
             self.exercised(*(("VD-RU-03",) if told else ("VD-SCP-02", "VD-SCP-03")))
@@ -195,19 +195,19 @@ class Requests(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._has: dict[tuple[bytes, int], Instruction] = {}
+        self._has: dict[tuple[bytes, int], Said] = {}
         self._asked: dict[tuple[bytes, int], list[int]] = {}
         self._producers: dict[int, bytes] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare requests with what the node last said."""
-        for each in seen.heard.instructions():
+        for each in seen.said:
             key = (seen.sender, each.var_id)
             if each.kind is ICType.REQUEST_VARCREATES:
                 self.exercised()
                 self._count(each, seen)
                 has = self._has.get(key)
-                if has is not None and self.context.senders.unbroken(seen.sender, has.heard.wall):
+                if has is not None and self.context.senders.unbroken(seen.sender, has.time):
                     text = f"{name(seen.sender)} asks for variable {each.var_id}, which it has"
                     self.violated(text, [has, each], once=key)
             elif each.kind is ICType.DELETE_VARIABLES:
@@ -217,10 +217,10 @@ class Requests(Invariant):
             if each.kind is ICType.CREATE_VARIABLES:
                 self._producers[each.var_id] = each.record.spec.prod_id
 
-    def _count(self, each: Instruction, seen: Seen) -> None:
+    def _count(self, each: Said, seen: Seen) -> None:
         key = (seen.sender, each.var_id)
         if key in self._asked or len(self._asked) < MOST_VARIABLES:
-            self._asked.setdefault(key, [0, each.heard.number])[0] += 1
+            self._asked.setdefault(key, [0, each.frame])[0] += 1
 
     def finish(self) -> None:
         """Hazards of the design: requests that never end, and producers that ask for their own variables."""

@@ -9,7 +9,7 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS
 from dcp_codec.values import ExtendedSafetyData
 from dcp_conformance.verdict import Verdict
 
-from .base import MOST_SENDERS, Context, Invariant, Seen, name
+from .base import MOST_SENDERS, Context, Invariant, Seen, Trace, name
 
 #: A node whose state reports have started again has made so many at most, or one in so many ns.
 _RESTART, _SPACING = 3, 10_000_000
@@ -48,7 +48,7 @@ class ReportLength(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._lengths: dict[bytes, tuple[int, Seen]] = {}
+        self._lengths: dict[bytes, tuple[int, Trace]] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare lengths; a wrong one is an error of the dissector already."""
@@ -63,7 +63,7 @@ class ReportLength(Invariant):
             before = self._lengths.get(seen.sender)
             if before is None:
                 if len(self._lengths) < MOST_SENDERS:
-                    self._lengths[seen.sender] = (report.length, seen)
+                    self._lengths[seen.sender] = (report.length, seen.trace)
                 continue
             self.exercised()
             if before[0] != report.length:
@@ -73,7 +73,7 @@ class ReportLength(Invariant):
 
 class _Last(NamedTuple):
     report: ExtendedSafetyData
-    seen: Seen
+    seen: Trace
 
 
 class ReportNumbers(Invariant):
@@ -99,12 +99,12 @@ class ReportNumbers(Invariant):
         last = self._last.get(report.node_id)
         if last is None and len(self._last) >= MOST_SENDERS:
             return
-        self._last[report.node_id] = _Last(report, seen)
+        self._last[report.node_id] = _Last(report, seen.trace)
         if last is None:
             return
         step, who = (report.seqno - last.report.seqno) % SRP_SEQNO_MODULUS, name(report.node_id)
         same = report.t_stamp == last.report.t_stamp and report.s_data == last.report.s_data
-        both = [last.seen, seen]
+        both = [last.seen, seen.trace]
         if step == 0:
             self.exercised("SRP-TYP-06")
             if not same and report.t_stamp != last.report.t_stamp and report.seqno > _RESTART:

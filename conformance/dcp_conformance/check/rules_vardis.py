@@ -11,12 +11,13 @@ from dcp_conformance.heard import Instruction
 from dcp_conformance.verdict import Verdict
 
 from .base import Context, Invariant, Seen, name
+from .said import Said
 
 #: What says which number of a variable its sender has.
 SENT = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
 
 
-def seqno_of(instruction: Instruction) -> int:
+def seqno_of(instruction: Instruction | Said) -> int:
     """The number that a VC, VU, VS or RU carries."""
     record = instruction.record
     number: int = record.upd.seqno if isinstance(record, VarCreate) else record.seqno

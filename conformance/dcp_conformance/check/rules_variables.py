@@ -13,10 +13,10 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.circular import Circle
-from dcp_conformance.heard import Instruction
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .rules_vardis import SENT, seqno_of
+from .said import Said
 
 #: Values of a variable that are remembered: fewer than the circle of its numbers has.
 _VALUES = 64
@@ -30,8 +30,8 @@ _SUSPECTS = 4096
 class _Suspect(NamedTuple):
     """What looks wrong, until it is explained."""
 
-    before: Instruction
-    after: Instruction
+    before: Said
+    after: Said
     beacons: int
     """How many beacons of the node had been heard by then."""
     text: str
@@ -44,10 +44,10 @@ class _OfOneNode(Invariant):
         super().__init__(context)
         self._suspects: OrderedDict[tuple[bytes, int], _Suspect] = OrderedDict()
 
-    def suspect(self, before: Instruction, after: Instruction, seen: Seen, text: str) -> None:
+    def suspect(self, before: Said, after: Said, seen: Seen, text: str) -> None:
         """Only if nothing of the node is missing in between."""
         sender = self.context.senders.get(seen.sender)
-        if sender is None or sender.unbroken > before.heard.wall or len(self._suspects) >= _SUSPECTS:
+        if sender is None or sender.unbroken > before.time or len(self._suspects) >= _SUSPECTS:
             return
         self._suspects.setdefault((seen.sender, after.var_id), _Suspect(before, after, sender.beacons, text))
 
@@ -60,12 +60,12 @@ class _OfOneNode(Invariant):
         while self._suspects:
             key, suspect = next(iter(self._suspects.items()))
             sender = self.context.senders.get(key[0])
-            if sender is None or sender.unbroken > suspect.before.heard.wall:
+            if sender is None or sender.unbroken > suspect.before.time:
                 del self._suspects[key]
             elif sender.beacons >= suspect.beacons + _PATIENCE:
                 del self._suspects[key]
                 self.violated(suspect.text, [suspect.before, suspect.after], once=key)
-            elif suspect.after.heard.wall + _PATIENCE * _GAP_SHOWS < self._now:
+            elif suspect.after.time + _PATIENCE * _GAP_SHOWS < self._now:
                 # It has fallen silent.
                 del self._suspects[key]
             else:
@@ -88,13 +88,13 @@ class SequenceForwards(_OfOneNode):
         self._circle = Circle(context.profile.types.var_seqno.width)
         self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
         """(node, variable) -> the creation that the node has spoken of."""
-        self._last: dict[tuple[bytes, int], Instruction] = {}
+        self._last: dict[tuple[bytes, int], Said] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare with what the node sent last."""
         self._now = seen.time
         self.due()
-        for each in seen.heard.instructions():
+        for each in seen.said:
             key = (seen.sender, each.var_id)
             if each.kind is ICType.DELETE_VARIABLES:
                 self._last.pop(key, None)
@@ -138,13 +138,13 @@ class Deleted(_OfOneNode):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._deleted: dict[tuple[bytes, int], Instruction] = {}
+        self._deleted: dict[tuple[bytes, int], Said] = {}
 
     def feed(self, seen: Seen) -> None:
         """Remember deletes; a create that the node itself sends behind one ends its force."""
         self._now = seen.time
         self.due()
-        for each in seen.heard.instructions():
+        for each in seen.said:
             key = (seen.sender, each.var_id)
             if each.kind is ICType.DELETE_VARIABLES:
                 if key in self._deleted or len(self._deleted) < MOST_VARIABLES:
@@ -167,8 +167,8 @@ class _Contradiction(NamedTuple):
     """Two nodes that say different things of one variable, until it is certain that nothing of either was missed."""
 
     begin: int
-    before: Instruction
-    after: Instruction
+    before: Said
+    after: Said
     text: str
     key: object
 
@@ -180,16 +180,16 @@ class _OfAllNodes(Invariant):
         super().__init__(context)
         self._open: deque[_Contradiction] = deque()
 
-    def contradict(self, begin: int, before: Instruction, after: Instruction, text: str, key: object) -> None:
+    def contradict(self, begin: int, before: Said, after: Said, text: str, key: object) -> None:
         """``begin``: nothing may be missing since then."""
         if len(self._open) < _SUSPECTS:
             self._open.append(_Contradiction(begin, before, after, text, key))
 
     def due(self, now: int) -> None:
         """Judge those of which it is certain now that nothing was missed."""
-        while self._open and self._open[0].after.heard.wall + _GAP_SHOWS < now:
+        while self._open and self._open[0].after.time + _GAP_SHOWS < now:
             each = self._open.popleft()
-            if self.context.senders.complete(each.begin, each.after.heard.wall):
+            if self.context.senders.complete(each.begin, each.after.time):
                 self.violated(each.text, [each.before, each.after], once=each.key)
 
     def finish(self) -> None:
@@ -209,14 +209,14 @@ class OneValue(_OfAllNodes):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
-        self._values: dict[int, OrderedDict[int, tuple[bytes, Instruction]]] = {}
+        self._values: dict[int, OrderedDict[int, tuple[bytes, Said]]] = {}
         self._newest: dict[int, int] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare with whoever sent that number first."""
         self.due(seen.time)
         lives = self.context.lives
-        for each in seen.heard.instructions():
+        for each in seen.said:
             if each.kind not in SENT:
                 continue
             born = lives.born(each.var_id)
@@ -242,7 +242,7 @@ class OneValue(_OfAllNodes):
     def _far(self, number: int, newest: int) -> bool:
         return (newest - number) % self._circle.modulus >= self._circle.modulus // 4
 
-    def _compare(self, each: Instruction, born: int, seen: Seen) -> None:
+    def _compare(self, each: Said, born: int, seen: Seen) -> None:
         record = each.record.upd if isinstance(each.record, VarCreate) else each.record
         newest = self._newest.get(each.var_id)
         if newest is None or self._far(record.seqno, newest):
@@ -258,7 +258,7 @@ class OneValue(_OfAllNodes):
         if before[0] != record.value:
             text = (
                 f"variable {each.var_id}, seqno {record.seqno}: {before[0].hex()} from "
-                f"{name(before[1].heard.sender or b'')}, {record.value.hex()} from {name(seen.sender)}"
+                f"{name(before[1].sender)}, {record.value.hex()} from {name(seen.sender)}"
             )
             self.contradict(born, before[1], each, text, (each.var_id, record.seqno))
 
@@ -274,12 +274,12 @@ class OneSpec(_OfAllNodes):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._specs: OrderedDict[tuple[Any, ...], Instruction] = OrderedDict()
+        self._specs: OrderedDict[tuple[Any, ...], Said] = OrderedDict()
 
     def feed(self, seen: Seen) -> None:
         """Compare with whoever sent the creation first."""
         self.due(seen.time)
-        for each in seen.heard.instructions(ICType.CREATE_VARIABLES):
+        for each in (said for said in seen.said if said.kind is ICType.CREATE_VARIABLES):
             spec = each.record.spec
             key = (each.var_id, spec.prod_id, spec.creation_time)
             before = self._specs.get(key)
@@ -290,7 +290,7 @@ class OneSpec(_OfAllNodes):
                 if len(self._specs) > MOST_VARIABLES:
                     self._specs.popitem(last=False)
                 continue
-            if before.heard.sender != seen.sender:
+            if before.sender != seen.sender:
                 self.exercised()
             if before.record.spec == spec:
                 continue
@@ -303,7 +303,7 @@ class OneSpec(_OfAllNodes):
                 if born is not None:
                     self.contradict(born, before, each, text, key)
 
-    def _unheard(self, each: Instruction, seen: Seen) -> None:
+    def _unheard(self, each: Said, seen: Seen) -> None:
         """A creation that its producer never sent, later than the one that it made before our eyes.
 
         An earlier one may be older than the recording, and come with a node that has been out of reach.
@@ -331,7 +331,7 @@ class Recreation(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._last: dict[int, Instruction] = {}
+        self._last: dict[int, Said] = {}
         self._life: dict[int, int] = {}
         """The life of the producer in which it created the variable last."""
 
@@ -341,7 +341,7 @@ class Recreation(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare what producers themselves create."""
-        for each in seen.heard.instructions(ICType.CREATE_VARIABLES):
+        for each in (said for said in seen.said if said.kind is ICType.CREATE_VARIABLES):
             if each.record.spec.prod_id != seen.sender:
                 continue
             self._judge(each, seen)
@@ -349,7 +349,7 @@ class Recreation(Invariant):
                 self._last[each.var_id] = each
                 self._life[each.var_id] = self.context.senders.life(seen.sender)
 
-    def _judge(self, each: Instruction, seen: Seen) -> None:
+    def _judge(self, each: Said, seen: Seen) -> None:
         before = self._last.get(each.var_id)
         if before is None or before.record.spec.creation_time == each.record.spec.creation_time:
             return
