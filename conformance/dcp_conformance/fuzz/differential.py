@@ -132,10 +132,16 @@ class Comparison:
         effect = self.said(at)
         if effect is not None:
             return effect
-        for owed in observer.oracle.overdue(bench.now()):
+        overdue = observer.oracle.overdue(bench.now())
+        # Who has too much to say is late with good reason.
+        for owed in () if self._busy() else overdue:
             detail = f"variable {owed.var_id}: {owed.kind.label} did not come"
             return Effect("said", detail, at, f"missing {owed.kind.label} {owed.requirement}")
         return self._variables(at) or self._summaries(at) or self._neighbours(at)
+
+    def _busy(self) -> bool:
+        most = self._bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+        return any(len(heard.octets) > most // 2 for heard in self._bench.heard)
 
     def _variables(self, at: int) -> Effect | None:
         bench = self._bench
@@ -170,15 +176,16 @@ class Comparison:
         bench = self._bench
         if bench.parameter("VARDISPAR_MAX_SUMMARIES") <= 0:
             return None
-        last: dict[int, int] = {}
+        last: dict[int, tuple[int, int]] = {}
         for heard in bench.heard[-2:]:
             for each in heard.instructions(ICType.SUMMARIES):
-                last[each.var_id] = each.record.seqno
+                last[each.var_id] = (each.record.seqno, heard.time)
         for var_id, version in self._observer.certain(list(last)):
             expected = version.seqno if version.state == "alive" else None
+            number, time = last[var_id]
             # What it was when the payload was composed counts, too.
-            if last[var_id] != expected and bench.now() - version.since > 3 * bench.period:
-                detail = f"variable {var_id} is summarised with {last[var_id]}, where the model has {expected}"
+            if number != expected and time - version.since > 3 * bench.period:
+                detail = f"variable {var_id} is summarised with {number}, where the model has {expected}"
                 return Effect("state", detail, at, "summary")
         return None
 
@@ -186,13 +193,16 @@ class Comparison:
         bench = self._bench
         if "SRP-NeighbourTable" not in self._methods or not self._reports:
             return None
-        text = bench.profile.types.node_id.representation == "text"
-        table = {str(row.get("nodeId")) for row in rows(bench.call("SRP-NeighbourTable"), "neighbours")}
+        table = {
+            str(row.get("nodeId")).replace(":", "").lower()
+            for row in rows(bench.call("SRP-NeighbourTable"), "neighbours")
+        }
         fresh = bench.now() - round(bench.pixit.neighbour_timeout_ms * 1_000_000 * _FRESH)
         most = bench.profile.limits.max_neighbours
         for node_id, time in self._reports.items():
-            name = node_id.decode(errors="replace") if text else node_id.hex(":")
-            there = name in table or node_id.hex() in table or name.replace(":", "") in table
+            # Identifiers that are text may be told as they are, or as octets.
+            name = node_id.hex(":")
+            there = node_id.hex() in table or node_id.decode(errors="replace").replace(":", "").lower() in table
             if time >= fresh and not there and (most is None or len(self._reports) < most):
                 return Effect("state", f"the neighbour {name} is not in the table", at, "neighbour missing")
         return None

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from dcp_codec.errors import DecodeError
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind
 from dcp_conformance.control import SutControl
 from dcp_conformance.errors import ConformanceError, LowerTesterError, StopCase, UpperTesterError
+from dcp_conformance.heard import var_id_of
 from dcp_conformance.oracle import Limits
 from dcp_conformance.target import Target as Opened
 
@@ -144,6 +146,8 @@ def carry_out(
     Raises ``LowerTesterError`` when the link cannot be used.
     """
     at = 0
+    # A marker must not be about a variable of the steps.
+    bench.created.update(_variables_of(bench, steps))
     try:
         for at, step in enumerate(steps):
             effect = _step(bench, step, interval, at, comparison)
@@ -173,9 +177,11 @@ def carry_out(
 def _step(bench: Bench, step: Step, interval: int, at: int, comparison: Comparison | None) -> Effect | None:
     match step:
         case Frame():
-            bench.transmit(step.octets, step.source)
+            # The link carries no more; what a flood of elements says is the same without its end.
+            octets = step.octets[: bench.profile.limits.uwb_max_packet]
+            bench.transmit(octets, step.source)
             if comparison is not None:
-                comparison.sent(step.octets)
+                comparison.sent(octets)
             bench.wait_ns(interval)
         case Wait():
             bench.wait(step.periods)
@@ -189,6 +195,24 @@ def _step(bench: Bench, step: Step, interval: int, at: int, comparison: Comparis
     return comparison.said(at) if comparison is not None else None
 
 
+def _variables_of(bench: Bench, steps: list[Step]) -> set[int]:
+    """The variables that frames mention, also damaged ones."""
+    found: set[int] = set()
+    for step in steps:
+        if not isinstance(step, Frame):
+            continue
+        try:
+            beacon = bench.codec.decode(step.octets)
+        except DecodeError:
+            fields = bench.codec.dissect(step.octets).root.walk()
+            found.update(each.value for each in fields if each.name == "varId" and isinstance(each.value, int))
+            continue
+        for payload in beacon.payloads:
+            for container in payload.vardis or ():
+                found.update(map(var_id_of, container.records))
+    return found
+
+
 def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Effect | None:
     """What is wrong with an implementation; None if it lives and answers."""
     if control is not None and control.alive() is False:
@@ -199,9 +223,10 @@ def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Ef
             if bench.probe():
                 return None
         except StopCase:
-            # Every identifier is taken; that beacons come is then all that can be asked for.
-            if bench.beacons(1, 10):
+            # Every identifier was spoken of: any sign of life has to do.
+            if _signs_of_life(bench):
                 return None
+            bench.created.clear()
         if control is not None and control.alive() is False:
             return Effect("dead", control.why_dead() or "the process is gone", 0, "dead")
     beacons = len(bench.heard) - begun
@@ -217,6 +242,17 @@ def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Ef
     return Effect(
         "mute", f"none of {probes} markers was answered; {came}{answers}", 0, "beacons" if beacons else "silent"
     )
+
+
+def _signs_of_life(bench: Bench) -> bool:
+    upper = bench.session.upper
+    if upper is not None and "UT-Hello" in upper.methods:
+        try:
+            upper.call("UT-Hello", {})
+        except UpperTesterError:
+            return False
+        return True
+    return bool(bench.beacons(1, 10))
 
 
 def _case(purpose: str) -> Case:

@@ -169,6 +169,8 @@ class Oracle:
             if self._circle.newer(record.seqno, known.seqno):
                 self._become(record.var_id, Version(time, "alive", known.spec, record.seqno, record.value))
                 self._settle(ICType.REQUEST_VARUPDATES, record.var_id)
+                # Older numbers need not be said any more, also those that look newer once the circle has moved on.
+                self._settle(ICType.UPDATES, record.var_id)
                 self._arm(ICType.UPDATES, record.var_id, time, frame, "VD-PU-07")
             elif self._circle.newer(known.seqno, record.seqno):
                 self._arm(ICType.UPDATES, record.var_id, time, frame, "VD-PU-06")
@@ -223,6 +225,7 @@ class Oracle:
         known = self._variable(var_id).now
         seqno = (known.seqno + 1) % self._circle.modulus
         self._become(var_id, Version(time, "alive", known.spec, seqno, value))
+        self._settle(ICType.UPDATES, var_id)
         self._arm(ICType.UPDATES, var_id, time, 0, "VD-UPD-08")
 
     def deleted(self, var_id: int, time: int) -> None:
@@ -341,7 +344,8 @@ class Oracle:
             oldest = next(iter(variable.armed))
             variable.armed.pop(oldest)
             variable.said.pop(oldest, None)
-        self._owe(kind, var_id, seqno, time, frame, requirement)
+        if spec is not None and spec.rep_cnt > 0:
+            self._owe(kind, var_id, seqno, time, frame, requirement)
 
     def _owe(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
         owing = self._owed.setdefault(var_id, [])

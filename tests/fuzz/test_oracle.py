@@ -1,0 +1,54 @@
+"""The independent model where long histories lead it: what the fuzzer taught about it."""
+
+from __future__ import annotations
+
+import pytest
+from dcp_conformance.oracle import Limits, Oracle
+from dcp_spec.constants import ICType, SpecVersion, features
+
+from dcp_codec.values import VarCreate, VarSpec, VarUpdate
+
+PEER = b"\x02\xdc\x90\x00\x00\x01"
+OWN = b"\x02\x00\x00\x00\x00\x01"
+
+
+@pytest.fixture
+def oracle() -> Oracle:
+    return Oracle(OWN, features(SpecVersion.V2_0), 1, Limits(32, 32, 15), latency=16, window=40)
+
+
+def create(var_id: int, seqno: int) -> VarCreate:
+    return VarCreate(VarSpec(var_id, PEER, 2, b"d", 1, 0), VarUpdate(var_id, seqno, b"v"))
+
+
+def test_an_update_that_was_overtaken_is_not_owed_when_the_circle_has_moved_past_it(oracle):
+    oracle.hear([create(1, 1)], 0, 1)
+    # 173 is older than 1, so 1 has to be said; 120 and 131 are newer, after which 1 looks newer than what is said.
+    for number, seqno in enumerate((173, 120, 131), start=2):
+        oracle.hear([VarUpdate(1, seqno, b"n")], number, number)
+    said = [(ICType.CREATE_VARIABLES, VarCreate(create(1, 1).spec, VarUpdate(1, 131, b"n")))]
+    said += [(ICType.UPDATES, VarUpdate(1, 131, b"n"))]
+    assert oracle.said(said, 10, 9) == []
+    assert oracle.overdue(1000) == []
+
+
+def test_the_newest_update_is_owed(oracle):
+    oracle.hear([create(1, 1)], 0, 1)
+    oracle.hear([VarUpdate(1, 2, b"n")], 1, 2)
+    assert {(owed.var_id, owed.seqno) for owed in oracle.overdue(1000)} == {(1, 1), (1, 2)}
+
+
+def test_what_is_overdue_is_told_once_and_in_the_order_of_its_deadlines(oracle):
+    oracle.hear([create(2, 0)], 0, 1)
+    oracle.hear([create(1, 0)], 5, 2)
+    assert oracle.overdue(40) == []
+    assert [owed.var_id for owed in oracle.overdue(44)] == [2]
+    assert [owed.var_id for owed in oracle.overdue(1000)] == [1]
+    assert oracle.overdue(2000) == []
+
+
+def test_nothing_is_owed_of_a_variable_that_is_repeated_no_times():
+    old = Oracle(OWN, features(SpecVersion.V1_0), 1, Limits(32, 32, 15), latency=16, window=40)
+    spec = VarSpec(4, PEER, 0, b"d")
+    old.hear([VarCreate(spec, VarUpdate(4, 0, b"v"))], 0, 1)
+    assert old.overdue(1000) == []
