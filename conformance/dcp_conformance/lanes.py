@@ -56,7 +56,7 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
         connections: dict[Connection, Any] = {}
         for share in shares:
             ours, theirs = context.Pipe(duplex=False)
-            options = (run.options, tuple(share), run.repeat, run.until_fail)
+            options = (run.options, tuple(share), run.repeat, run.until_fail, run.artefacts)
             process = context.Process(target=_lane, args=(theirs, *options), daemon=True)
             process.start()
             theirs.close()
@@ -91,7 +91,14 @@ def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
                     )
 
 
-def _lane(to: Connection, options: TargetOptions, cases: tuple[str, ...], repeat: int, until_fail: bool) -> None:
+def _lane(
+    to: Connection,
+    options: TargetOptions,
+    cases: tuple[str, ...],
+    repeat: int,
+    until_fail: bool,
+    artefacts: Path | None,
+) -> None:
     """What a lane's process does."""
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -101,6 +108,7 @@ def _lane(to: Connection, options: TargetOptions, cases: tuple[str, ...], repeat
         Selection(patterns=cases),
         repeat=repeat,
         until_fail=until_fail,
+        artefacts=artefacts,
         on_result=lambda _case, result, _surprise: to.send(msgspec.json.encode(result)),
     )
     try:

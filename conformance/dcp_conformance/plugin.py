@@ -55,12 +55,23 @@ class ConformanceRun:
         repeat: int = 1,
         until_fail: bool = False,
         command: str = "",
+        artefacts: Path | None = None,
         on_start: Callable[[int], None] | None = None,
         on_result: Callable[[Case, CaseResult, str], None] | None = None,
     ) -> None:
-        """``on_start`` is told the number of cases, ``on_result`` each result and what is unexpected about it."""
+        """``on_start`` is told the number of cases, ``on_result`` each result and what is unexpected about it.
+
+        ``artefacts``: a folder of findings of the fuzzer, which become cases. Raises :class:`UsageError`.
+        """
         self.options = target
         self.cases = all_cases()
+        self.artefacts = artefacts
+        self._found_by_fuzzer: dict[str, Case] = {}
+        if artefacts is not None:
+            from .fuzz.cases import artefact_cases
+
+            self._found_by_fuzzer = {case.id: case for case in artefact_cases(artefacts)}
+            self.cases |= self._found_by_fuzzer
         self.codec, self.pics = describe(target)
         self.selected = select(self.cases, selection)
         self.expected = ExpectedResults() if expected is None else ExpectedResults.load(expected, self.cases.values())
@@ -95,7 +106,7 @@ class ConformanceRun:
         module = next(iter(by_id.values())).parent if by_id else None
         sanity = self.cases[SANITY]
         for round_number in range(self.repeat):
-            cases = [case for case in self.selected if case.id in by_id]
+            cases = [case for case in self.selected if case.id in by_id or case.id in self._found_by_fuzzer]
             for case in self._with_sanity(cases, sanity):
                 if round_number == 0 and case.id in by_id and by_id[case.id] in left_out:
                     item = by_id[case.id]
@@ -311,6 +322,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         ("pics", "PICS and PIXIT, a TOML file"),
         ("restart", "command that restarts the implementation"),
         ("expected", "file of expected results"),
+        ("artefacts", "folder with findings of the fuzzer, which become cases"),
     ):
         group.addoption(f"--dcp-{name}", help=text)
 
@@ -321,7 +333,7 @@ def pytest_configure(config: pytest.Config) -> None:
     run = next((plugin for plugin in config.pluginmanager.get_plugins() if isinstance(plugin, ConformanceRun)), None)
     if run is None:
         option = config.getoption
-        pics, expected = option("--dcp-pics"), option("--dcp-expected")
+        pics, expected, artefacts = option("--dcp-pics"), option("--dcp-expected"), option("--dcp-artefacts")
         target = TargetOptions(
             profile=option("--dcp-profile"),
             interface=option("--dcp-interface"),
@@ -332,7 +344,12 @@ def pytest_configure(config: pytest.Config) -> None:
             restart=option("--dcp-restart"),
         )
         try:
-            run = ConformanceRun(target, Selection(), expected=Path(expected) if expected else None)
+            run = ConformanceRun(
+                target,
+                Selection(),
+                expected=Path(expected) if expected else None,
+                artefacts=Path(artefacts) if artefacts else None,
+            )
         except UsageError as error:
             raise pytest.UsageError(str(error)) from None
         config.pluginmanager.register(run, "dcp-conformance-run")

@@ -17,6 +17,9 @@ from .options import EXIT_STATUS, selection_of, selection_options, target_of, ta
 @target_options
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
+@click.option(
+    "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Findings of the fuzzer as cases, too."
+)
 @click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run everything N times.")
 @click.option("--until-fail", is_flag=True, help="End with the first fail.")
 @click.option(
@@ -52,6 +55,7 @@ def command(**options: Any) -> int:
         target,
         selection_of(options),
         expected=options["expected"],
+        artefacts=options["artefacts"],
         repeat=options["repeat"],
         until_fail=options["until_fail"],
         command=shlex.join(["dcp-conformance", *sys.argv[1:]]),

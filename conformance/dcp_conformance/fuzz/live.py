@@ -26,6 +26,8 @@ from .steps import Call, Effect, Frame, Step, Wait
 PROBES: Final = 4
 #: Frames in a second unless a rate is given: more than peers of a crowd send, less than what makes links drop.
 RATE: Final = 500.0
+#: Beacon periods that an answer may take of one who beacons and did not answer sooner.
+_LONG: Final = 100.0
 REQUIREMENTS: Final = ("BP-RX-16", "VD-ROB-01")
 """What every finding is about: nothing received may stop an implementation."""
 
@@ -230,6 +232,9 @@ def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Ef
         if control is not None and control.alive() is False:
             return Effect("dead", control.why_dead() or "the process is gone", 0, "dead")
     beacons = len(bench.heard) - begun
+    # With much to say an answer stands at the end of a long row.
+    if beacons and bench.probe(_LONG):
+        return None
     answers = ""
     upper = bench.session.upper
     if upper is not None and "UT-Hello" in upper.methods:
