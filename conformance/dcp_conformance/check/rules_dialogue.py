@@ -24,8 +24,6 @@ MS = 1_000_000
 _BELIEF = 20_000 * MS
 #: A gap in the recording shows within so many ns, or never.
 _GAP_SHOWS = 2_000 * MS
-#: So often it must look as if one node heard another.
-_SHOWN = 2
 #: Of the times at which it did, so many are remembered of each pair.
 _REMEMBERED = 64
 #: Of so many occasions this part must be missed for a verdict; of fewer, down to the second number, every one.
@@ -47,15 +45,18 @@ class _Shown(NamedTuple):
 class Hearing:
     """Who is known to hear whom.
 
-    A node that repeats what one other node alone has sent hears that one, if no third has sent it that the recorder
-    missed: that is waited for. Only variables with a single life count; of others several nodes may come up with the
-    same.
+    A node that comes to a number of a variable, of which one other node alone has sent the value, hears that one, if no
+    third has sent it that the recorder missed: that is waited for. Only variables with a single life count; of others
+    several nodes may come up with the same.
     """
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self._half = 1 << (8 * context.profile.types.var_seqno.width - 1)
-        self._origins: dict[tuple[int, int, ICType], tuple[int, set[bytes]]] = {}
+        self._numbers: dict[tuple[bytes, int], int] = {}
+        """(node, variable) -> the number that it sent last."""
+        self._origins: dict[tuple[int, int], tuple[int, set[bytes]]] = {}
+        """(variable, number) -> since when, and who has sent its value."""
         self._open: deque[_Shown] = deque()
         self._heard: dict[tuple[bytes, bytes], deque[int]] = {}
 
@@ -63,28 +64,28 @@ class Hearing:
         """Take an instruction."""
         while self._open and self._open[0].end + _GAP_SHOWS < time:
             self._believe(self._open.popleft())
-        if instruction.kind not in (ICType.CREATE_VARIABLES, ICType.UPDATES):
+        if instruction.kind not in SENT:
             return
-        key = (instruction.var_id, seqno_of(instruction), instruction.kind)
+        var_id, number = instruction.var_id, seqno_of(instruction)
+        had = self._numbers.get((sender, var_id))
+        if had is not None or len(self._numbers) < MOST_VARIABLES:
+            self._numbers[sender, var_id] = number
+        if instruction.kind is ICType.SUMMARIES:
+            return
         lives = self._context.lives
-        if lives.born(instruction.var_id) is None:
-            self._origins.pop(key, None)
+        if lives.born(var_id) is None:
+            self._origins.pop((var_id, number), None)
             return
         # The numbers come round again: half a circle ahead is half a circle back.
-        opposite = (key[1] + self._half) % (2 * self._half)
-        self._origins.pop((instruction.var_id, opposite, instruction.kind), None)
-        begin, senders = self._origins.get(key, (time, set()))
+        self._origins.pop((var_id, (number + self._half) % (2 * self._half)), None)
+        begin, senders = self._origins.get((var_id, number), (time, set()))
         if not senders:
             if len(self._origins) >= MOST_VARIABLES:
                 self._origins.clear()
-            self._origins[key] = (time, {sender})
+            self._origins[var_id, number] = (time, {sender})
         elif sender not in senders:
-            if (
-                len(senders) == 1
-                and time - begin < _BELIEF
-                and lives.producer(instruction.var_id) != sender
-                and len(self._open) < _PENDING
-            ):
+            new = had != number and lives.producer(var_id) != sender
+            if new and len(senders) == 1 and time - begin < _BELIEF and len(self._open) < _PENDING:
                 self._open.append(_Shown(begin, time, sender, next(iter(senders))))
             senders.add(sender)
 
@@ -100,7 +101,7 @@ class Hearing:
     def hears(self, listener: bytes, speaker: bytes, time: int) -> bool:
         """Whether it was shown, not long before or after, that ``listener`` hears ``speaker``."""
         shown = self._heard.get((listener, speaker), ())
-        return sum(abs(time - each) <= _BELIEF for each in shown) >= _SHOWN
+        return any(abs(time - each) <= _BELIEF for each in shown)
 
 
 class _Due(NamedTuple):
