@@ -29,7 +29,8 @@ from .mutants import Mutant, all_mutants
 from .pics import Pics
 from .reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from .results import CaseResult
-from .runner import Runner, ordered, timestamp
+from .runner import Runner, timestamp
+from .selection import ordered
 from .verdict import Verdict
 
 SCHEMA: Final = "dcp-conformance-selftest/1"

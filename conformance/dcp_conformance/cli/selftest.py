@@ -99,7 +99,10 @@ def _show(result: SelftestResult, *, verbose: bool, quiet: bool) -> None:
         out.print(_mutants(result, out.width) if verbose else _sections(result.mutants))
     for each in result.baselines:
         for finding in each.findings:
-            out.print(f"[bold red]{finding.verdict}[/] {finding.case} on {each.profile}: {escape(finding.reason)}")
+            out.print(
+                f"[bold red]{finding.verdict}[/] {finding.case} on {each.profile}: {escape(finding.reason)}",
+                soft_wrap=True,
+            )
     for trial in result.survivors:
         out.print(f"[bold red]survives[/] {trial.mutant} ({trial.profile}): {escape(trial.what)}", soft_wrap=True)
         also = f"; noticed by {', '.join(each.case for each in trial.also[:3])}" if trial.also else ""

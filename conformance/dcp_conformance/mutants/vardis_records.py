@@ -24,7 +24,7 @@ from dcp_stack.vardis_db import Database, DBEntry
 from .air import Air
 from .mutant import mutant
 
-C, D, U = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
+C = ICType.CREATE_VARIABLES
 S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 
 

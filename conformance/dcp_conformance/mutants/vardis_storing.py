@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import msgspec
-from dcp_spec.constants import ICType, SpecVersion
+from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import VarCreate, VarDelete, VarSpec, VarSumm, VarUpdate
 from dcp_stack.vardis import Vardis
@@ -14,10 +14,6 @@ from dcp_stack.vardis_db import Database, DBEntry
 from dcp_stack.vardis_receive import Receiver
 
 from .mutant import mutant
-
-C, D, U = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
-S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
-
 
 # -- what is stored ----------------------------------------------------------------------------------------------------
 
