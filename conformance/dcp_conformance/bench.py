@@ -68,6 +68,8 @@ class Session:
         self.next_unknown = 0
         self.known: set[int] = set()
         """Variables that the implementation has sent something about that only its database can have told it."""
+        self.summarised: set[int] = set()
+        """Variables that the implementation has summarised, and not said to be deleted since."""
         self.leaving: dict[int, int] = {}
         """Those of them that were deleted and, up to 1.3, leave the database: the time (ns) when they will have."""
         self.creation_time = 0
@@ -186,8 +188,10 @@ class Bench:
         for _ in range(usable):
             number = first + self.session.next_var_id % usable
             self.session.next_var_id += 1
-            # One that is on its way out of the database cannot be created.
-            if self.session.leaving.get(number, 0) <= self.now() and number not in self.created:
+            # One that is on its way out of the database cannot be created; nor, up to 1.3, one that is in it.
+            leaving = self.session.leaving.get(number, 0) > self.now()
+            there = number in self.session.summarised and not self.features.creation_time
+            if not leaving and not there and number not in self.created:
                 break
         self.created.add(number)
         return number
@@ -438,6 +442,10 @@ class Bench:
             heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
             if ours:
                 self.heard.append(heard)
+                self.session.summarised.update(each.var_id for each in heard.instructions(ICType.SUMMARIES))
+                self.session.summarised.difference_update(
+                    each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)
+                )
                 for var_id in heard.known:
                     self.session.known.add(var_id)
                     if heard.about(ICType.DELETE_VARIABLES, var_id) is None:

@@ -231,9 +231,11 @@ class Runner:
         if mode == "ut" and self.session.upper is not None:
             self.session.upper.call("UT-Reset", {})
             self.session.known.clear()
+            self.session.summarised.clear()
         elif mode == "restart" and self.control is not None:
             self.control.restart()
             self.session.known.clear()
+            self.session.summarised.clear()
 
     # -- the result --------------------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from dcp_spec.constants import (
     BP_PROTID_VARDIS,
     BP_SEQNO_MODULUS,
     BP_VERSION,
+    ICType,
     SpecVersion,
 )
 
@@ -130,6 +131,8 @@ def order_of_fields(bench: Bench) -> None:
     frames = [each.heard for each in strange[:8]]
     expected = "blocks of protocols that are registered, as long as they say"
     bench.check(not strange, expected, f"protocols {sorted(ids)} in {len(strange)} beacons", frames=frames)
+    bare = [each.heard for each in wires if not each.counted]
+    bench.check(not bare, "numPayloads counts at least one block", f"none in {len(bare)} beacons", frames=bare[:8])
 
 
 @case(
@@ -168,6 +171,7 @@ def predefined_identifiers(bench: Bench) -> None:
     needs=_fields("senderId"),
 )
 def sender(bench: Bench) -> None:
+    _named_by_another(bench)
     wires = beacons_read(bench, 3)
     if bench.pics.vardis is not False:
         for _ in range(3):
@@ -187,6 +191,20 @@ def sender(bench: Bench) -> None:
     if other:
         bench.fail_numbers(expected, f"{len(other)} of them", frames=other[:8])
     bench.check(True, expected)
+
+
+def _named_by_another(bench: Bench) -> None:
+    """Fail if it answers under an identifier that it says is not its own: nothing else could be heard of it then."""
+    if bench.pics.vardis is False or bench.session.upper is None or "nodeId" not in bench.session.upper.about:
+        return
+    start, others, unknown, peer = bench.mark(), len(bench.others), bench.unknown_id(), bench.peer()
+    peer.send(peer.summary(unknown, 1))
+    bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
+    known = {each.node_id for each in bench.peers_made}
+    answers = [each for each in bench.others[others:] if each.about(ICType.REQUEST_VARCREATES, unknown)]
+    if not bench.heard[start:] and answers and not known & {each.sender for each in answers}:
+        said = f"the request that a summary brought came from {(answers[0].sender or b'').hex(':')}"
+        bench.fail(f"senderId {bench.sut_id.hex(':')}", said, "BP-HDR-03", frames=answers[:4])
 
 
 @case(

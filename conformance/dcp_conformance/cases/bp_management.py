@@ -284,11 +284,15 @@ def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> N
     name, value_of = wrong
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
-        before, value = values(bench), value_of(bench)
-        answer = bench.call(SET, name=name, value=value)
-        after = values(bench)
-        if after != before:
-            bench.call(SET, name=name, value=before[name])
+        first, value = values(bench), value_of(bench)
+        # Another value than at the start: what is kept must be the old one, not the default.
+        bench.call(SET, name=name, value=changed(bench, name))
+        before = values(bench)
+        try:
+            answer = bench.call(SET, name=name, value=value)
+            after = values(bench)
+        finally:
+            bench.call(SET, name=name, value=first[name])
         bench.check(after.get(name) == before.get(name), f"{name} stays {before.get(name)}", f"it is {after.get(name)}")
         frames = [bench.until(client.in_frame) for _ in range(3)]
         bench.check(all(frames), "beacons go on", "there are none any more", "BP-PAR-06")
@@ -394,3 +398,24 @@ def default_period(bench: Bench) -> None:
     period = values(bench).get(PERIOD)
     near = isinstance(period, int | float) and (80 <= period <= 120 or period == bench.pixit.beacon_period_ms)
     bench.check(near, f"{PERIOD} is about 100 ms", f"it is {period}")
+
+
+@case(
+    "TC_BP_PAR_BI_02",
+    "What is determined at the start cannot be set",
+    requirements="BP-PAR-08 BP-PAR-09",
+    stimulus="BP-SetParameter for UWB-MaxPacketSize and ownNodeIdentifier, as far as BP-GetParameters tells them",
+    expect="BP-GetParameters tells the same as before",
+    needs=_PARAMETERS,
+)
+def fixed_values(bench: Bench) -> None:
+    before = values(bench)
+    told = [name for name in (UWB_SIZE, "ownNodeIdentifier") if name in before]
+    if not told:
+        bench.info("Can what is determined at the start be set?", f"{GET} tells none of it", "BP-PAR-08")
+    for name in told:
+        value = before[name]
+        other: Any = value - 1 if isinstance(value, int) else "02:00:00:00:00:77"
+        bench.call(SET, name=name, value=other)
+        after = values(bench).get(name)
+        bench.check(after == value, f"{name} stays {value}", f"it is {after}", "BP-PAR-08", "BP-PAR-09")

@@ -137,6 +137,8 @@ def zero_payloads(bench: Bench) -> None:
         "first-bit": lambda own, top: own ^ (top + 1) >> 1,
         "last-bit": lambda own, _: own ^ 1,
         "inverted": lambda own, top: own ^ top,
+        "zero": lambda own, _: 0 if own else 1,
+        "all-ones": lambda own, top: top if own != top else 1,
     },
 )
 def foreign_network(bench: Bench, other: Callable[[int, int], int]) -> None:
@@ -345,6 +347,7 @@ def cut_payload_header(bench: Bench, count: int) -> None:
     expect="a request for the variable of the next beacon; whether the VarDis block is processed is reported",
     variants={"vardis": BP_PROTID_VARDIS, "unregistered": None},
     robustness=True,
+    destructive=True,
 )
 def empty_block(bench: Bench, prot_id: int | None) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()

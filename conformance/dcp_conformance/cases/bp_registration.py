@@ -276,7 +276,7 @@ def unknown_mode(bench: Bench, mode: str) -> None:
         bench.reading("X06", "refuse-at-registration")
         return
     bench.reading("X06", "refuse-at-clear")
-    bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-CLR-04", protId=client.prot_id)
+    bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06", "BP-CLR-04", protId=client.prot_id)
     bench.call(DEREGISTER, protId=client.prot_id)
 
 

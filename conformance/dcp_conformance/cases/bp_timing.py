@@ -124,7 +124,7 @@ def mean_period(bench: Bench) -> None:
     with talking(bench) as clients:
         bench.until(lambda heard: heard.octets)
         found = measure(bench, period)
-    if found is not None:
+    if found is not None and found.mean > 0:
         spread = statistics.stdev(found.intervals) / found.mean
         least, most = min(found.intervals) / MS, max(found.intervals) / MS
         said = f"{least:.1f} to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
@@ -231,3 +231,26 @@ def clock_offset(bench: Bench, client: BPClient) -> int:
         bench.inconclusive("the time of a registration", "BP-ListRegisteredProtocols does not tell it")
     # The shortest call is the most exact one.
     return min(stamps)[1]
+
+
+@case(
+    "TC_BP_HDR_BV_10",
+    "seqno counts beyond what one octet holds",
+    requirements="BP-HDR-08",
+    stimulus="a client repeats a payload with a quarter of the beacon period, until more than 256 beacons were sent",
+    expect="a number above 255, and none that starts again",
+    window=150,
+    needs=Needs(since=SpecVersion.V1_1, entities=(), ut=(*CLIENT, "BP-SetParameter", "UT-Reset"), header=("seqno",)),
+)
+def beyond_an_octet(bench: Bench) -> None:
+    short = max(2, round(bench.period / 4 / MS))
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        with parameters_set(bench, "BP", **{PERIOD: short}):
+            frames = bench.beacons(262)
+    numbers = [each.seqno for each in frames if each.seqno is not None]
+    if len(numbers) < 258:
+        bench.inconclusive("258 beacons that can be read", f"there are {len(numbers)}")
+    back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
+    said = f"{max(numbers)} is the greatest of {len(numbers)}"
+    bench.check(max(numbers) > 255 and not back, "numbers that go on above 255", said, frames=back[:2])

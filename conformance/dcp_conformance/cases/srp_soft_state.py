@@ -64,7 +64,7 @@ def timeout(bench: Bench) -> None:
 @case(
     "TC_SRP_NT_TI_02",
     "A timeout that is set counts for entries from then on",
-    requirements="SRP-RUN-01 SRP-RUN-02",
+    requirements="SRP-RUN-01 SRP-RUN-02 SRP-PAR-01",
     stimulus="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 500 ms; a record, and nothing more",
     expect="the entry is there for 500 ms, and gone 100 ms later, plus tolerance",
     window=12,

@@ -66,7 +66,7 @@ def registered(bench: Bench) -> None:
     "TC_VD_INI_BV_03",
     "After a reset the database and the queues are empty",
     requirements="VD-INI-04",
-    stimulus="an own variable with its repetitions to come and a learnt one; UT-Reset",
+    stimulus="an own variable with its repetitions to come, a learnt one, and a request to come; UT-Reset",
     expect="no variable is described; after at most one beacon prepared before, no record of the two is sent; a "
     "summary of the learnt one is answered with a request",
     window=14,
@@ -75,14 +75,19 @@ def registered(bench: Bench) -> None:
 def after_reset(bench: Bench) -> None:
     peer = bench.peer()
     mine = produced(bench, rep_cnt=bench.parameter("VARDISPAR_MAX_REPETITIONS"))
-    theirs = taught(bench, peer)
+    theirs, wanted = taught(bench, peer), bench.unknown_id()
+    peer.send(peer.summary(wanted, 1))
     bench.must("UT-Reset")
-    mark = bench.mark()
+    mark, reset = bench.mark(), bench.now()
     known = sorted(listed(bench))
     bench.check(not known, "no variable is in the database", f"{known} are")
     bench.wait(3)
     frames = [heard for heard in bench.heard[mark:] if heard.instructions(var_id=mine)]
     bench.check(len(frames) <= 1, "nothing of the old variable is sent", f"{len(frames)} beacons", frames=frames)
+    # What was on its way to the tester is there soon; a payload that is composed now needs a beacon of its own.
+    asked = bench.instructions(ICType.REQUEST_VARCREATES, wanted, mark)
+    late = [each for each in asked if each.heard.time > reset + bench.period // 2]
+    bench.check(not late, "no request from before is sent", f"{len(late)} are", frames=late)
     peer.send(peer.summary(theirs, 1))
     requested = bench.until_instruction(ICType.REQUEST_VARCREATES, theirs)
     bench.check(requested is not None, "the learnt variable is requested again", "it is not")

@@ -215,3 +215,25 @@ def unknown_variable(bench: Bench, bound: Bound) -> None:
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
     peer.send(peer.update(var_id, 1, b"v" * bound(most)))
     bench.check_repeated(ICType.REQUEST_VARCREATES, var_id, 1, since)
+
+
+@case(
+    "TC_DCP_DATA_BI_02",
+    "The length of a received description counts octets, not characters",
+    requirements="DATA-08 VD-PC-05",
+    stimulus="a VarCreate whose description has fewer characters than the maximum, and more octets",
+    expect="it is ignored",
+    needs=Needs(since=SpecVersion.V1_1),
+)
+def length_of_received_text(bench: Bench) -> None:
+    longest = longest_description(bench)
+    descr = ("\u00e9" * (longest // 2 + 1)).encode()
+    if len(descr) > 254:
+        bench.inconclusive("a description longer than the maximum", f"the maximum is {longest}, all that can be sent")
+    peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
+    bench.created.add(var_id)
+    peer.send(peer.create(var_id, descr=descr))
+    bench.require_alive("the VarCreate")
+    bench.beacons(1, 1.5)
+    found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)
+    bench.check(not found, f"a description of {len(descr)} octets is ignored", "it is passed on", frames=found)

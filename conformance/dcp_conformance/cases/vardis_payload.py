@@ -113,6 +113,8 @@ def order_of_containers(bench: Bench) -> None:
     bench.learn(peer, *(peer.create(each, seqno=3) for each in (deleted, updated, outdated)))
     order = bench.features.container_order
     full: Heard | None = None
+    # From here on there is always something to summarise, and much more room than this case takes.
+    known = bench.mark()
     for attempt in range(3):
         created, unknown = bench.var_id(), bench.unknown_id()
         mark = bench.mark()
@@ -141,6 +143,10 @@ def order_of_containers(bench: Bench) -> None:
             "VD-PAY-01",
             frames=[heard],
         )
+    without = [each for each in bench.heard[known:] if each.instructions() and not each.instructions(ICType.SUMMARIES)]
+    bench.check(
+        not without, "summaries beside everything else", f"none in {len(without)}", "VD-PAY-01", frames=without[:4]
+    )
     if full is None:
         bench.inconclusive("a payload with all six kinds of containers", "none in three attempts", "VD-PAY-02")
     bench.check(True, "one payload has all six kinds of containers", "", "VD-PAY-02", "VD-IC-02", frames=[full])

@@ -362,3 +362,26 @@ def _answers(bench: Bench, method: str, params: dict[str, Any]) -> bool:
         bench.reading("X30", "answer-inactive")
         bench.check(same_status(answer, INACTIVE), f"{method} answers {INACTIVE}", str(answer))
     return True
+
+
+@case(
+    "TC_DCP_DATA_BI_01",
+    "A service of VarDis that refuses confirms the request with a status, too",
+    requirements="DATA-10",
+    stimulus="RTDB-Update, -Delete, -Read and -DescribeVariable of a variable that does not exist, as far as there are",
+    expect="one confirm for each, with a status other than OK",
+    needs=Needs(ut=("RTDB-Read",)),
+)
+def refusals_confirmed(bench: Bench) -> None:
+    var_id = bench.unknown_id()
+    requests: dict[str, dict[str, Any]] = {
+        "RTDB-Update": {"varId": var_id, "value": "01"},
+        "RTDB-Delete": {"varId": var_id},
+        "RTDB-Read": {"varId": var_id},
+        "RTDB-DescribeVariable": {"varId": var_id},
+    }
+    for method, params in requests.items():
+        if method in bench.ut.methods:
+            answer = bench.call(method, **params)
+            confirmed = answer.code is None and bool(answer.status)
+            bench.check(confirmed and not answer.ok, f"{method} is confirmed with a refusal", str(answer))

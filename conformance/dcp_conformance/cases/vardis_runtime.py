@@ -192,3 +192,53 @@ def parameter_takes_effect(bench: Bench) -> None:
         frames = bench.beacons(2)
         counts = [len(each.instructions(ICType.SUMMARIES)) for each in frames]
         bench.check(counts == [most] * 2, f"{most} summaries in a payload", f"{counts}", frames=frames)
+
+
+def _own_period(bench: Bench, periods: float) -> int:
+    """Set the buffer check period to so many beacon periods; in ms. Goes back with the reset before the next case."""
+    value = max(1, min(65_000, round(periods * bench.period / MS)))
+    bench.must("VD-SetParameter", name=CHECK_PERIOD, value=value)
+    return value
+
+
+@case(
+    "TC_VD_RUN_BV_06",
+    "The next payload is composed when one was sent, not when the buffer is looked at",
+    requirements="VD-RUN-01",
+    stimulus="VARDISPAR_BUFFER_CHECK_PERIOD = 12 beacon periods; then a variable with many repetitions is created",
+    expect="once its VarCreate was sent, it is in each of the beacons that follow",
+    window=50,
+    needs=Needs(
+        ut=("UT-Reset", "VD-SetParameter"),
+        when=lambda bench: None if bench.rep_cnt(5) >= 3 else "it accepts no repetition count of 3",
+    ),
+)
+def composed_when_sent(bench: Bench) -> None:
+    _own_period(bench, 12)
+    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(5)
+    peer.send(peer.create(name, rep_cnt=count))
+    bench.require(bench.until_instruction(_CREATE, name, 30), "the VarCreate is passed on", "it is not")
+    begun = bench.now()
+    bench.wait(count + bench.reaction)
+    frames = bench.frames_with(_CREATE, name)
+    text = f"{len(frames)} of {count} in {(bench.now() - begun) / MS:.0f} ms"
+    bench.check(len(frames) == count, f"its {count} VarCreates in beacons that follow each other", text, frames=frames)
+
+
+@case(
+    "TC_VD_RUN_TI_03",
+    "Looking at the buffer often neither loses what is in it nor composes too much",
+    requirements="VD-RUN-02 VD-SCP-02",
+    stimulus="VARDISPAR_BUFFER_CHECK_PERIOD = a tenth of a beacon period; a variable is created and updated",
+    expect="VarCreate and VarUpdate in exactly repCnt beacons each",
+    window=40,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
+)
+def looked_at_often(bench: Bench) -> None:
+    _own_period(bench, 0.1)
+    peer, name, count, mark = bench.peer(), bench.var_id(), bench.rep_cnt(4), bench.mark()
+    peer.send(peer.create(name, rep_cnt=count))
+    bench.check_repeated(_CREATE, name, count, mark)
+    mark = bench.mark()
+    peer.send(peer.update(name, 1))
+    bench.check_repeated(ICType.UPDATES, name, count, mark)

@@ -219,3 +219,27 @@ def counting(bench: Bench) -> None:
     ]
     number = f"{wrong[0].record.seqno} with value {wrong[0].record.value.hex()}" if wrong else ""
     bench.check(not wrong, "update n carries sequence number n modulo SEQNO-MODULUS", number, frames=wrong)
+
+
+@case(
+    "TC_VD_SEQ_BV_05",
+    "Every variable counts its own updates",
+    requirements="VD-TYP-03",
+    stimulus="two own variables are updated in turns, the one three times and the other one twice",
+    expect="the last updates carry sequence numbers 3 and 2",
+    window=10,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
+)
+def counted_each(bench: Bench) -> None:
+    one, two, since = produced(bench), produced(bench), bench.mark()
+    for number, var_id in enumerate((one, two, one, two, one)):
+        bench.must("RTDB-Update", varId=var_id, value=f"{number:02x}")
+    for var_id, last, number in ((one, b"\4", 3), (two, b"\3", 2)):
+
+        def newest(_: object, it: int = var_id, value: bytes = last) -> list[int]:
+            updates = bench.instructions(ICType.UPDATES, it, since)
+            return [each.record.seqno for each in updates if each.record.value == value]
+
+        came = newest(None) or bench.until(newest)
+        said = f"{came[0]}" if came else "the last value is not sent"
+        bench.check(came and came[0] == number, f"update {number} carries number {number}", said)

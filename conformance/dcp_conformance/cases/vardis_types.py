@@ -292,3 +292,37 @@ def time_stamp(bench: Bench) -> None:
     bench.until_instruction(ICType.UPDATES, var_id)
     updated = stamp(before)
     bench.check(updated > created, "a newer VarUpdate renews it", f"{updated} after {created}")
+
+
+@case(
+    "TC_VD_TYP_BV_04",
+    "What a node says of the first variable it is taught can be read, and is what it was taught",
+    requirements="VD-TYP-05 VD-TYP-07 VD-IC-01 VD-IC-02 VD-IC-03",
+    stimulus="a variable of a peer is created, and nothing else",
+    expect="beacons with that VarCreate and summaries of it: every octet of them has a meaning in the profile",
+    window=8,
+)
+def first_words(bench: Bench) -> None:
+    peer, since = bench.peer(), bench.mark()
+    # Members that are exchanged show only if they are different.
+    count = bench.rep_cnt(3)
+    var_id = next(each for each in bench.var_ids(2) if each != count)
+    record = peer.create(var_id, rep_cnt=count, value=b"value")
+    peer.send(record)
+    bench.wait(bench.reaction + 2)
+    spoke = [heard for heard in bench.heard[since:] if _blocks(bench, heard)]
+    if not spoke:
+        bench.inconclusive("beacons with a VarDis block", "there are none")
+    empty = [each for each in spoke if each.problem is not None and each.problem.reason == "zero-count"]
+    bench.check(not empty, "every container has a record", "there is an empty one", "VD-IC-03", frames=empty[:4])
+    broken = [each for each in spoke if each.problem is not None and each not in empty]
+    problem = f"{broken[0].problem}" if broken else ""
+    bench.check(not broken, "payloads can be taken apart", problem, "VD-IC-01", "VD-IC-02", frames=broken[:4])
+    said_of_it = {each.kind for heard in spoke for each in heard.instructions(var_id=var_id)}
+    kinds = said_of_it - {ICType.CREATE_VARIABLES, ICType.SUMMARIES}
+    names = ", ".join(sorted(kind.label for kind in kinds))
+    bench.check(not kinds, "nothing of it but creations and summaries", names, "VD-IC-02", "VD-TYP-07")
+    creates = bench.instructions(ICType.CREATE_VARIABLES, since=since)
+    wrong = [each for each in creates if each.record.spec.prod_id == peer.node_id and each.record != record]
+    said = f"{wrong[0].record}" if wrong else ""
+    bench.check(not wrong, f"the VarCreate as it came: {record}", said, "VD-TYP-05", "VD-TYP-07", frames=wrong[:4])
