@@ -6,44 +6,36 @@ decoder raises; it then goes on wherever the layout allows: behind a region of k
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import msgspec
 
 from .errors import Problem
 from .layout import read_scalar
 from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 
-class Field:
+class Field(msgspec.Struct, eq=False, gc=False):
     """A part of the octets.
 
     ``path`` is the field path with indices (``payloads[1].vardis[0].records[3].seqno``), ``offset`` the absolute
     octet where it starts, ``length`` how many octets of it are there, ``value`` what it says (None for a record, a
     list, or a field that is cut off), ``children`` its parts, ``layout`` the node of the plan that describes it.
+
+    A message has dozens of them, and making them is most of taking it apart: hence the struct, which holds no
+    references that could form a cycle.
     """
 
-    __slots__ = ("_buffer", "_start", "children", "layout", "length", "name", "offset", "path", "value")
-
-    def __init__(
-        self,
-        name: str,
-        path: str,
-        layout: Node,
-        buffer: bytes,
-        start: int,
-        offset: int,
-        length: int,
-        value: Any,
-    ) -> None:
-        self.name = name
-        self.path = path
-        self.layout = layout
-        self._buffer = buffer
-        self._start = start
-        self.offset = offset
-        self.length = length
-        self.value = value
-        self.children: list[Field] = []
+    name: str
+    path: str
+    layout: Node
+    _buffer: bytes
+    _start: int
+    offset: int
+    length: int
+    value: Any = None
+    children: list[Field] = []
 
     @property
     def raw(self) -> bytes:
@@ -67,9 +59,12 @@ class Field:
 
     def walk(self) -> Iterator[Field]:
         """This field and all its parts, in wire order."""
-        yield self
-        for child in self.children:
-            yield from child.walk()
+        waiting = [self]
+        while waiting:
+            field = waiting.pop()
+            yield field
+            if field.children:
+                waiting.extend(reversed(field.children))
 
     def find(self, path: str) -> Field | None:
         """The field of that full path."""
@@ -101,23 +96,15 @@ class Dissection:
         return [problem for problem in self.problems if problem.severity == "warning"]
 
 
-class _Ref:
-    __slots__ = ("offset", "path", "value")
-
-    def __init__(self, value: int, offset: int, path: str) -> None:
-        self.value = value
-        self.offset = offset
-        self.path = path
-
-
 _Scope = dict[str, Any]
 
 
-def _resolve(scope: _Scope, reference: str) -> _Ref:
+def _resolve(scope: _Scope, reference: str) -> Field:
+    """The field that a reference of the layout means: those in front of it, by name."""
     found: Any = scope
-    for part in reference.split("."):
+    for part in reference.split(".") if "." in reference else (reference,):
         found = found[part]
-    assert isinstance(found, _Ref)
+    assert isinstance(found, Field)
     return found
 
 
@@ -150,28 +137,16 @@ class _Walker:
         return Field(name, path, layout, self.b, start, start + self.shift, length, value)
 
     def visit(self, node: Node, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:
-        match node:
-            case Scalar():
-                return self.scalar(node, path, end, scope)
-            case Text():
-                return self.text(node, path, end)
-            case Group():
-                inner: _Scope = {}
-                scope[node.name] = inner
-                return self.group(node, path, end, inner)
-            case Many():
-                return self.many(node, path, end, scope)
-            case Region():
-                return self.region(node, path, end, scope)
-            case Exact():
-                return self.exact(node, path, end)
-            case Select():
-                return self.select(node, path, end, scope)
-            case Rest():
-                start, self.o = self.o, end
-                return self.field(node.name, path, node, start, end - start, self.b[start:end]), True
-            case Fill():
-                return self.fill(node, path, end, scope)
+        return _VISITS[type(node)](self, node, path, end, scope)
+
+    def rest(self, node: Rest, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:  # noqa: ARG002 - as all
+        start, self.o = self.o, end
+        return self.field(node.name, path, node, start, end - start, self.b[start:end]), True
+
+    def record(self, node: Group, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:
+        inner: _Scope = {}
+        scope[node.name] = inner
+        return self.group(node, path, end, inner)
 
     def scalar(self, node: Scalar, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:
         o, size = self.o, node.size
@@ -179,16 +154,19 @@ class _Walker:
             self.problem("truncated", path, o, size, end - o, node.requirement)
             self.o = end
             return self.field(node.name, path, node, o, end - o), False
-        value = read_scalar(node, self.b[o : o + size])
+        if size == 1 and node.kind == "int" and not node.signed:
+            value: Any = self.b[o]
+        else:
+            value = read_scalar(node, self.b[o : o + size])
         self.o = o + size
-        scope[node.name] = _Ref(value, o, path)
+        field = scope[node.name] = Field(node.name, path, node, self.b, o, o + self.shift, size, value)
         rule = node.rule
         if rule is not None and (value == 0 if rule.value is None else value != rule.value):
             needed = 1 if rule.value is None else rule.value
             self.problem(rule.reason, path, o, needed, value, rule.requirement)
-        return self.field(node.name, path, node, o, size, value), True
+        return field, True
 
-    def text(self, node: Text, path: str, end: int) -> tuple[Field, bool]:
+    def text(self, node: Text, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:  # noqa: ARG002 - as all
         start = self.o
         inner: _Scope = {}
         whole = self.field(node.name, path, node, start, 0)
@@ -214,11 +192,13 @@ class _Walker:
 
     def measured(self, node: Text, whole: Field, lengths: _Scope, end: int) -> bool:
         start, path = self.o, f"{whole.path}.data"
-        first: _Ref = lengths[node.prefixes[0].name]
+        first: Field = lengths[node.prefixes[0].name]
         for prefix in node.prefixes[1:]:
-            other: _Ref = lengths[prefix.name]
+            other: Field = lengths[prefix.name]
             if other.value != first.value:
-                self.problem("length-mismatch", other.path, other.offset, first.value, other.value, "DATA-06")
+                self.problem(
+                    "length-mismatch", other.path, other.offset - self.shift, first.value, other.value, "DATA-06"
+                )
         stop = start + first.value
         if stop > end:
             self.problem("truncated", path, start, first.value, end - start, node.requirement)
@@ -239,11 +219,16 @@ class _Walker:
         start = self.o
         whole = self.field(node.name, path, node, start, 0)
         going = True
+        prefix = f"{path}." if path else ""
+        add = whole.children.append
         for member in node.members:
-            # A chosen content goes by the label of the choice, not by the name of the member.
-            here = path if isinstance(member, Region | Select) else f"{path}.{member.name}" if path else member.name
-            part, going = self.visit(member, here, end, scope)
-            whole.children.append(part)
+            if isinstance(member, Scalar):
+                part, going = self.scalar(member, prefix + member.name, end, scope)
+            else:
+                # A chosen content goes by the label of the choice, not by the name of the member.
+                here = path if isinstance(member, Region | Select) else prefix + member.name
+                part, going = _VISITS[type(member)](self, member, here, end, scope)
+            add(part)
             if not going:
                 break
         whole.length = self.o - start
@@ -262,7 +247,9 @@ class _Walker:
             announced = _resolve(scope, node.agrees)
             if announced.value != len(whole.children):
                 found = len(whole.children)
-                self.problem(node.reason, announced.path, announced.offset, announced.value, found, node.requirement)
+                self.problem(
+                    node.reason, announced.path, announced.offset - self.shift, announced.value, found, node.requirement
+                )
         whole.length = self.o - start
         return whole, going
 
@@ -270,7 +257,9 @@ class _Walker:
         length, start = _resolve(scope, node.length), self.o
         stop, clipped = start + length.value, False
         if stop > end:
-            self.problem(node.reason, length.path, length.offset, length.value, end - start, node.requirement)
+            self.problem(
+                node.reason, length.path, length.offset - self.shift, length.value, end - start, node.requirement
+            )
             stop, clipped = end, True
         outer, self.clipped = self.clipped, clipped
         content = node.content
@@ -282,7 +271,7 @@ class _Walker:
         self.o = stop
         return part, not clipped
 
-    def exact(self, node: Exact, path: str, end: int) -> tuple[Field, bool]:
+    def exact(self, node: Exact, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:  # noqa: ARG002 - as all
         wrong = end - self.o != node.size
         # What is there is still shown, but the one mistake is reported once, which may be that the region is cut off.
         if wrong and not self.clipped:
@@ -297,7 +286,7 @@ class _Walker:
         key = _resolve(scope, node.key)
         case = node.cases.get(key.value, node.default)
         if case is None:
-            self.problem(node.reason, key.path, key.offset, None, key.value, node.requirement)
+            self.problem(node.reason, key.path, key.offset - self.shift, None, key.value, node.requirement)
             start, self.o = self.o, end
             here = f"{path}.data" if path else "data"
             return self.field("data", here, Rest("data"), start, end - start, self.b[start:end]), False
@@ -306,7 +295,7 @@ class _Walker:
     def fill(self, node: Fill, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:
         used, start = _resolve(scope, node.used), self.o
         if used.value > node.total:
-            self.problem(node.reason, used.path, used.offset, used.value, node.total, node.requirement)
+            self.problem(node.reason, used.path, used.offset - self.shift, used.value, node.total, node.requirement)
             # Where the next block would be is not known: what is left belongs to the area that is none.
             self.o = end
             return self.field(node.name, path, node, start, end - start), False
@@ -317,6 +306,19 @@ class _Walker:
             return self.field(node.name, path, node, start, end - start), False
         self.o = stop
         return self.field(node.name, path, node, start, stop - start, self.b[start:stop]), True
+
+
+_VISITS: Final[dict[type, Callable[..., tuple[Field, bool]]]] = {
+    Scalar: _Walker.scalar,
+    Text: _Walker.text,
+    Group: _Walker.record,
+    Many: _Walker.many,
+    Region: _Walker.region,
+    Exact: _Walker.exact,
+    Select: _Walker.select,
+    Rest: _Walker.rest,
+    Fill: _Walker.fill,
+}
 
 
 def dissect(plan: Node, octets: bytes, *, start: int = 0, base: int = 0) -> Dissection:

@@ -82,8 +82,13 @@ def warnings(dissection: Dissection) -> list[Problem]:
     found: list[Problem] = []
     header = dissection.root.child("bp")
     sender = _value_of(header, "senderId") if header is not None else None
-    for field in dissection.root.walk():
-        if not isinstance(field.layout, Group):
+    waiting = [dissection.root]
+    while waiting:
+        field = waiting.pop()
+        if not field.children:
+            continue
+        waiting.extend(reversed(field.children))
+        if type(field.layout) is not Group:
             continue
         rule = _RULES.get(field.layout.type_name)
         if rule is not None:
