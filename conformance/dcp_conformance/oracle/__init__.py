@@ -1,5 +1,6 @@
 """An independent model of what a node may, must and must not say of variables."""
 
-from .vardis import Limits, Oracle, Owed, Variable
+from .knowledge import Complaint, Limits, Owed, Variable, Version
+from .vardis import Oracle
 
-__all__ = ["Limits", "Oracle", "Owed", "Variable"]
+__all__ = ["Complaint", "Limits", "Oracle", "Owed", "Variable", "Version"]

@@ -11,77 +11,14 @@ nothing is said of them any more.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
 
 from dcp_spec.constants import Features, ICType
 
 from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
 from dcp_conformance.circular import Circle
 
-State = Literal["unknown", "alive", "deleted"]
-#: Versions of a variable that are remembered: what it was a while ago.
-_VERSIONS = 64
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """The node's parameters that decide what it takes; lengths in octets."""
-
-    max_value_length: int
-    max_description_length: int
-    max_repetitions: int
-
-
-class Version(NamedTuple):
-    """What a variable was from a time on."""
-
-    since: int
-    state: State
-    spec: VarSpec | None
-    seqno: int
-    value: bytes
-
-
-@dataclass(slots=True)
-class Variable:
-    """What the node holds of one variable, and held before."""
-
-    versions: deque[Version] = field(default_factory=lambda: deque(maxlen=_VERSIONS))
-    armed: dict[tuple[ICType, int], int] = field(default_factory=dict)
-    """(kind, number) -> beacons that it may stand in."""
-    said: dict[tuple[ICType, int], int] = field(default_factory=dict)
-    uncertain: bool = False
-
-    @property
-    def now(self) -> Version:
-        """What it is."""
-        return self.versions[-1]
-
-
-class Owed(NamedTuple):
-    """Something that the node has to say by ``deadline``."""
-
-    deadline: int
-    kind: ICType
-    var_id: int
-    seqno: int
-    """For updates and creates: this number or a newer one."""
-    requirement: str
-    cause: int
-    """Number of the frame that asks for it; 0 for a service call."""
-
-
-class Complaint(NamedTuple):
-    """Something that is not as the model has it."""
-
-    requirement: str
-    var_id: int
-    expected: str
-    observed: str
-    frame: int
+from .knowledge import VERSIONS, Complaint, Limits, Owed, State, Variable, Version
 
 
 class Oracle:
@@ -137,6 +74,8 @@ class Oracle:
         known = variable.now
         if spec.prod_id == self.own_id or not self._acceptable(record):
             return
+        if known.state == "deleted" and self._perhaps_gone(spec.var_id):
+            variable.uncertain = True
         if known.state != "unknown":
             newer = (
                 self._features.creation_time
@@ -163,8 +102,8 @@ class Oracle:
 
     def _hear_update(self, record: VarUpdate, time: int, frame: int) -> None:
         known = self._variable(record.var_id).now
-        if known.state == "unknown":
-            self._owe(ICType.REQUEST_VARCREATES, record.var_id, 0, time, frame, "VD-PU-01")
+        if self._unknown(record.var_id):
+            self._ask(ICType.REQUEST_VARCREATES, record.var_id, time, frame, "VD-PU-01")
         elif known.state == "alive" and not self._own(known) and self._fitting(record.value):
             if self._circle.newer(record.seqno, known.seqno):
                 self._become(record.var_id, Version(time, "alive", known.spec, record.seqno, record.value))
@@ -180,21 +119,21 @@ class Oracle:
 
     def _hear_summary(self, record: VarSumm, time: int, frame: int) -> None:
         known = self._variable(record.var_id).now
-        if known.state == "unknown":
-            self._owe(ICType.REQUEST_VARCREATES, record.var_id, 0, time, frame, "VD-PS-01")
+        if self._unknown(record.var_id):
+            self._ask(ICType.REQUEST_VARCREATES, record.var_id, time, frame, "VD-PS-01")
         elif known.state == "alive" and not self._own(known):
             if self._circle.newer(known.seqno, record.seqno):
                 self._arm(ICType.UPDATES, record.var_id, time, frame, "VD-PS-03")
             elif self._circle.newer(record.seqno, known.seqno):
-                self._owe(ICType.REQUEST_VARUPDATES, record.var_id, known.seqno, time, frame, "VD-PS-04")
+                self._ask(ICType.REQUEST_VARUPDATES, record.var_id, time, frame, "VD-PS-04")
             elif record.seqno != known.seqno:
                 self._variable(record.var_id).uncertain = True
 
     def _hear_update_request(self, record: VarReqUpdate, time: int, frame: int) -> None:
         known = self._variable(record.var_id).now
-        if known.state == "unknown":
+        if self._unknown(record.var_id):
             if self._features.rerequest_unknown:
-                self._owe(ICType.REQUEST_VARCREATES, record.var_id, 0, time, frame, "VD-RU-01")
+                self._ask(ICType.REQUEST_VARCREATES, record.var_id, time, frame, "VD-RU-01")
         elif known.state == "alive":
             if self._circle.newer(known.seqno, record.seqno):
                 self._arm(ICType.UPDATES, record.var_id, time, frame, "VD-RU-04")
@@ -203,9 +142,9 @@ class Oracle:
 
     def _hear_create_request(self, record: VarReqCreate, time: int, frame: int) -> None:
         known = self._variable(record.var_id).now
-        if known.state == "unknown":
+        if self._unknown(record.var_id):
             if self._features.rerequest_unknown:
-                self._owe(ICType.REQUEST_VARCREATES, record.var_id, 0, time, frame, "VD-RC-01")
+                self._ask(ICType.REQUEST_VARCREATES, record.var_id, time, frame, "VD-RC-01")
         elif known.state == "alive":
             self._arm(ICType.CREATE_VARIABLES, record.var_id, time, frame, "VD-RC-03")
 
@@ -275,6 +214,7 @@ class Oracle:
         versions = list(self._lately(var_id, time))
         states = {version.state for version in versions}
         if kind in (ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES):
+            yield from self._judge_request(kind, var_id, seqno, versions, frame)
             return
         needed: State = "deleted" if kind is ICType.DELETE_VARIABLES else "alive"
         if needed not in states:
@@ -300,10 +240,34 @@ class Oracle:
             # The producer's own creation time is its own clock's: only it knows.
             if not self._own(fitting[-1]) and specs and record.spec not in specs:
                 yield Complaint("VD-PC-10", var_id, f"{specs[-1]}", f"{record.spec}", frame)
-        current = versions[-1] in fitting and (kind is ICType.DELETE_VARIABLES or seqno == versions[-1].seqno)
-        if kind is not ICType.SUMMARIES and current:
-            # What is of an earlier creation, or was a moment ago, is counted no more.
+        meant = [each for each in fitting if kind is ICType.DELETE_VARIABLES or each.seqno == seqno]
+        if kind is not ICType.SUMMARIES and meant == versions[-1:]:
+            # What is, or may be, of an earlier creation or of a moment ago is counted no more.
             yield from self._counted(kind, var_id, seqno, frame)
+
+    def _judge_request(
+        self, kind: ICType, var_id: int, seqno: int, versions: list[Version], frame: int
+    ) -> Iterator[Complaint]:
+        """Requests are for what the node does not have, tell what it has, and come once for each reason."""
+        variable, label = self._variable(var_id), kind.label
+        if kind is ICType.REQUEST_VARCREATES:
+            fitting = [version for version in versions if version.state == "unknown"]
+        else:
+            fitting = [version for version in versions if version.state == "alive" and not self._own(version)]
+        if not fitting:
+            mine = " of its own" if self._own(versions[-1]) else ""
+            observed = f"{label}, while it is {versions[-1].state}{mine}"
+            yield Complaint("VD-PS-02", var_id, f"no request for variable {var_id}", observed, frame)
+            return
+        if kind is ICType.REQUEST_VARUPDATES and seqno not in {version.seqno for version in fitting}:
+            shown = " or ".join(str(version.seqno) for version in fitting)
+            yield Complaint("VD-PS-04", var_id, f"the own number {shown} in a request", f"{label} with {seqno}", frame)
+        if versions == [variable.now]:
+            said = variable.said[kind, 0] = variable.said.get((kind, 0), 0) + 1
+            reasons = variable.armed.get((kind, 0), 0)
+            if said > reasons:
+                expected = f"{label} of variable {var_id} once for each reason to ask"
+                yield Complaint("VD-SCP-01", var_id, expected, f"{said} for {reasons} reasons", frame)
 
     def _counted(self, kind: ICType, var_id: int, seqno: int, frame: int) -> Iterator[Complaint]:
         variable = self._variable(var_id)
@@ -340,12 +304,25 @@ class Oracle:
         spec, seqno = variable.now.spec, variable.now.seqno
         key = (kind, seqno if kind is ICType.UPDATES else 0)
         variable.armed[key] = variable.armed.get(key, 0) + (spec.rep_cnt if spec is not None else 0)
-        if len(variable.armed) > 2 * _VERSIONS:
+        if len(variable.armed) > 2 * VERSIONS:
             oldest = next(iter(variable.armed))
             variable.armed.pop(oldest)
             variable.said.pop(oldest, None)
         if spec is not None and spec.rep_cnt > 0:
             self._owe(kind, var_id, seqno, time, frame, requirement)
+
+    def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
+        """The node has a reason to ask: it may once more, and must if it is certain that the reason holds."""
+        variable = self._variable(var_id)
+        variable.armed[kind, 0] = variable.armed.get((kind, 0), 0) + 1
+        if variable.now.state != "deleted":
+            seqno = variable.now.seqno if kind is ICType.REQUEST_VARUPDATES else 0
+            self._owe(kind, var_id, seqno, time, frame, requirement)
+
+    def _unknown(self, var_id: int) -> bool:
+        """Whether the node does not have a variable, or perhaps no longer."""
+        state = self._variable(var_id).now.state
+        return state == "unknown" or (state == "deleted" and self._perhaps_gone(var_id))
 
     def _owe(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
         owing = self._owed.setdefault(var_id, [])
@@ -366,6 +343,12 @@ class Oracle:
     def _forget(self, var_id: int) -> None:
         """A creation or deletion: everything that was to be said of the variable is dropped (VD-PC-08, VD-PD-04)."""
         self._owed.pop(var_id, None)
+
+    def _perhaps_gone(self, var_id: int) -> bool:
+        """Before 2.0: whether the last telling of a deletion may be composed already, and not be on the air yet."""
+        variable, key = self._variable(var_id), (ICType.DELETE_VARIABLES, 0)
+        left = variable.armed.get(key, 1) - variable.said.get(key, 0)
+        return self._features.removed_after_deletion and left <= 1
 
     def _remove_when_told(self, var_id: int, time: int) -> None:
         """Before 2.0 a variable is gone once its deletion was told often enough."""
