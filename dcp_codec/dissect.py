@@ -6,7 +6,7 @@ decoder raises; it then goes on wherever the layout allows: behind a region of k
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -35,7 +35,7 @@ class Field(msgspec.Struct, eq=False, gc=False):
     offset: int
     length: int
     value: Any = None
-    children: list[Field] = []
+    children: Sequence[Field] = ()
 
     @property
     def raw(self) -> bytes:
@@ -170,13 +170,18 @@ class _Walker:
         start = self.o
         inner: _Scope = {}
         whole = self.field(node.name, path, node, start, 0)
+        parts: list[Field] = []
+        if node.prefixes:
+            whole.children = parts
         for prefix in node.prefixes:
             length, going = self.scalar(prefix, f"{path}.{prefix.name}", end, inner)
-            whole.children.append(length)
+            parts.append(length)
             if not going:
                 whole.length = self.o - start
                 return whole, False
-        going = self.terminated(node, whole, end) if not node.prefixes else self.measured(node, whole, inner, end)
+        going = (
+            self.terminated(node, whole, end) if not node.prefixes else self.measured(node, whole, parts, inner, end)
+        )
         whole.length = self.o - start
         return whole, going
 
@@ -190,7 +195,7 @@ class _Walker:
         self.o = stop + 1
         return True
 
-    def measured(self, node: Text, whole: Field, lengths: _Scope, end: int) -> bool:
+    def measured(self, node: Text, whole: Field, parts: list[Field], lengths: _Scope, end: int) -> bool:
         start, path = self.o, f"{whole.path}.data"
         first: Field = lengths[node.prefixes[0].name]
         for prefix in node.prefixes[1:]:
@@ -203,7 +208,7 @@ class _Walker:
         if stop > end:
             self.problem("truncated", path, start, first.value, end - start, node.requirement)
             self.o = end
-            whole.children.append(self.field("data", path, node, start, end - start))
+            parts.append(self.field("data", path, node, start, end - start))
             return False
         data = self.b[start:stop]
         self.o = stop
@@ -212,15 +217,14 @@ class _Walker:
                 self.problem("bad-terminator", path, start, None, None, "DATA-07")
             data = data.removesuffix(b"\0")
         whole.value = data
-        whole.children.append(self.field("data", path, node, start, stop - start, data))
+        parts.append(self.field("data", path, node, start, stop - start, data))
         return True
 
     def group(self, node: Group, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:
-        start = self.o
-        whole = self.field(node.name, path, node, start, 0)
-        going = True
+        start, going = self.o, True
+        parts: list[Field] = []
+        whole = Field(node.name, path, node, self.b, start, start + self.shift, 0, None, parts)
         prefix = f"{path}." if path else ""
-        add = whole.children.append
         for member in node.members:
             if isinstance(member, Scalar):
                 part, going = self.scalar(member, prefix + member.name, end, scope)
@@ -228,7 +232,7 @@ class _Walker:
                 # A chosen content goes by the label of the choice, not by the name of the member.
                 here = path if isinstance(member, Region | Select) else prefix + member.name
                 part, going = _VISITS[type(member)](self, member, here, end, scope)
-            add(part)
+            parts.append(part)
             if not going:
                 break
         whole.length = self.o - start
@@ -236,17 +240,16 @@ class _Walker:
 
     def many(self, node: Many, path: str, end: int, scope: _Scope) -> tuple[Field, bool]:
         start, going = self.o, True
-        whole = self.field(node.name, path, node, start, 0)
+        parts: list[Field] = []
+        whole = Field(node.name, path, node, self.b, start, start + self.shift, 0, None, parts)
         count = _resolve(scope, node.count).value if node.count else None
-        while going and (
-            self.o < end or (node.nonempty and not whole.children) if count is None else len(whole.children) < count
-        ):
-            part, going = self.group(node.element, f"{path}[{len(whole.children)}]", end, {})
-            whole.children.append(part)
+        while going and (self.o < end or (node.nonempty and not parts) if count is None else len(parts) < count):
+            part, going = self.group(node.element, f"{path}[{len(parts)}]", end, {})
+            parts.append(part)
         if going and node.agrees:
             announced = _resolve(scope, node.agrees)
-            if announced.value != len(whole.children):
-                found = len(whole.children)
+            if announced.value != len(parts):
+                found = len(parts)
                 self.problem(
                     node.reason, announced.path, announced.offset - self.shift, announced.value, found, node.requirement
                 )

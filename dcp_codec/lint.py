@@ -85,9 +85,8 @@ def warnings(dissection: Dissection) -> list[Problem]:
     waiting = [dissection.root]
     while waiting:
         field = waiting.pop()
-        if not field.children:
-            continue
-        waiting.extend(reversed(field.children))
+        # What has no parts breaks no rule, and most of a message is such.
+        waiting.extend([part for part in reversed(field.children) if part.children])
         if type(field.layout) is not Group:
             continue
         rule = _RULES.get(field.layout.type_name)

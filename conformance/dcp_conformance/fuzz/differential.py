@@ -12,7 +12,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.errors import DecodeError
 from dcp_conformance.bench import Bench
-from dcp_conformance.oracle.vardis import Version
+from dcp_conformance.oracle import Version
 from dcp_conformance.services import described, rows
 from dcp_conformance.upper import Answer
 

@@ -25,8 +25,7 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_conformance.circular import Circle
-from dcp_conformance.oracle import Limits, Oracle
-from dcp_conformance.oracle.vardis import Version
+from dcp_conformance.oracle import Limits, Oracle, Version
 
 from .steps import Effect
 

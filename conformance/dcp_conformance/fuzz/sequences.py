@@ -72,6 +72,8 @@ class Sequences:
         self._modulus = seqno_modulus(profile.types.var_seqno.width)
         self._top_var = min(255, (1 << (8 * profile.types.var_id.width)) - 1)
         self._creation = "creationTime" in profile.vardis.var_spec
+        stamp = profile.types.timestamp
+        self._latest = (1 << (8 * stamp.width - stamp.signed)) - 1
         self._seqno = 0
         self._kinds: list[tuple[float, str, Callable[[], list[Step]]]] = [
             (30, "mixed", self.mixed),
@@ -83,6 +85,8 @@ class Sequences:
             (15, "two-producers", self.two_producers),
             (15, "spoofed-sender", self.spoofed_sender),
             (30, "services", self.services),
+            (20, "one-payload", self.one_payload),
+            (2, "garbage", self.garbage),
             (0.4, "all-variables", self.all_variables),
             (1, "largest", self.largest),
         ]
@@ -215,12 +219,12 @@ class Sequences:
         var_id, found = self.var_id(), list[Step]()
         time = _CREATION
         for _ in range(self.rng.randrange(2, 6)):
-            time += self.rng.choice((0, 1, 1, -1, -1000, 256, 1000, 65_536))
+            # The last of them is later, with a lower half that is earlier.
+            time += self.rng.choice((0, 1, 1, -1, -1000, 256, 1000, 65_536, (1 << 32) - 500))
+            time = max(0, min(time, self._latest))
             producer = self.own_id if self.rng.random() < 0.1 else None
             made = self.good_create if self.rng.random() < 0.7 else self.create
-            create = made(
-                var_id, peer=self.rng.randrange(1, 3), creation=max(0, time), seqno=self.seqno(), producer=producer
-            )
+            create = made(var_id, peer=self.rng.randrange(1, 3), creation=time, seqno=self.seqno(), producer=producer)
             found.append(self.frame(create))
             if self.rng.random() < 0.2:
                 found.append(self.frame(VarDelete(var_id)))
@@ -328,7 +332,7 @@ class Sequences:
         found.append(Call("RTDB-Create", create))
         for _ in range(self.rng.randrange(2, 6)):
             step: Step
-            match self.rng.randrange(8):
+            match self.rng.randrange(9):
                 case 0 | 1:
                     step = Call("RTDB-Update", {"varId": var_id, "value": self.rng.randbytes(3).hex()})
                 case 2:
@@ -339,7 +343,10 @@ class Sequences:
                     step = Call(*self.rng.choice(_ODD_CALLS))
                 case 5:
                     step = self.frame(self.good_create(var_id, creation=self.rng.choice((1, _CREATION))))
-                case 6:
+                case 6 if self.codec.report_plan is not None:
+                    # A node with a report and variables sends beacons of two blocks.
+                    step = Call("SRP-UpdateSafetyData", {"sData": self._safety_data()})
+                case 7:
                     other = self.rng.choice((VarDelete(var_id), VarUpdate(var_id, self.seqno(), b"other")))
                     step = self.frame(other)
                 case _:
@@ -347,6 +354,39 @@ class Sequences:
             found.append(step)
             found += self.pause()
         return found
+
+    def _safety_data(self) -> dict[str, Any]:
+        fields = self.codec.profile.srp.safety_data
+        return {field.name: 1.5 if field.type.startswith("f") else 1 for field in fields if field.type != "opaque"}
+
+    def one_payload(self) -> list[Step]:
+        """Several records about one variable in one payload, which are not processed in the order of the payload."""
+        var_id, number = self.var_id(), self.seqno()
+        found: list[Step] = []
+        if self.rng.random() < 0.4:
+            found.append(self.frame(self.good_create(var_id, seqno=number)))
+        for turn in range(self.rng.randrange(1, 4)):
+            later = (number + 1) % self._modulus
+            records: list[VardisRecord] = [
+                self.good_create(var_id, seqno=number, creation=_CREATION + turn),
+                VarUpdate(var_id, later, b"update"),
+                VarUpdate(var_id, self.seqno(number), b"other"),
+                VarDelete(var_id),
+                VarSumm(var_id, self.seqno(number)),
+                VarReqUpdate(var_id, self.seqno(number)),
+                VarReqCreate(var_id),
+            ]
+            found.append(self.frame(*self.rng.sample(records, self.rng.randrange(2, 5))))
+            found += self.pause()
+        return found
+
+    def garbage(self) -> list[Step]:
+        """Dozens of mutations in a row: what counts errors, or loses something with each of them, shows it."""
+        made = [self.mutator.mutate() for _ in range(60)]
+        if self.rng.random() < 0.7:
+            # The same again and again.
+            made = [made[0]] * 60
+        return [Frame(each.octets, each.source) for each in made]
 
     def all_variables(self) -> list[Step]:
         """Every variable that there can be, up to 256; then each is talked about."""

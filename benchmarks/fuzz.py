@@ -1,0 +1,176 @@
+"""Measure the fuzzer: beacons through the codec, sequences through the stack, and how much a live node takes.
+
+    python benchmarks/fuzz.py [--profile NAME] [--seconds N] [--live] [--soak FRAMES] [--json FILE]
+
+Without options: mutated beacons a second through dissect and decode, and sequences a second against the node in
+process, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our node as a process, beside what that
+node takes at most. --soak: so many mutated frames through our own decoder and one node that lives all the time; nothing
+may be raised, and memory is written down ten times on the way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import json
+import random
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from dcp_conformance.fuzz.live import LiveTarget
+from dcp_conformance.fuzz.sequences import Sequences
+from dcp_conformance.fuzz.stack import StackTarget
+from dcp_conformance.fuzz.steps import Frame
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.target import TargetOptions, open_target
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import DecodeError
+from dcp_codec.mutation import Mutator, drawn_pool
+
+SEED = 1
+
+
+def mutator_of(codec: Codec) -> Mutator:
+    rng = random.Random(SEED)
+    return Mutator(codec, rng, drawn_pool(codec, rng))
+
+
+def codec_rate(codec: Codec, seconds: float) -> dict[str, Any]:
+    """Mutate, dissect, decode: all three are in the time."""
+    mutator, count, octets = mutator_of(codec), 0, 0
+    parts = dict.fromkeys(("mutate", "dissect", "decode"), 0.0)
+    clock = time.process_time
+    begun = clock()
+    while clock() - begun < seconds:
+        for _ in range(200):
+            t0 = clock()
+            made = mutator.mutate().octets
+            t1 = clock()
+            codec.dissect(made)
+            t2 = clock()
+            with contextlib.suppress(DecodeError):
+                codec.decode(made)
+            parts["mutate"] += t1 - t0
+            parts["dissect"] += t2 - t1
+            parts["decode"] += clock() - t2
+            count += 1
+            octets += len(made)
+    rate = count / (clock() - begun)
+    each = ", ".join(f"{name} {1e6 * spent / count:.1f} us" for name, spent in parts.items())
+    print(f"  {rate:,.0f} mutated beacons/s through dissect and decode ({octets / count:.0f} octets each; {each})")
+    return {"beacons_per_second": rate, "octets": octets / count}
+
+
+def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
+    """Draw a sequence, run it on a fresh node, compare with the model, probe."""
+    target = StackTarget(codec)
+    sequences = Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec))
+    count, begun = 0, time.process_time()
+    while time.process_time() - begun < seconds:
+        effect = target.run(sequences.draw())
+        if effect is not None:
+            sys.exit(f"our own node: {effect}")
+        count += 1
+    spent = time.process_time() - begun
+    print(f"  {count / spent:,.0f} sequences/s against the stack in process ({target.frames / spent:,.0f} frames/s)")
+    return {"sequences_per_second": count / spent, "frames_per_second": target.frames / spent}
+
+
+def live_rate(profile: str, seconds: float) -> dict[str, Any]:
+    """Frames as fast as the fuzzer can, with a look at the node after each 2000; then a flood without looks."""
+    found: dict[str, Any] = {}
+    with open_target(TargetOptions(profile=profile)) as opened:
+        opened.runner.prepare()
+        session = opened.runner.session
+        codec, upper = session.codec, session.upper
+        assert upper is not None
+        mutator = mutator_of(codec)
+        target = LiveTarget(opened, rate=1e9)
+        begun, frames = time.monotonic(), 0
+        while time.monotonic() - begun < seconds:
+            effect = target.run([Frame(mutator.mutate().octets) for _ in range(2000)])
+            if effect is not None:
+                sys.exit(f"our own node: {effect}")
+            frames += 2000
+        found["fuzzer_frames_per_second"] = frames / (time.monotonic() - begun)
+        batch = [mutator.mutate().octets[:1400] for _ in range(500)]
+        before = upper.call("UT-Status", {}).result["runtime"]["link"]
+        begun, sent = time.monotonic(), 0
+        while time.monotonic() - begun < seconds:
+            for octets in batch:
+                session.lower.send(octets, b"\x02\xdc\x90\0\0\1")
+            sent += len(batch)
+        spent = time.monotonic() - begun
+        # What waits in its socket is still looked at.
+        time.sleep(1.0)
+        after = upper.call("UT-Status", {}).result["runtime"]["link"]
+        taken = after["received"] - before["received"]
+        lost = after["kernel_drops"] - before["kernel_drops"]
+        found |= {"flood_per_second": sent / spent, "taken_per_second": taken / spent, "lost_in_its_kernel": lost}
+    print(
+        f"  live: {found['fuzzer_frames_per_second']:,.0f} frames/s with looks; in a flood of "
+        f"{found['flood_per_second']:,.0f}/s the node took {found['taken_per_second']:,.0f}/s"
+    )
+    return found
+
+
+def soak(codec: Codec, frames: int) -> dict[str, Any]:
+    """One node, so many mutated frames; it is asked in the end whether it still answers."""
+    mutator = mutator_of(codec)
+    sut = InProcess(reference_config(codec))
+    decoded, memory, begun = 0, [_resident()], time.monotonic()
+    spent = time.process_time()
+    for number in range(1, frames + 1):
+        octets = mutator.mutate().octets
+        with contextlib.suppress(DecodeError):
+            codec.decode(octets)
+            decoded += 1
+        sut.deliver(octets)
+        if sut.died:
+            sys.exit(f"frame {number}: {octets.hex()}: {sut.died}")
+        if not number % 50:
+            # A second of 5,000 frames has as many beacons as always.
+            sut.advance(sut.now + 10_000_000)
+            sut.arrivals.clear()
+        if not number % max(1, frames // 10):
+            gc.collect()
+            memory.append(_resident())
+            rate = number / (time.monotonic() - begun)
+            print(f"  {number:,} frames, {decoded:,} valid, {rate:,.0f}/s, {memory[-1]:.1f} MiB resident", flush=True)
+    answers = StackTarget(codec).run([]) is None and not sut.died
+    print(f"  {frames:,} frames in {time.process_time() - spent:.0f} s of CPU time; alive: {answers}")
+    return {"frames": frames, "valid": decoded, "resident_mib": memory, "cpu_s": time.process_time() - spent}
+
+
+def _resident() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / (1 << 20)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--profile", default="dcp-2.0")
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--live", action="store_true")
+    parser.add_argument("--soak", type=int, metavar="FRAMES")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    codec = Codec(options.profile)
+    found: dict[str, Any] = {"profile": options.profile}
+    if options.soak:
+        found["soak"] = soak(codec, options.soak)
+    elif options.live:
+        found["live"] = live_rate(options.profile, options.seconds)
+    else:
+        found["codec"] = codec_rate(codec, options.seconds)
+        found["stack"] = stack_rate(codec, options.seconds)
+    if options.json is not None:
+        options.json.write_text(json.dumps(found, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
