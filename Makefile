@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 KAITAI := node_modules/kaitai-struct-compiler/package.json
 
-.PHONY: demo test lint unit bench matrix clean
+.PHONY: demo test lint unit bench matrix selftest-doc clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
@@ -34,6 +34,10 @@ bench: $(STAMP)
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
 matrix: $(STAMP)
 	$(BIN)/python -m dcp_conformance.traceability
+
+# Regenerate docs/selftest.md, the kill matrix: all cases that name a requirement against its mutants.
+selftest-doc: $(STAMP)
+	$(BIN)/dcp-conformance selftest --document docs/selftest.md
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -24,9 +24,9 @@ def markdown(result: SelftestResult) -> str:
         "",
         "The suite runs against our node as it is, which must pass, and against *mutants*: the same node with one",
         "small fault each (`conformance/dcp_conformance/mutants/`). A mutant is killed by a case that fails with a",
-        "check that names the requirement which the mutant violates. Failures whose checks name only other",
-        "requirements are counted as *also*: most follow from the fault (a node whose beacons cannot be read fails",
-        "everywhere).",
+        "check that names the requirement which the mutant violates: of so many cases that name it, so many do.",
+        "Cases that fail with checks that name only other requirements are counted as *also*; they follow from the",
+        "fault, too, but do not point at it.",
         "",
         f"{killed} of {len(result.mutants)} mutants are killed by a case that names the violated requirement.",
         "",
@@ -37,7 +37,7 @@ def markdown(result: SelftestResult) -> str:
         *(f"| {each.profile} | {each.cases} | {_names(each.findings) or '-'} |" for each in result.baselines),
     ]
     for heading, trials in _grouped(result.mutants):
-        lines += ["", f"## {heading}", "", *_table(trials, full=result.full)]
+        lines += ["", f"## {heading}", "", *_table(trials, result)]
     return "\n".join(lines) + "\n"
 
 
@@ -48,21 +48,20 @@ def _grouped(trials: Sequence[Trial]) -> Iterator[tuple[str, list[Trial]]]:
         yield _PROTOCOLS[protocol], list(group)
 
 
-def _table(trials: Sequence[Trial], *, full: bool) -> Iterator[str]:
-    yield f"| mutant | the node ... | violates | on | killed by |{' also |' if full else ''}"
-    yield f"|---|---|---|---|---|{'---:|' if full else ''}"
+def _table(trials: Sequence[Trial], result: SelftestResult) -> Iterator[str]:
+    yield "| mutant | the node ... | violates | on | killed by | also |"
+    yield "|---|---|---|---|---|---:|"
     for each in trials:
         violates = ", ".join(each.requirements)
-        cells = [f"`{each.mutant}`", each.what, violates, each.profile, _killers(each, full=full)]
-        if full:
-            cells.append(str(len(each.also)) if each.also else "-")
+        cells = [f"`{each.mutant}`", each.what, violates, each.profile, _killers(each, counted=result.every)]
+        cells.append(str(len(each.also)) if each.also else "-")
         yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
-def _killers(trial: Trial, *, full: bool) -> str:
+def _killers(trial: Trial, *, counted: bool) -> str:
     if not trial.killers:
         return "**nobody**"
-    number = f"{len(trial.killers)} of {trial.candidates}: " if full else ""
+    number = f"{len(trial.killers)} of {trial.candidates}: " if counted else ""
     return number + _names(trial.killers)
 
 

@@ -99,7 +99,9 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
     duration: float = 0.0
     """Seconds."""
     full: bool = False
-    """Whether every mutant met every case, not only those that name its requirement, and those until one failed."""
+    """Whether every mutant met every case."""
+    every: bool = False
+    """Whether every mutant met all cases that name its requirement; otherwise those until one killed it."""
     baselines: tuple[Baseline, ...] = ()
     mutants: tuple[Trial, ...] = ()
 
@@ -284,6 +286,7 @@ def selftest(
         started=started,
         duration=round(time.monotonic() - begun, 1),
         full=full,
+        every=every or full,
         baselines=tuple(baselines[profile] for profile in profiles or PROFILES),
         mutants=tuple(trials[each.id, profile] for each, profile in pairs),
     )

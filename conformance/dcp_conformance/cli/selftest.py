@@ -66,6 +66,8 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
             picked,
             profiles=options["profile"],
             full=options["full"],
+            # A matrix of the first killers would change with the order of the cases.
+            every=options["document"] is not None,
             jobs=options["jobs"],
             on_start=lambda total: progress.update(task, total=total),
             on_result=done,
