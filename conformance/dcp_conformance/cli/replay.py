@@ -32,7 +32,7 @@ def command(capture: Path, **options: Any) -> int:
     specification asks, and the outcome is compared with that of the recorded node.
     """
     from dcp_conformance.outcome import assemble, exit_status
-    from dcp_conformance.replay import Replay, ReplayOptions, cast_of, choose_node
+    from dcp_conformance.replay import Replay, ReplayOptions, cast_of, choose_node, decided
     from dcp_conformance.reporting import write_report
     from dcp_conformance.runner import timestamp
     from dcp_conformance.target import describe, open_target
@@ -58,11 +58,12 @@ def command(capture: Path, **options: Any) -> int:
     again = shlex.join(["dcp-conformance", *sys.argv[1:]])
     with open_target(target_options) as target:
         target.runner.prepare()
+        replay.take_part(codec, target.runner.session.sut_id)
         cases = [target.runner.run(case) for case in replay.cases()]
         run = assemble(
             codec.profile,
             target.pics,
-            [msgspec.structs.replace(case, rerun=again) for case in cases],
+            [decided(msgspec.structs.replace(case, rerun=again)) for case in cases],
             kind="replay",
             sut=target.runner.about(),
             started=started,

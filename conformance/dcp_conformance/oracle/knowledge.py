@@ -6,9 +6,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from dcp_spec.constants import ICType
+from dcp_spec.constants import Features, ICType
 
-from dcp_codec.values import VarSpec
+from dcp_codec.values import VarCreate, VarSpec
 
 State = Literal["unknown", "alive", "deleted"]
 #: Versions of a variable that are remembered: what it was a while ago.
@@ -22,6 +22,23 @@ class Limits:
     max_value_length: int
     max_description_length: int
     max_repetitions: int
+
+    def acceptable(self, record: VarCreate, has: Features) -> bool:
+        """Whether a received create may be taken at all (VD-PC-04 to VD-PC-06)."""
+        spec, value = record.spec, record.upd.value
+        if has.receive_checks_too_long and (
+            len(value) > self.max_value_length or len(spec.descr) > self.max_description_length
+        ):
+            return False
+        if has.receive_checks_empty_and_repcnt:
+            return bool(value) and bool(spec.descr) and 0 < spec.rep_cnt <= self.max_repetitions
+        return True
+
+    def fitting(self, value: bytes, has: Features) -> bool:
+        """Whether a received value may be taken at all (VD-PU-04)."""
+        if has.receive_checks_too_long and len(value) > self.max_value_length:
+            return False
+        return bool(value) or not has.receive_checks_empty_and_repcnt
 
 
 class Version(NamedTuple):

@@ -11,6 +11,7 @@ nothing is said of them any more.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from dcp_spec.constants import Features, ICType
@@ -37,6 +38,8 @@ class Oracle:
         self._window = window
         self._owed: dict[int, list[Owed]] = {}
         """By variable: there may be many, of many variables."""
+        self.occasions: Counter[str] = Counter()
+        """By requirement: how often there was something to be kept or broken."""
 
     # -- what the node hears -----------------------------------------------------------------------------------
 
@@ -72,7 +75,7 @@ class Oracle:
         spec, update = record.spec, record.upd
         variable = self._variable(spec.var_id)
         known = variable.now
-        if spec.prod_id == self.own_id or not self._acceptable(record):
+        if spec.prod_id == self.own_id or not self._limits.acceptable(record, self._features):
             return
         if known.state == "deleted" and self._perhaps_gone(spec.var_id):
             variable.uncertain = True
@@ -104,7 +107,7 @@ class Oracle:
         known = self._variable(record.var_id).now
         if self._unknown(record.var_id):
             self._ask(ICType.REQUEST_VARCREATES, record.var_id, time, frame, "VD-PU-01")
-        elif known.state == "alive" and not self._own(known) and self._fitting(record.value):
+        elif known.state == "alive" and not self._own(known) and self._limits.fitting(record.value, self._features):
             if self._circle.newer(record.seqno, known.seqno):
                 self._become(record.var_id, Version(time, "alive", known.spec, record.seqno, record.value))
                 self._settle(ICType.REQUEST_VARUPDATES, record.var_id)
@@ -217,6 +220,8 @@ class Oracle:
             yield from self._judge_request(kind, var_id, seqno, versions, frame)
             return
         needed: State = "deleted" if kind is ICType.DELETE_VARIABLES else "alive"
+        about = {ICType.SUMMARIES: ("VD-CMP-04", "VD-CMP-05"), ICType.DELETE_VARIABLES: ("VD-PD-04",)}
+        self.occasions.update(about.get(kind, ("VD-UPD-10", "VD-PU-07")))
         if needed not in states:
             requirement = {"deleted": "VD-PD-04", "alive": "VD-CMP-05"}[needed]
             observed = f"{kind.label} of it, while it is {versions[-1].state}"
@@ -236,6 +241,7 @@ class Oracle:
                 shown = " or ".join(each.hex() for each in values)
                 yield Complaint("VD-PU-07", var_id, f"the value {shown} for number {seqno}", value.hex(), frame)
         if isinstance(record, VarCreate):
+            self.occasions["VD-PC-10"] += not self._own(fitting[-1])
             specs = [version.spec for version in fitting if version.spec is not None]
             # The producer's own creation time is its own clock's: only it knows.
             if not self._own(fitting[-1]) and specs and record.spec not in specs:
@@ -250,6 +256,7 @@ class Oracle:
     ) -> Iterator[Complaint]:
         """Requests are for what the node does not have, tell what it has, and come once for each reason."""
         variable, label = self._variable(var_id), kind.label
+        self.occasions.update(("VD-PS-02", "VD-SCP-01", *(("VD-PS-04",) if kind is ICType.REQUEST_VARUPDATES else ())))
         if kind is ICType.REQUEST_VARCREATES:
             fitting = [version for version in versions if version.state == "unknown"]
         else:
@@ -272,6 +279,7 @@ class Oracle:
     def _counted(self, kind: ICType, var_id: int, seqno: int, frame: int) -> Iterator[Complaint]:
         variable = self._variable(var_id)
         key = (kind, seqno if kind is ICType.UPDATES else 0)
+        self.occasions["VD-SCP-02"] += 1
         count = variable.said[key] = variable.said.get(key, 0) + 1
         allowed = variable.armed.get(key, 0)
         if count > allowed:
@@ -325,6 +333,7 @@ class Oracle:
         return state == "unknown" or (state == "deleted" and self._perhaps_gone(var_id))
 
     def _owe(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
+        self.occasions[requirement] += 1
         owing = self._owed.setdefault(var_id, [])
         if not any(owed.kind is kind and owed.seqno == seqno for owed in owing):
             owing.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
@@ -361,23 +370,6 @@ class Oracle:
 
     def _own(self, version: Version) -> bool:
         return version.spec is not None and version.spec.prod_id == self.own_id
-
-    def _acceptable(self, record: VarCreate) -> bool:
-        has, limits = self._features, self._limits
-        spec, value = record.spec, record.upd.value
-        if has.receive_checks_too_long and (
-            len(value) > limits.max_value_length or len(spec.descr) > limits.max_description_length
-        ):
-            return False
-        if has.receive_checks_empty_and_repcnt:
-            return bool(value) and bool(spec.descr) and 0 < spec.rep_cnt <= limits.max_repetitions
-        return True
-
-    def _fitting(self, value: bytes) -> bool:
-        has = self._features
-        if has.receive_checks_too_long and len(value) > self._limits.max_value_length:
-            return False
-        return bool(value) or not has.receive_checks_empty_and_repcnt
 
 
 def _seqno(record: VardisRecord) -> int:
