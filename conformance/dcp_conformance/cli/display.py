@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Self
 
+from dcp_spec.readings import readings
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -41,7 +43,7 @@ _HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl."}
 
 def console(stream: object = None) -> Console:
     """A console on standard output, or on another stream, that does not colour what is piped."""
-    return Console(file=stream or sys.stdout, highlight=False, soft_wrap=True)  # type: ignore[arg-type]
+    return Console(file=stream or sys.stdout, highlight=False, emoji=False, soft_wrap=True)  # type: ignore[arg-type]
 
 
 class Display:
@@ -51,7 +53,7 @@ class Display:
         self._verbose = verbose
         self._quiet = quiet
         self._console = console()
-        bar = Console(stderr=True)
+        bar = Console(stderr=True, emoji=False)
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=None),
@@ -90,6 +92,8 @@ class Display:
         # Through the progress bar's console on a terminal, so that the bar stays below.
         out = self._progress.console if sys.stdout.isatty() and not self._progress.disable else self._console
         out.print(self._line(result, surprise), soft_wrap=True, highlight=False)
+        # Somebody may be waiting for it at the other end of a pipe.
+        out.file.flush()
 
     def _line(self, result: CaseResult, surprise: str) -> str:
         style = STYLES[result.verdict]
@@ -116,11 +120,28 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
     where = f" over {escape(run.sut.link)}" if run.kind != "check" and run.sut.link else ""
     out.print(f"\n{escape(sut)} as {run.profile}{where}: {decided}", soft_wrap=True)
-    if run.readings:
-        out.print("readings observed: " + escape(", ".join(f"{key} {'/'.join(v)}" for key, v in run.readings.items())))
+    for line in _readings(run):
+        out.print(line, soft_wrap=True)
     for note in run.notes:
         out.print(f"note: {escape(note)}", soft_wrap=True)
     out.print(f"{len(run.cases)} cases in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
+
+
+def _readings(run: RunResult) -> Iterator[str]:
+    """Which readings of disputed text were observed, by name where they have one, and which hazards."""
+    known = readings()
+    named, others = [], []
+    for identifier, observed in run.readings.items():
+        entry = known.get(identifier)
+        names = {each.name for each in entry.alternatives} if entry is not None else set()
+        if names.intersection(observed):
+            named.append(f"{identifier} {'/'.join(observed)}")
+        else:
+            others.append(identifier)
+    if named:
+        yield f"readings: {escape(', '.join(named))}"
+    if others:
+        yield f"observed, see the report: {' '.join(others)}"
 
 
 def _print_observations(out: Console, run: RunResult) -> None:
