@@ -3,9 +3,9 @@
     python benchmarks/fuzz.py [--profile NAME] [--seconds N] [--live] [--soak FRAMES] [--json FILE]
 
 Without options: mutated beacons a second through dissect and decode, and sequences a second against the node in
-process, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our node as a process, beside what that
-node takes at most. --soak: so many mutated frames through our own decoder and one node that lives all the time; nothing
-may be raised, and memory is written down ten times on the way.
+process, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our node as a process, beside
+what that node takes at most. --soak: so many mutated frames through our own decoder and one node that lives all the
+time; nothing may be raised, and memory is written down ten times on the way.
 """
 
 from __future__ import annotations

@@ -378,9 +378,11 @@ def mutations(octets: st.SearchStrategy[bytes], dissect: Dissect | None = None) 
     """Octets as drawn from ``octets``, damaged in one to three places.
 
     With ``dissect`` (``codec.dissect``, or that of a part) half of the damage hits exactly one field: it becomes zero,
-    one, the highest value, one more, one less, or is turned round, so that lengths, counts, types and identifiers
-    lie. The other damage is to structure: cut off at any octet, octets behind, a region twice or left out, a flipped
-    bit. The result may by chance be a message again.
+    one, the highest value or the one below, one more, one less, a value that has no name, or is turned round, so that
+    lengths, counts, types and identifiers lie. The other damage is to structure: cut off at any octet, octets behind, a
+    region twice or left out, a flipped bit; with ``dissect`` also two elements of lists that change places, an element
+    of another message in the place of one, and all counts and lengths as high as can be. The result may by chance be a
+    message again.
     """
 
     @st.composite
@@ -389,6 +391,8 @@ def mutations(octets: st.SearchStrategy[bytes], dissect: Dissect | None = None) 
         for _ in range(draw(st.sampled_from((1, 1, 2, 3)))):
             if dissect is not None and draw(st.booleans()):
                 found = _with_field_changed(draw, found, dissect)
+            elif dissect is not None and draw(st.booleans()):
+                found = _with_elements_changed(draw, found, dissect, octets)
             else:
                 found = _with_structure_changed(draw, found)
         return found
@@ -405,7 +409,12 @@ def _with_field_changed(draw: st.DrawFn, octets: bytes, dissect: Dissect) -> byt
     field = draw(st.sampled_from(fields))
     start = field.offset - shift
     raw = octets[start : start + field.length]
-    return octets[:start] + draw(st.sampled_from(_wrong(raw))) + octets[start + field.length :]
+    wrong = _wrong(raw)
+    if isinstance(field.layout, Scalar) and field.layout.names is not None:
+        known = field.layout.names
+        unnamed = next((number for number in range(1 << 8 * len(raw)) if number not in known), None)
+        wrong += [] if unnamed is None else [unnamed.to_bytes(len(raw), field.layout.order)]
+    return octets[:start] + draw(st.sampled_from(wrong)) + octets[start + field.length :]
 
 
 def _is_leaf(field: Field) -> bool:
@@ -419,9 +428,49 @@ def _wrong(raw: bytes) -> list[bytes]:
     found: list[bytes] = []
     for order in ("big", "little"):
         value = int.from_bytes(raw, order)
-        for other in (0, 1, modulus - 1, value + 1, value - 1):
+        for other in (0, 1, modulus - 2, modulus - 1, value + 1, value - 1):
             found.append((other % modulus).to_bytes(size, order))
     return [*dict.fromkeys([*found, raw[::-1]])]
+
+
+def _with_elements_changed(draw: st.DrawFn, octets: bytes, dissect: Dissect, others: st.SearchStrategy[bytes]) -> bytes:
+    """Elements of lists in other places, or from other messages; or every count and length lies at once."""
+    kind = draw(st.sampled_from(("reorder", "splice", "bomb")))
+    mine = _elements(dissect(octets))
+    if kind == "bomb":
+        for field in dissect(octets).root.walk():
+            if isinstance(field.layout, Scalar) and field.layout.derived is not None and field.length:
+                start = field.offset
+                octets = octets[:start] + b"\xff" * field.length + octets[start + field.length :]
+        if mine:
+            start, stop = draw(st.sampled_from(mine))
+            octets = octets[:stop] + octets[start:stop] * draw(st.integers(1, 32)) + octets[stop:]
+        return octets
+    if not mine:
+        return octets
+    start, stop = draw(st.sampled_from(mine))
+    if kind == "splice":
+        other = draw(others)
+        theirs = _elements(dissect(other))
+        begin, end = draw(st.sampled_from(theirs)) if theirs else (0, len(other))
+        return octets[:start] + other[begin:end] + octets[stop:]
+    behind = [element for element in mine if element[0] >= stop]
+    if not behind:
+        return octets
+    begin, end = draw(st.sampled_from(behind))
+    return octets[:start] + octets[begin:end] + octets[stop:begin] + octets[start:stop] + octets[end:]
+
+
+def _elements(dissection: Dissection) -> list[tuple[int, int]]:
+    """Where the elements of all lists start and stop."""
+    shift = dissection.root.offset
+    return [
+        (element.offset - shift, element.offset - shift + element.length)
+        for field in dissection.root.walk()
+        if isinstance(field.layout, Many)
+        for element in field.children
+        if element.length
+    ]
 
 
 def _with_structure_changed(draw: st.DrawFn, octets: bytes) -> bytes:

@@ -113,5 +113,5 @@ def load_pics(path: Path) -> Pics:
         return msgspec.toml.decode(path.read_bytes(), type=Pics)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError(f"{path}: {error}") from None

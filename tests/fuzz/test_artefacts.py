@@ -1,0 +1,179 @@
+"""Findings as files: they hold everything, say what became of them when they are done again, and are cases of a run."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from dcp_conformance.errors import UsageError
+from dcp_conformance.fuzz import Call, Effect, Frame, Wait, load, save
+from dcp_conformance.fuzz.artefact import SavedTarget, codec_of, found_in, make_artefact
+from dcp_conformance.fuzz.cases import artefact_cases
+from dcp_conformance.fuzz.replaying import judged, replay, target_in_process
+
+from dcp_codec import Codec
+from dcp_codec.capture import open_capture
+from dcp_codec.mutation_values import valid_beacons
+
+CODEC = Codec("dcp-2.0")
+#: A beacon that announces more octets than there are: M-BP-RX-15-dies dies of it.
+TOO_LONG = bytes.fromhex("01497e02dc900000011111ffff0100000001000200020100")
+STEPS = [Frame(TOO_LONG, b"", "by hand"), Wait(0.5), Call("RTDB-Read", {"varId": 1})]
+
+
+def saved(folder, effect=None, mutant="M-BP-RX-15-dies", steps=STEPS, mode="stack", **more):
+    effect = effect or Effect("raised", "IndexError: a read beyond the frame", 0, "IndexError in repaired")
+    target = SavedTarget(mode, "a mutant", mutant)
+    artefact = make_artefact(CODEC, list(steps), effect, target, seed=7, directory=folder, **more)
+    return save(artefact, folder)
+
+
+def test_what_is_saved_is_what_is_loaded(tmp_path):
+    path = saved(tmp_path / "findings")
+    artefact = load(path)
+    assert artefact.as_steps() == STEPS
+    assert (artefact.profile, artefact.seed, artefact.schema, artefact.frames) == ("dcp-2.0", 7, 1, 1)
+    assert artefact.tool.startswith("dcp-conformance ")
+    assert str(path) in artefact.command
+    with open_capture(path.with_suffix(".mcap")) as reader:
+        assert [frame.data[14:] for frame in reader] == [TOO_LONG]
+
+
+def test_the_same_finding_has_the_same_name_and_another_has_another(tmp_path):
+    one, again = saved(tmp_path / "one"), saved(tmp_path / "two")
+    other = saved(tmp_path / "one", steps=[Frame(TOO_LONG + b"\0")])
+    assert one.name == again.name != other.name
+
+
+def test_a_profile_of_ones_own_is_inside(tmp_path):
+    text = 'extends = "dcp-2.0"\nname = "mine"\n[link]\nether_type = 0x9999\n'
+    artefact = load(saved(tmp_path, profile_text=text))
+    assert codec_of(artefact).profile.link.ether_type == 0x9999
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"nonsense", "is no artefact"),
+        (b"{}", "is no artefact"),
+        (b"\xff\xfe", "is no artefact"),
+    ],
+)
+def test_a_file_that_is_no_artefact_is_refused(tmp_path, content, says):
+    path = tmp_path / "raised-00000000.json"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=says):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("member", "value", "says"),
+    [("schema", 99, "schema 99"), ("steps", [{"frame": "zz"}], "step 0"), ("steps", [{}], "neither a frame")],
+)
+def test_an_artefact_that_cannot_be_used_is_refused_with_the_reason(tmp_path, member, value, says):
+    path = saved(tmp_path)
+    content = json.loads(path.read_bytes())
+    content[member] = value
+    path.write_text(json.dumps(content))
+    with pytest.raises(UsageError, match=says):
+        load(path)
+
+
+def test_folders_are_searched_for_artefacts_only(tmp_path):
+    path = saved(tmp_path)
+    (tmp_path / "campaign.json").write_text("{}")
+    assert found_in([tmp_path]) == [path]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match="no artefacts"):
+        found_in([tmp_path / "empty"])
+
+
+def test_replay_says_failed_fixed_and_error(tmp_path):
+    assert replay(saved(tmp_path / "a"), target_in_process).status == "failed"
+    assert replay(saved(tmp_path / "b", mutant=""), target_in_process).status == "fixed"
+    assert replay(saved(tmp_path / "c", mutant="M-NOTHING"), target_in_process).status == "error"
+    assert replay(saved(tmp_path / "d", mode="live"), target_in_process).status == "error"
+    assert replay(tmp_path / "nothing.json", target_in_process).status == "error"
+
+
+def test_replay_says_flaky_when_it_does_not_show_each_time(tmp_path):
+    artefact = load(saved(tmp_path))
+    same = Effect("raised", "IndexError: other words", 3, "IndexError in repaired")
+    other = Effect("mute", "silent", 0)
+    assert judged(artefact, [same, same, same])[0] == "failed"
+    assert judged(artefact, [None, same, None]) == ("flaky", "the effect in 1 of 3 attempts")
+    assert judged(artefact, [other, other])[0] == "flaky"
+    assert "silent" in judged(artefact, [other, same])[1]
+    assert judged(artefact, [None])[0] == "fixed"
+
+
+def test_cases_keep_their_identifiers_whatever_else_is_there(tmp_path):
+    path = saved(tmp_path)
+    [case] = artefact_cases(tmp_path)
+    assert case.id == f"TC_DCP_FUZZ_BI_01-{path.stem}"
+    assert case.destructive
+    saved(tmp_path, steps=[Frame(b"\0")])
+    saved(tmp_path, steps=[Frame(b"\0", b"", "pics")], mode="codec")
+    cases = artefact_cases(tmp_path)
+    assert len(cases) == 2
+    assert case.id in [each.id for each in cases]
+
+
+@pytest.mark.parametrize(("mutant", "verdict"), [("", "pass"), ("M-BP-RX-15-dies", "fail")])
+def test_artefacts_are_cases_of_the_runner(tmp_path, mutant, verdict):
+    from dcp_conformance.bench import Session
+    from dcp_conformance.mutants import all_mutants
+    from dcp_conformance.pics import Pics
+    from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
+    from dcp_conformance.runner import Runner
+
+    saved(tmp_path)
+    [case] = artefact_cases(tmp_path)
+    make = all_mutants()[mutant].make if mutant else plain_node
+    sut = InProcess(reference_config(CODEC), make=make)
+    runner = Runner(Session(CODEC, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+    runner.prepare()
+    result = runner.run(case)
+    assert str(result.verdict) == verdict
+    assert result.killed == bool(mutant)
+
+
+def test_an_artefact_of_another_profile_is_inconclusive(tmp_path):
+    from dcp_conformance.bench import Session
+    from dcp_conformance.pics import Pics
+    from dcp_conformance.reference.inprocess import InProcess, reference_config
+    from dcp_conformance.runner import Runner
+
+    saved(tmp_path)
+    [case] = artefact_cases(tmp_path)
+    codec = Codec("dcp-1.3")
+    sut = InProcess(reference_config(codec))
+    result = Runner(Session(codec, sut.lower_tester(), sut.upper_tester(), Pics()), sut).run(case)
+    assert str(result.verdict) == "inconclusive"
+
+
+def test_the_steps_of_a_wrong_state_are_compared_with_the_model(tmp_path):
+    import random
+
+    from dcp_conformance.bench import Session
+    from dcp_conformance.fuzz.sequences import Sequences
+    from dcp_conformance.mutants import all_mutants
+    from dcp_conformance.pics import Pics
+    from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
+    from dcp_conformance.runner import Runner
+
+    from dcp_codec.mutation import Mutator
+    from dcp_codec.values import VarUpdate
+
+    pool = valid_beacons(CODEC, random.Random(1), 8)
+    sequences = Sequences(CODEC, random.Random(1), b"\2\0\0\0\0\1", Mutator(CODEC, random.Random(1), pool))
+    steps = [sequences.frame(sequences.good_create(1, seqno=9)), sequences.frame(VarUpdate(1, 8, b"older"))]
+    saved(tmp_path, Effect("state", "variable 1 has number 8", 1), steps=steps, mutant="")
+    [case] = artefact_cases(tmp_path)
+    verdicts = []
+    for make in (plain_node, all_mutants()["M-VD-PU-06-stored"].make):
+        sut = InProcess(reference_config(CODEC), make=make)
+        runner = Runner(Session(CODEC, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+        runner.prepare()
+        verdicts.append(str(runner.run(case).verdict))
+    assert verdicts == ["pass", "fail"]

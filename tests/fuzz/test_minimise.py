@@ -1,0 +1,92 @@
+"""Minimising: fewer steps, then less in each, as long as the effect is the same."""
+
+from __future__ import annotations
+
+import random
+
+from dcp_conformance.fuzz import Effect, Frame, Minimiser, Wait
+
+from dcp_codec import Codec
+from dcp_codec.mutation_values import valid_beacons
+
+CODEC = Codec("dcp-2.0")
+
+
+def effect(at: int) -> Effect:
+    return Effect("raised", f"step {at}", at, "here")
+
+
+def test_only_the_steps_that_matter_are_left():
+    def run(steps):
+        marks = [step.octets for step in steps if isinstance(step, Frame)]
+        return effect(len(steps) - 1) if b"a" in marks and b"b" in marks[marks.index(b"a") :] else None
+
+    steps = [Frame(b"x"), Frame(b"a"), Wait(2.0), *[Frame(b"y")] * 40, Frame(b"b"), Wait(1.0), Frame(b"z")]
+    found = Minimiser(run, effect(0)).minimise(steps)
+    assert found is not None
+    assert found.steps == [Frame(b"a"), Frame(b"b")]
+
+
+def test_fields_go_back_to_their_valid_values():
+    valid = next(each for each in valid_beacons(CODEC, random.Random(2), 20) if len(each) > 60)
+    octets = bytearray(valid)
+    octets[0] ^= 1
+    octets[30] ^= 0xFF
+    octets[40] ^= 0xFF
+
+    def run(steps):
+        return effect(0) if any(step.octets[:1] == octets[:1] for step in steps) else None
+
+    found = Minimiser(run, effect(0), CODEC).minimise([Frame(bytes(octets), valid)])
+    assert found is not None
+    assert found.steps[0].octets == bytes(octets[:1])
+
+
+def test_records_that_do_not_matter_are_taken_out():
+    valid = valid_beacons(CODEC, random.Random(2), 1)[0]
+
+    def run(steps):
+        try:
+            beacon = CODEC.decode(steps[0].octets)
+        except ValueError:
+            return None
+        return effect(0) if beacon.payloads[0].vardis else None
+
+    found = Minimiser(run, effect(0), CODEC).minimise([Frame(valid)])
+    assert found is not None
+    containers = CODEC.decode(found.steps[0].octets).payloads[0].vardis
+    assert [len(container.records) for container in containers] == [1]
+
+
+def test_another_effect_is_not_the_finding():
+    def run(steps):
+        return effect(0) if len(steps) > 2 else Effect("mute", "silent", 0)
+
+    found = Minimiser(run, effect(0)).minimise([Frame(b"x")] * 8)
+    assert found is not None
+    assert len(found.steps) == 3
+    assert found.effect.kind == "raised"
+
+
+def test_what_does_not_show_again_has_no_minimum():
+    assert Minimiser(lambda steps: None, effect(0)).minimise([Frame(b"x")]) is None
+
+
+def test_the_budget_ends_it():
+    tries = 0
+
+    def run(steps):
+        nonlocal tries
+        tries += 1
+        return effect(len(steps) - 1)
+
+    found = Minimiser(run, effect(0), CODEC, budget=4).minimise([Frame(bytes(50))] * 50)
+    assert found is not None
+    assert tries == found.tries == 4
+
+
+def test_numbers_in_a_text_do_not_tell_effects_apart():
+    one = Effect("state", "variable 3 has number 7 value '00ff'", 2)
+    assert one.signature == Effect("state", "variable 12 has number 0 value ''", 9).signature
+    assert one.signature != Effect("state", "variable 3 is alive", 2).signature
+    assert one.signature != Effect("said", "variable 3 has number 7 value '00ff'", 2).signature

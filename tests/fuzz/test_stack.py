@@ -1,0 +1,149 @@
+"""The stack in process as a target: our node shows nothing, and nodes with faults show them, in few frames."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from dcp_conformance.errors import UsageError
+from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
+from dcp_conformance.fuzz.artefact import SavedTarget
+from dcp_conformance.fuzz.replaying import stack_target
+from dcp_conformance.fuzz.sequences import Joined, Sequences
+from dcp_conformance.fuzz.stack import StackTarget
+
+from dcp_codec import Codec
+from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_stack.node import Node
+
+
+def campaign_on(target: StackTarget, seed: int = 1) -> Campaign:
+    codec, rng = target.codec, random.Random(seed)
+    mutator = Mutator(codec, rng, drawn_pool(codec, rng, 80))
+    sequences = Sequences(codec, rng, target.own_id, mutator)
+    saved = SavedTarget("stack", target.name)
+    return Campaign(codec, target, sequences, saved, seed, mutator=mutator, states=lambda: target.observer.reached)
+
+
+@pytest.mark.req("VD-ROB-01")
+@pytest.mark.req("BP-RX-16")
+@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.3", "dcp-2.0", "cpp-2.0", "student-2024"])
+def test_our_node_shows_nothing_in_a_short_campaign(profile):
+    campaign = campaign_on(StackTarget(Codec(profile)))
+    state = campaign.run(Limits(cases=400))
+    assert state.findings == {}
+    assert state.cases == 400
+    assert len(state.coverage.states) > 20
+    assert len(state.kinds) > 8
+
+
+@pytest.mark.parametrize(
+    ("mutant", "kind", "frames"),
+    [
+        ("M-BP-RX-15-dies", "raised", 1),
+        ("M-VD-ROB-01-dies-of-type", "raised", 1),
+        ("M-VD-ROB-01-dies-of-text", "raised", 1),
+        ("M-VD-PC-01-earlier", "state", 2),
+        ("M-VD-PU-06-stored", "state", 3),
+        ("M-VD-PU-02-revived", "state", 3),
+        ("M-VD-PU-07-no-wrap", "state", 3),
+        ("M-DATA-01-swapped-length", "bad-beacon", 1),
+    ],
+)
+def test_mutants_are_found_and_shown_in_few_frames(mutant, kind, frames):
+    target = stack_target(Codec("dcp-2.0"), mutant)
+    campaign = campaign_on(target)
+    campaign.run(Limits(cases=1500, findings=1))
+    [artefact] = campaign.artefacts
+    assert artefact.effect.kind == kind
+    assert artefact.frames <= frames
+    assert artefact.minimised
+    # Our node as it is shows nothing of it.
+    assert StackTarget(target.codec).run(artefact.as_steps()) is None
+
+
+def test_a_mutant_that_goes_mute_is_found():
+    steps = [Frame(b"\0" * 40)] * 25
+    effect = stack_target(Codec("dcp-2.0"), "M-BP-RX-16-mute").run(steps)
+    assert effect is not None
+    assert effect.kind == "mute"
+
+
+def test_a_node_that_does_not_come_back_is_stopped():
+    class Endless(Node):
+        def handle_frame(self, octets, *, now, wall):
+            while octets == b"stop":
+                pass
+
+    target = StackTarget(Codec("dcp-2.0"), make=lambda c, r, n, w: Endless(c, rng=r, now=n, wall=w), time_limit=0.2)
+    effect = target.run([Frame(b"stop")])
+    assert effect is not None
+    assert effect.kind == "hang"
+    # And the next sequence has all of its time.
+    assert target.run([Wait(0.1)]) is not None
+
+
+def test_an_exception_outside_of_an_input_is_no_crash_of_the_tester():
+    class Broken(Node):
+        def poll_timeout(self):
+            raise ZeroDivisionError("no deadline")
+
+    target = StackTarget(Codec("dcp-2.0"), make=lambda c, r, n, w: Broken(c, rng=r, now=n, wall=w))
+    effect = target.run([Wait(1.0)])
+    assert effect is not None
+    assert effect.signature == "raised: ZeroDivisionError in poll_timeout"
+
+
+def test_service_calls_change_the_model_too():
+    target = StackTarget(Codec("dcp-2.0"))
+    create = Call("RTDB-Create", {"varId": 1, "repCnt": 1, "descr": "d", "value": "00"})
+    assert target.run([create, Wait(1.0), Call("RTDB-Update", {"varId": 1, "value": "01"}), Wait(1.0)]) is None
+    versions = [version.value for version in target.observer.oracle.variables[1].versions]
+    assert versions == [b"", b"\0", b"\1"]
+
+
+def test_sequences_of_a_kind_are_all_drawn_and_reproducible():
+    codec = Codec("dcp-2.0")
+
+    def drawn(seed: int) -> tuple[list, set[str]]:
+        rng = random.Random(seed)
+        sequences = Sequences(codec, rng, b"\2\0\0\0\0\1", Mutator(codec, rng, drawn_pool(codec, rng, 40)))
+        found, kinds = [], set()
+        for _ in range(600):
+            found.append(sequences.draw())
+            kinds.add(sequences.last)
+        return found, kinds
+
+    one, kinds = drawn(4)
+    assert kinds >= {
+        *("mixed", "mutated", "creation-times", "sequence-wrap", "delete-and-create", "requests", "two-producers"),
+        *("spoofed-sender", "services", "reports", "one-payload"),
+    }
+    assert one == drawn(4)[0]
+
+
+def test_floods_and_full_databases_do_no_harm():
+    codec = Codec("dcp-2.0")
+    rng = random.Random(1)
+    target = StackTarget(codec, time_limit=60)
+    sequences = Sequences(codec, rng, target.own_id, Mutator(codec, rng, drawn_pool(codec, rng, 40)))
+    assert target.run(sequences.neighbour_flood()) is None
+    assert target.run(sequences.all_variables()) is None
+    assert target.run(sequences.largest()) is None
+    assert target.run(sequences.garbage()) is None
+    assert len(Joined(sequences, 5).draw()) >= 5
+
+
+def test_a_recording_is_mutated():
+    codec = Codec("dcp-2.0")
+    rng = random.Random(1)
+    recorded = drawn_pool(codec, random.Random(9), 12)
+    sequences = Sequences(codec, rng, b"\2\0\0\0\0\1", Mutator(codec, rng, recorded), recorded)
+    steps = sequences.recording()
+    assert {step.octets for step in steps} & set(recorded)
+    assert "recording" in {sequences.draw() and sequences.last for _ in range(300)}
+
+
+def test_a_mutant_that_does_not_exist_is_refused():
+    with pytest.raises(UsageError, match="no mutant"):
+        stack_target(Codec("dcp-2.0"), "M-NOTHING")
