@@ -99,9 +99,8 @@ def main() -> None:
         row = campaign_on(known[name], options.seconds, options.seed)
         rows.append(row)
         if row["found"]:
-            print(
-                f"{name:38} {row['seconds']:6.2f} s {row['cases']:6} cases {row['frames']:2} frames  {row['effect'][:60]}"
-            )
+            took = f"{row['seconds']:6.2f} s {row['cases']:6} cases {row['frames']:2} frames"
+            print(f"{name:38} {took}  {row['effect'][:60]}")
         else:
             print(f"{name:38} not found in {row['cases']} cases: {row['what']}")
         sys.stdout.flush()

@@ -14,6 +14,7 @@ from dcp_codec.errors import DecodeError
 from dcp_conformance.bench import Bench
 from dcp_conformance.oracle import Version
 from dcp_conformance.services import described, rows
+from dcp_conformance.traffic import Event
 from dcp_conformance.upper import Answer
 
 from .observing import Observer
@@ -32,17 +33,31 @@ class Comparison:
         self._reports: dict[bytes, int] = {}
         """Who reported to the implementation, and when last."""
         self._judged = len(bench.heard)
+        self._followed = bench.traffic.frames
+        """The last frame that the model knows of."""
         upper = bench.session.upper
         self._methods = upper.methods if upper is not None else frozenset[str]()
 
     # -- while steps are carried out ---------------------------------------------------------------------------
 
-    def sent(self, octets: bytes) -> None:
-        """A bearer payload was sent to the implementation."""
+    def follow(self) -> None:
+        """Let the model hear everything that was sent since the last time, markers too."""
         bench = self._bench
-        self._observer.hears(octets, bench.now(), bench.traffic.frames)
+        new: list[Event] = []
+        for event in reversed(bench.traffic.events):
+            if event.number and event.number <= self._followed:
+                break
+            if event.direction == "sent":
+                new.append(event)
+        self._followed = bench.traffic.frames
+        since = bench.lower.wall() - bench.now()
+        for event in reversed(new):
+            self._sent(event.frame[event.start :], event.wall - since, event.number)
+
+    def _sent(self, octets: bytes, time: int, number: int) -> None:
+        self._observer.hears(octets, time, number)
         try:
-            beacon = bench.codec.decode(octets)
+            beacon = self._bench.codec.decode(octets)
         except DecodeError:
             # Whether a report in front of the damage was taken is open; who else it was about is not asked.
             return
@@ -51,10 +66,11 @@ class Comparison:
         for payload in beacon.payloads:
             report = payload.srp
             if report is not None and report.node_id != self._observer.own_id:
-                self._reports[report.node_id] = bench.now()
+                self._reports[report.node_id] = time
 
     def called(self, step: Call, answer: Answer, at: int) -> Effect | None:
         """A service was called: whether success is what the model expects; if so, the model follows."""
+        self.follow()
         var_id = step.params.get("varId")
         if type(var_id) is not int:
             return None
@@ -115,6 +131,7 @@ class Comparison:
     def said(self, at: int) -> Effect | None:
         """Judge what was heard since the last time."""
         bench = self._bench
+        self.follow()
         heard, self._judged = bench.heard[self._judged :], len(bench.heard)
         most = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
         for each in heard:

@@ -183,7 +183,7 @@ def _step(bench: Bench, step: Step, interval: int, at: int, comparison: Comparis
             octets = step.octets[: bench.profile.limits.uwb_max_packet]
             bench.transmit(octets, step.source)
             if comparison is not None:
-                comparison.sent(octets)
+                comparison.follow()
             bench.wait_ns(interval)
         case Wait():
             bench.wait(step.periods)

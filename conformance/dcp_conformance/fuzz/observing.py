@@ -57,6 +57,8 @@ class Observer:
         self.own_id = own_id
         self.reached: Counter[tuple[str, str]] = Counter()
         profile = codec.profile
+        self._skips = profile.behaviour.vardis_receive_error == "skip-element"
+        self._id_width, self._id_order = profile.types.var_id.width, profile.types.var_id.byte_order
         self._latency = round(LATENCY * period)
         self._network = network if profile.has_header_field("networkId") else None
         most = profile.limits
@@ -109,6 +111,10 @@ class Observer:
             if each.name == "varId" and isinstance(each.value, int):
                 self.oracle.doubt(each.value)
                 self.reached["any", "damaged"] += 1
+        if self._skips:
+            # Who goes on behind what is wrong may find a record anywhere.
+            for start in range(len(octets) - self._id_width + 1):
+                self.oracle.doubt(int.from_bytes(octets[start : start + self._id_width], self._id_order))
         return []
 
     def _payload(self, containers: tuple[Container, ...], time: int, number: int) -> list[int]:
