@@ -25,6 +25,9 @@ def junit_xml(run: RunResult) -> bytes:
         suite = ET.SubElement(root, "testsuite", attributes)
         for case in cases:
             _add(suite, case)
+    for element in root.iter():
+        element.attrib = {name: _clean(value) for name, value in element.attrib.items()}
+        element.text = _clean(element.text) if element.text else element.text
     ET.indent(root)
     octets: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return octets + b"\n"
@@ -39,17 +42,17 @@ def _add(suite: ET.Element, case: CaseResult) -> None:
     for requirement in case.requirements:
         ET.SubElement(properties, "property", {"name": "requirement", "value": requirement})
     ET.SubElement(properties, "property", {"name": "verdict", "value": str(case.verdict)})
-    ET.SubElement(properties, "property", {"name": "purpose", "value": _clean(case.purpose)})
+    ET.SubElement(properties, "property", {"name": "purpose", "value": case.purpose})
     outcome = _OUTCOMES.get(case.verdict)
     if outcome is None:
         return
-    detail = ET.SubElement(element, outcome, {"message": _clean(f"{case.verdict}: {case.reason}")})
+    detail = ET.SubElement(element, outcome, {"message": f"{case.verdict}: {case.reason}"})
     if outcome != "skipped":
         detail.set("type", case.table)
         lines = [
             f"expected: {check.expected}\ninstead: {check.observed}" for check in case.checks if _bad(check.verdict)
         ]
-        detail.text = _clean("\n".join([*lines, f"again: {case.rerun}", case.error_detail]).strip())
+        detail.text = "\n".join([*lines, f"again: {case.rerun}", case.error_detail]).strip()
 
 
 def _bad(verdict: Verdict) -> bool:

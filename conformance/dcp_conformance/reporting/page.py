@@ -123,6 +123,7 @@ def _case(case: CaseResult, number: int, apart: _Apart) -> dict[str, Any]:
         "expectation": case.expectation,
         "window": case.window,
         "reason": case.reason,
+        "explained": any(check.verdict is case.verdict and check.observed for check in case.checks),
         "duration": case.duration,
         "checks": [_check(check, events, apart, case) for check in case.checks],
         "timeline": list(_timeline(case, apart)),
