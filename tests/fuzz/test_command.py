@@ -1,0 +1,95 @@
+"""The command: what it refuses, what it writes, how it goes on, and its exit status."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from dcp_codec.capture import open_capture
+
+
+def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", "fuzz", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.parametrize("mode", ["live", "differential"])
+def test_nothing_is_sent_on_an_interface_that_was_not_named(mode):
+    done = fuzz(mode)
+    assert done.returncode == 2
+    assert "name the interface" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("codec", "nothing"), "there is no part 'nothing'"),
+        (("stack", "--mutant", "M-NOTHING"), "no mutant"),
+        (("stack", "--profile", "none-such"), "none-such"),
+        (("stack", "--dry-run"), "--out FILE"),
+        (("stack", "--out", "x.mcap"), "--dry-run"),
+        (("stack", "--resume"), "--artefacts DIR"),
+        (("stack", "--resume", "--artefacts", "/nonexistent"), "no campaign"),
+        (("stack", "--recording", "/nonexistent.mcap"), "/nonexistent.mcap"),
+        (("replay", "/nonexistent"), "/nonexistent"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(words, says):
+    done = fuzz(*words)
+    assert done.returncode in (2, 4)
+    assert says in done.stderr + done.stdout
+    assert "Traceback" not in done.stderr
+
+
+def test_a_dry_run_writes_what_would_be_sent(tmp_path):
+    out = tmp_path / "frames.mcap"
+    done = fuzz("live", "--dry-run", "--interface", "none0", "--max-cases", "3", "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    with open_capture(out) as reader:
+        frames = list(reader)
+    assert f"{len(frames)} frames written" in done.stdout
+    assert len(frames) > 20
+
+
+def test_findings_are_saved_replayed_and_gone_on_from(tmp_path):
+    folder = tmp_path / "findings"
+    options = ("--seed", "1", "--artefacts", str(folder), "--mutant", "M-BP-RX-15-dies")
+    done = fuzz("stack", "--max-cases", "60", *options)
+    assert done.returncode == 1
+    assert "field x class of value" in done.stdout
+    assert "state of a variable x message" in done.stdout
+    [artefact] = folder.glob("raised-*.json")
+    again = fuzz("replay", str(folder))
+    assert again.returncode == 1
+    assert again.stdout.startswith("failed ")
+    content = json.loads(artefact.read_text())
+    del content["target"]["mutant"]
+    artefact.write_text(json.dumps(content))
+    fixed = fuzz("replay", str(artefact))
+    assert (fixed.returncode, fixed.stdout[:6]) == (0, "fixed ")
+
+    more = fuzz("stack", "--max-cases", "40", "--resume", *options)
+    assert more.returncode == 1
+    state = json.loads((folder / "campaign.json").read_text())
+    assert state["cases"] == 100
+    # What is known already is not minimised again.
+    assert len(state["findings"]) == 1
+
+
+def test_a_recording_and_lines_of_code_guide(tmp_path):
+    out = tmp_path / "frames.mcap"
+    assert fuzz("stack", "--dry-run", "--max-cases", "20", "--out", str(out)).returncode == 0
+    done = fuzz("stack", "--guided", "--recording", str(out), "--max-cases", "30")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "lines of the target: " in done.stdout
+    assert fuzz("codec", "beacon", "--guided", "--max-cases", "50", "-q").returncode == 0
+
+
+def test_a_live_campaign_in_process_ends_well():
+    done = fuzz("live", "--in-process", "--max-cases", "5", "--rate", "400")
+    assert done.returncode == 0, done.stderr
+    assert "0 findings" in done.stdout

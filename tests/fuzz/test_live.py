@@ -1,0 +1,153 @@
+"""Implementations behind a bench as targets: health is asked for, silence is no death, findings survive the peer."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from dcp_conformance.bench import Session
+from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
+from dcp_conformance.fuzz.artefact import SavedTarget
+from dcp_conformance.fuzz.live import LiveTarget, UnhealthyError
+from dcp_conformance.fuzz.replaying import stack_target
+from dcp_conformance.fuzz.sequences import Joined, Sequences
+from dcp_conformance.mutants import all_mutants
+from dcp_conformance.pics import Pics
+from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
+from dcp_conformance.runner import Runner
+from dcp_conformance.target import Target
+
+from dcp_codec import Codec
+from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_stack.node import Node
+
+CODEC = Codec("dcp-2.0")
+OWN = b"\x02\x00\x00\x00\x00\x01"
+#: A beacon that announces more octets than there are: M-BP-RX-15-dies dies of it.
+TOO_LONG = bytes.fromhex("01497e02dc900000011111ffff0100000001000200020100")
+
+
+def opened(make=plain_node, *, upper=True) -> Target:
+    sut = InProcess(reference_config(CODEC), make=make)
+    session = Session(CODEC, sut.lower_tester(), sut.upper_tester() if upper else None, Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    return Target(CODEC, Pics(), runner, [])
+
+
+def sequences(seed: int = 1) -> Sequences:
+    rng = random.Random(seed)
+    return Sequences(CODEC, rng, OWN, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)))
+
+
+@pytest.mark.parametrize("upper", [True, False])
+@pytest.mark.parametrize("differential", [True, False])
+def test_our_node_shows_nothing(upper, differential):
+    target = LiveTarget(opened(upper=upper), differential=differential and upper)
+    drawn = Joined(sequences(), 1 if differential else 5)
+    for _ in range(60):
+        assert target.run(drawn.draw()) is None
+    assert target.frames > 60
+
+
+def test_a_peer_that_does_not_answer_is_not_fuzzed():
+    class Silent(Node):
+        heard = 0
+
+        def handle_frame(self, octets, *, now, wall):
+            Silent.heard += octets == b"frame of the fuzzer"
+
+    target = LiveTarget(opened(lambda c, r, n, w: Silent(c, rng=r, now=n, wall=w)))
+    with pytest.raises(UnhealthyError, match="not healthy, so nothing was sent"):
+        target.run([Frame(b"frame of the fuzzer")])
+    assert Silent.heard == 0
+
+
+def test_silence_is_no_death_as_long_as_one_marker_is_answered():
+    class Deaf(Node):
+        """Hears every fourth frame."""
+
+        count = 0
+
+        def handle_frame(self, octets, *, now, wall):
+            Deaf.count += 1
+            if Deaf.count % 4 == 0:
+                super().handle_frame(octets, now=now, wall=wall)
+
+    target = LiveTarget(opened(lambda c, r, n, w: Deaf(c, rng=r, now=n, wall=w)))
+    for _ in range(8):
+        assert target.run([Frame(b"\1"), Wait(0.5)]) is None
+
+
+def test_a_death_is_found_and_the_peer_started_again():
+    target = LiveTarget(opened(all_mutants()["M-BP-RX-15-dies"].make))
+    effect = target.run([Frame(b"\0"), Frame(TOO_LONG)])
+    assert effect is not None
+    assert effect.kind == "dead"
+    assert effect.step == 1
+    assert "IndexError" in effect.detail
+    assert target.run([Frame(b"\0")]) is None
+    assert target.restarts == 1
+
+
+def test_a_peer_that_goes_mute_is_found():
+    target = LiveTarget(opened(all_mutants()["M-VD-ROB-01-mute"].make))
+    drawn = sequences()
+    effect = None
+    for _ in range(40):
+        effect = effect or target.run(drawn.garbage())
+    assert effect is not None
+    assert effect.kind == "mute"
+    assert "none of 4 markers" in effect.detail
+
+
+@pytest.mark.parametrize("mutant", ["M-VD-PU-06-stored", "M-VD-PC-01-same", "M-VD-PD-04-ignored"])
+def test_a_wrong_state_is_found_from_outside(mutant):
+    target = LiveTarget(opened(all_mutants()[mutant].make), differential=True)
+    drawn = sequences(2)
+    found = None
+    for _ in range(150):
+        found = found or target.run(drawn.draw())
+    assert found is not None
+    assert found.kind in ("state", "said")
+
+
+def test_a_neighbour_that_is_not_kept_is_found():
+    target = LiveTarget(opened(all_mutants()["M-SRP-RX-03-one"].make), differential=True)
+    drawn = sequences(2)
+    found = [target.run(drawn.reports()) for _ in range(20)]
+    assert any(effect is not None and "neighbour" in effect.detail for effect in found)
+
+
+def test_a_service_that_succeeds_when_it_must_not_is_found():
+    target = LiveTarget(opened(), differential=True)
+    steps = [Call("RTDB-Create", {"varId": 1, "repCnt": 1, "descr": "d", "value": "00"}), Wait(1.0)]
+    steps += [Call("RTDB-Update", {"varId": 1, "value": "01"}), Call("RTDB-Delete", {"varId": 1}), Wait(2.0)]
+    steps += [Call("RTDB-Delete", {"varId": 1}), Call("RTDB-Update", {"varId": 9, "value": "01"})]
+    assert target.run(steps) is None
+
+
+def test_a_finding_is_minimised_in_process_and_confirmed_on_the_peer():
+    make = all_mutants()["M-BP-RX-15-dies"].make
+    target = LiveTarget(opened(make))
+    campaign = Campaign(CODEC, target, Joined(sequences(), 10), SavedTarget("live"), 1)
+    campaign.model = stack_target(CODEC, "M-BP-RX-15-dies")
+    campaign.run(Limits(cases=20, findings=1))
+    [artefact] = campaign.artefacts
+    assert artefact.effect.kind == "dead"
+    assert artefact.frames == 1
+    assert artefact.confirmed
+    # Nearly all of the work was done without the peer.
+    assert target.restarts <= 4
+
+
+def test_a_finding_is_kept_although_the_peer_stays_dead(tmp_path):
+    target = LiveTarget(opened(all_mutants()["M-BP-RX-15-dies"].make))
+    assert target.control is not None
+    target.control.can_restart = False
+    campaign = Campaign(CODEC, target, Joined(sequences(), 10), SavedTarget("live"), 1, directory=tmp_path)
+    with pytest.raises(UnhealthyError, match="no command to restart"):
+        campaign.run(Limits(cases=50, findings=1))
+    [artefact] = campaign.artefacts
+    assert not artefact.minimised
+    assert (tmp_path / f"{artefact.id}.json").exists()
