@@ -45,6 +45,7 @@ def until_done(client: BPClient, since: int) -> list[bytes]:
     stimulus="a client with maxEntries 2 submits A, B, C between two beacons",
     expect="BP-STATUS-OK each time; A, then B on the air, and no C",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=no_confirm),
+    smoke=True,
 )
 def droptail(bench: Bench) -> None:
     full_queue(bench, DROPTAIL, [0, 1], "BP-QM-01", "BP-TXP-04", "BP-TXP-09")

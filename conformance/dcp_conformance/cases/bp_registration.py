@@ -290,6 +290,7 @@ def unknown_mode(bench: Bench, mode: str) -> None:
     stimulus="BP-RegisterProtocol, BP-DeregisterProtocol, BP-ListRegisteredProtocols; a payload waits",
     expect="BP-STATUS-OK; no entry; the number of payloads cannot be asked any more",
     needs=Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+    smoke=True,
 )
 def deregister(bench: Bench) -> None:
     client = BPClient(bench, REPEAT)

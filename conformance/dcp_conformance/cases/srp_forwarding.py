@@ -15,6 +15,7 @@ from dcp_conformance.services import safety_data, srp_blocks
     expect="four beacons without any of these records, and no record of another node",
     window=8,
     needs=Needs(entities=("srp",)),
+    smoke=True,
 )
 def never_forwarded(bench: Bench) -> None:
     if bench.session.upper is not None and "SRP-UpdateSafetyData" in bench.session.upper.methods:

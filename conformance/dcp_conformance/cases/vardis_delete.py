@@ -74,6 +74,7 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     expect="OK; exactly repCnt beacons with the VarDelete, and no VarCreate, VarUpdate or summary with or after them",
     window=50,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete"), when=several_repetitions),
+    smoke=True,
 )
 def ends_repetitions(bench: Bench) -> None:
     count = max_repetitions(bench)

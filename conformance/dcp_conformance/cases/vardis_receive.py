@@ -38,6 +38,7 @@ def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, .
     requirements="VD-RX-01",
     stimulus="a payload in which the VarUpdate of an unknown variable stands before its VarCreate",
     expect="both are applied, and the variable is not requested",
+    smoke=True,
 )
 def two_phases(bench: Bench) -> None:
     peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()

@@ -61,6 +61,7 @@ def requests_stay(bench: Bench) -> None:
     stimulus="summaries and updates of an unknown variable, and newer summaries of a known one, from five peers",
     expect="one VarReqCreate for the one, one VarReqUpdate for the other",
     window=8,
+    smoke=True,
 )
 def requests_once(bench: Bench) -> None:
     peer, unknown, updated = bench.peer(), bench.unknown_id(), bench.unknown_id()

@@ -181,6 +181,7 @@ def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requ
     stimulus="a VarCreate of another node, then RTDB-DescribeVariable; once more after its repetitions",
     expect="specification, value and number as received; counters: at most repCnt creations, nothing else; not deleted",
     needs=_DESCRIBE,
+    smoke=True,
 )
 def entry_of_received(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
