@@ -25,8 +25,6 @@ def campaign_on(target: StackTarget, seed: int = 1) -> Campaign:
     return Campaign(codec, target, sequences, saved, seed, mutator=mutator, states=lambda: target.observer.reached)
 
 
-@pytest.mark.req("VD-ROB-01")
-@pytest.mark.req("BP-RX-16")
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.3", "dcp-2.0", "cpp-2.0", "student-2024"])
 def test_our_node_shows_nothing_in_a_short_campaign(profile):
     campaign = campaign_on(StackTarget(Codec(profile)))
