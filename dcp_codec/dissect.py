@@ -6,7 +6,7 @@ decoder raises; it then goes on wherever the layout allows: behind a region of k
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import msgspec
@@ -35,7 +35,7 @@ class Field(msgspec.Struct, eq=False, gc=False):
     offset: int
     length: int
     value: Any = None
-    children: Sequence[Field] = ()
+    children: list[Field] = []
 
     @property
     def raw(self) -> bytes:
@@ -227,7 +227,13 @@ class _Walker:
         prefix = f"{path}." if path else ""
         for member in node.members:
             if isinstance(member, Scalar):
-                part, going = self.scalar(member, prefix + member.name, end, scope)
+                name, o, size = member.name, self.o, member.size
+                if member.rule is None and size == 1 and o < end and member.kind == "int" and not member.signed:
+                    # Most fields are octets that may say anything.
+                    part = scope[name] = Field(name, prefix + name, member, self.b, o, o + self.shift, 1, self.b[o])
+                    self.o = o + 1
+                else:
+                    part, going = self.scalar(member, prefix + name, end, scope)
             else:
                 # A chosen content goes by the label of the choice, not by the name of the member.
                 here = path if isinstance(member, Region | Select) else prefix + member.name

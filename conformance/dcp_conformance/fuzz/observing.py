@@ -32,6 +32,9 @@ from .steps import Effect
 #: How old a payload may be when it is seen on the air, and how long a reaction may take, in beacon periods.
 LATENCY, WINDOW = 1.6, 8.0
 
+#: What octets break that no node may take anything of.
+_IGNORED = frozenset({"BP-RX-01", "BP-RX-02"})
+
 
 class Observer:
     """The model of one node, fed with what the node hears and says.
@@ -82,8 +85,9 @@ class Observer:
         """The node has received this bearer payload; the variables that it is about."""
         try:
             beacon = self.codec.decode(octets)
-        except DecodeError:
-            return self._doubtful(octets)
+        except DecodeError as error:
+            # A beacon of another protocol, or of another version of it, is ignored as a whole.
+            return [] if error.problem.requirement in _IGNORED else self._doubtful(octets)
         if not self.is_for_node(beacon):
             return []
         touched: list[int] = []
