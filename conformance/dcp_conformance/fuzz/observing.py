@@ -134,6 +134,11 @@ class Observer:
                 # When a deleted variable leaves the database shows only when something is said to the node about it.
                 self.oracle.doubt(var_id)
         self.oracle.hear(records, time, number)
+        if self._features.removed_after_deletion:
+            for record in records:
+                if isinstance(record, VarDelete) and touched.count(record.var_id) > 1:
+                    # Nor does it show what is still there for the records behind it.
+                    self.oracle.doubt(record.var_id)
         return touched
 
     def _was_deleted(self, var_id: int) -> bool:
