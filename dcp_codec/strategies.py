@@ -436,36 +436,35 @@ def _wrong(raw: bytes) -> list[bytes]:
 def _with_elements_changed(draw: st.DrawFn, octets: bytes, dissect: Dissect, others: st.SearchStrategy[bytes]) -> bytes:
     """Elements of lists in other places, or from other messages; or every count and length lies at once."""
     kind = draw(st.sampled_from(("reorder", "splice", "bomb")))
-    mine = _elements(dissect(octets))
+    dissection = dissect(octets)
     if kind == "bomb":
-        for field in dissect(octets).root.walk():
-            if isinstance(field.layout, Scalar) and field.layout.derived is not None and field.length:
-                start = field.offset
+        shift = dissection.root.offset
+        for field in dissection.root.walk():
+            if isinstance(field.layout, Scalar) and field.layout.derived is not None:
+                start = field.offset - shift
                 octets = octets[:start] + b"\xff" * field.length + octets[start + field.length :]
-        if mine:
-            start, stop = draw(st.sampled_from(mine))
-            octets = octets[:stop] + octets[start:stop] * draw(st.integers(1, 32)) + octets[stop:]
         return octets
+    mine = _elements(dissection)
     if not mine:
         return octets
-    start, stop = draw(st.sampled_from(mine))
+    name, start, stop = draw(st.sampled_from(mine))
     if kind == "splice":
         other = draw(others)
-        theirs = _elements(dissect(other))
-        begin, end = draw(st.sampled_from(theirs)) if theirs else (0, len(other))
+        theirs = [element for element in _elements(dissect(other)) if element[0] == name]
+        _, begin, end = draw(st.sampled_from(theirs)) if theirs else (name, 0, 0)
         return octets[:start] + other[begin:end] + octets[stop:]
-    behind = [element for element in mine if element[0] >= stop]
+    behind = [element for element in mine if element[1] >= stop]
     if not behind:
         return octets
-    begin, end = draw(st.sampled_from(behind))
+    _, begin, end = draw(st.sampled_from(behind))
     return octets[:start] + octets[begin:end] + octets[stop:begin] + octets[start:stop] + octets[end:]
 
 
-def _elements(dissection: Dissection) -> list[tuple[int, int]]:
-    """Where the elements of all lists start and stop."""
+def _elements(dissection: Dissection) -> list[tuple[str, int, int]]:
+    """The elements of all lists: name of the list, where they start and stop."""
     shift = dissection.root.offset
     return [
-        (element.offset - shift, element.offset - shift + element.length)
+        (field.name, element.offset - shift, element.offset - shift + element.length)
         for field in dissection.root.walk()
         if isinstance(field.layout, Many)
         for element in field.children
