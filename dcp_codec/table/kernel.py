@@ -128,8 +128,9 @@ class _Generator:
         for index in range(size) if size <= 8 else ():
             self.add(f"c{column.number}[U64({place} + {index})] = b[U64({at} + {index})]")
         if size > 8:
-            with self.block(f"for i in range({size}):"):
-                self.add(f"c{column.number}[U64({place} + i)] = b[U64({at} + i)]")
+            index = self.fresh("i")
+            with self.block(f"for {index} in range({size}):"):
+                self.add(f"c{column.number}[U64({place} + {index})] = b[U64({at} + {index})]")
 
     def put_varying(self, column: Column, row: str, at: str, size: str) -> None:
         """Append ``size`` octets to a column of varying ones; offsets are those of the ends, after a leading 0."""

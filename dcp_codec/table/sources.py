@@ -28,6 +28,8 @@ from .walkers import walk_pcap, walk_pcapng
 FRAMES, SPAN = 1 << 15, 1 << 23
 #: Frames that are collected into one block where they come one by one.
 _COLLECTED = 1 << 13
+#: Blocks of a pcapng file that may be unusual, more than there are usual ones, before it is read block by block.
+_ODD_BLOCKS = 1 << 10
 
 _BIGGEST = (1 << 63) - 1
 
@@ -93,15 +95,14 @@ class Recording:
         position, number = reader.position, 0
         nothing = np.zeros(self._frames, np.int64)
         while True:
-            starts, stops, numbers, times, lengths = (np.empty(self._frames, np.int64) for _ in range(5))
+            arrays = _arrays(5, self._frames)
             count, after = walk_pcap(
-                octets, position, big, scale, limit, number, self._frames, self._span,
-                starts, stops, numbers, times, lengths,
+                octets, position, big, scale, limit, number, self._frames, self._span, *arrays
             )  # fmt: skip
             if not count:
                 break
             number, position = number + count, after
-            yield Block(octets, starts, stops, numbers, times, lengths, nothing, count, position)
+            yield Block(octets, *arrays, nothing, count, position)
             done(position)
         # The end of the file, or what makes it end here: the reader finds out which.
         reader.resume(position, number)
@@ -112,35 +113,40 @@ class Recording:
         position, number, given = reader.position, reader.number, 0
         described: Integers | None = None
         known: Sequence[Interface] = ()
-        going = True
+        going, odd_blocks = True, 0
         odd: list[Frame] = []
+        arrays = _arrays(6, self._frames)
         while going:
             if known is not reader.interfaces or described is None or len(described) != len(reader.interfaces):
                 known = reader.interfaces
                 described = _described(known)
-            starts, stops, numbers, times, lengths, interfaces = (np.empty(self._frames, np.int64) for _ in range(6))
             count, after = walk_pcapng(
                 octets, position, reader.big_endian, described, MAX_RECORD_LENGTH, number, self._frames, self._span,
-                starts, stops, numbers, times, lengths, interfaces,
+                *arrays,
             )  # fmt: skip
             if count:
                 if odd:
                     yield packed(odd, position)
                     odd = []
                 number, given, position = number + count, given + count, after
-                yield Block(octets, starts, stops, numbers, times, lengths, interfaces, count, position)
+                yield Block(octets, *arrays, count, position)
+                arrays = _arrays(6, self._frames)
                 done(position)
+                odd_blocks = max(0, odd_blocks - count)
                 continue
+            odd_blocks += 1
             going, frame = reader.step(position, number, given)
             position, number = reader.position, reader.number
             if frame is not None:
                 odd.append(frame)
                 given += 1
-                if len(odd) == _COLLECTED:
-                    yield packed(odd, position)
-                    odd = []
+            if odd_blocks > _ODD_BLOCKS:
+                # Nothing here is plain: walking only costs time.
+                break
         if odd:
             yield packed(odd, position)
+        if going:
+            yield from collected(reader, lambda: reader.position)
 
     def close(self) -> None:
         """Let go of the file. May be called again."""
@@ -153,6 +159,10 @@ class Recording:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _arrays(many: int, size: int) -> list[Integers]:
+    return [np.empty(size, np.int64) for _ in range(many)]
 
 
 class _Passed:

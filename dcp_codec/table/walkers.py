@@ -76,6 +76,23 @@ _FIXED, _LEAST = 28, 32
 
 
 @njit(cache=True, nogil=True)
+def _plain_options(b: Any, at: int, stop: int, big: bool) -> bool:
+    """Whether the options in ``b[at:stop]`` lie within it."""
+    while at < stop:
+        if stop - at < 4:
+            return False
+        first = word(b, at, big)
+        code, length = (first >> 16, first & 0xFFFF) if big else (first & 0xFFFF, first >> 16)
+        if code == 0:
+            return True
+        at += 4
+        if length > stop - at:
+            return False
+        at += length + -length % 4
+    return True
+
+
+@njit(cache=True, nogil=True)
 def walk_pcapng(
     b: Any,
     position: int,
@@ -111,9 +128,10 @@ def walk_pcapng(
         which = word(b, position + 8, big)
         if which >= described.shape[0] or described[which, ACCEPTED] == 0:
             break
-        captured, room = word(b, position + 20, big), total - _LEAST
-        # Options are somebody else's business.
-        if captured > room or room > captured + 3:
+        captured, room, body = word(b, position + 20, big), total - _LEAST, position + _FIXED
+        if captured > room:
+            break
+        if room > captured + 3 and not _plain_options(b, body + captured + -captured % 4, body + room, big):
             break
         high = word(b, position + 12, big)
         ticks = (high << 32) | word(b, position + 16, big)
@@ -127,8 +145,8 @@ def walk_pcapng(
         if time < 0:
             break
         number += 1
-        starts[_U64(count)] = position + _FIXED
-        stops[_U64(count)] = position + _FIXED + captured
+        starts[_U64(count)] = body
+        stops[_U64(count)] = body + captured
         numbers[_U64(count)] = number
         times[_U64(count)] = time
         lengths[_U64(count)] = max(word(b, position + 24, big), captured)
