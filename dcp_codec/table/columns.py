@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,10 @@ from .pools import Pool
 from .shape import Column, Table
 
 Octets = npt.NDArray[np.uint8]
-_INTEGERS = {(1, False): pa.uint8(), (2, False): pa.uint16(), (4, False): pa.uint32(), (8, False): pa.uint64()}
-_SIGNED = {(1, True): pa.int8(), (2, True): pa.int16(), (4, True): pa.int32(), (8, True): pa.int64()}
+_INTEGERS = {
+    **{(1, False): pa.uint8(), (2, False): pa.uint16(), (4, False): pa.uint32(), (8, False): pa.uint64()},
+    **{(1, True): pa.int8(), (2, True): pa.int16(), (4, True): pa.int32(), (8, True): pa.int64()},
+}
 _FLOATS = {4: pa.float32(), 8: pa.float64()}
 
 #: What a text that is not UTF-8 is called when it is given as hex, as in JSON.
@@ -28,8 +31,7 @@ def arrow_type(column: Column) -> pa.DataType:
     """The Arrow type of a column."""
     match column.kind:
         case "int":
-            # Numbers that are ours (frames, octets) are never negative and no reason to think about signs.
-            return {**_INTEGERS, **_SIGNED}[column.size, column.signed]
+            return _INTEGERS[column.size, column.signed]
         case "float":
             return _FLOATS[column.size]
         case "time":
@@ -119,7 +121,7 @@ def _texts(ends: npt.NDArray[np.int32], data: Octets) -> list[pa.Array]:
         return [texts, pa.nulls(rows, pa.string())]
     found: list[str | None] = []
     other: list[str | None] = []
-    for begin, end in zip(ends[:-1], ends[1:], strict=True):
+    for begin, end in pairwise(ends.tolist()):
         octets = data[begin:end].tobytes()
         try:
             found.append(octets.decode())

@@ -30,7 +30,7 @@ ROOM, SPACE = 1 << 18, 1 << 22
 
 ERRORS_SCHEMA = pa.schema(
     [
-        pa.field("frame", pa.uint64(), metadata={"doc": "number of the frame in the recording, from 1"}),
+        pa.field("frame", pa.int64(), metadata={"doc": "number of the frame in the recording, from 1"}),
         pa.field("time", TIME, metadata={"doc": "time of capture, UTC", "unit": "ns"}),
         pa.field("sender", IDENTIFIER, metadata={"doc": "sender of the beacon, where it can be read"}),
         pa.field("reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "what is wrong, a fixed word"}),
@@ -57,7 +57,7 @@ class Block(NamedTuple):
     times: Integers
     lengths: Integers
     interfaces: Integers
-    count: int
+    frames: int
     position: int
 
 
@@ -99,10 +99,10 @@ class ColumnDecoder:
     def batches(self, block: Block) -> Iterator[Batch]:
         """Decode a block. Its buffer is not used any more when the iteration has ended."""
         first, room, space = 0, self._room, self._space
-        while first < block.count:
+        while first < block.frames:
             memory = [storage(column, room + 1) for column in self.shape.columns]
             octets = {c.number: np.empty(space, np.uint8) for c in self.shape.columns if c.kind in ("varying", "text")}
-            bad = np.empty(block.count - first, np.int64)
+            bad = np.empty(block.frames - first, np.int64)
             after, status = self._call(block, first, room, space, memory, octets, bad)
             if after > first:
                 yield self._batch(block, first, after, memory, octets, bad)
@@ -144,7 +144,7 @@ class ColumnDecoder:
             block.lengths,
             block.interfaces,
             first,
-            block.count,
+            block.frames,
             udp,
             -1 if kind is None else kind,
             room,

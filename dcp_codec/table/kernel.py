@@ -67,6 +67,7 @@ class _Generator:
     # -- source ---------------------------------------------------------------------------------------------
 
     def add(self, line: str) -> None:
+        """Append one line at the current depth."""
         self.lines.append("    " * self.depth + line)
 
     def fresh(self, stem: str = "v") -> str:
@@ -126,11 +127,11 @@ class _Generator:
         place = self.fresh("q")
         self.add(f"{place} = {row} * {size}")
         for index in range(size) if size <= 8 else ():
-            self.add(f"c{column.number}[U64({place} + {index})] = b[U64({at} + {index})]")
+            self.add(f"c{column.number}[U64({place} + {step})] = b[U64({at} + {step})]")
         if size > 8:
-            index = self.fresh("i")
-            with self.block(f"for {index} in range({size}):"):
-                self.add(f"c{column.number}[U64({place} + {index})] = b[U64({at} + {index})]")
+            step = self.fresh("i")
+            with self.block(f"for {step} in range({size}):"):
+                self.add(f"c{column.number}[U64({place} + {step})] = b[U64({at} + {step})]")
 
     def put_varying(self, column: Column, row: str, at: str, size: str) -> None:
         """Append ``size`` octets to a column of varying ones; offsets are those of the ends, after a leading 0."""
@@ -143,11 +144,7 @@ class _Generator:
     def intern(self, pool: str, at: str, size: int, target: str) -> None:
         """Turn ``size`` <= 8 octets into their number in a pool."""
         key, place = self.fresh("k"), self.fresh("h")
-        octets = " | ".join(
-            f"({self.octet(at, index)}{f' << {8 * (size - 1 - index)}' if index < size - 1 else ''})"
-            for index in range(size)
-        )
-        self.add(f"{key} = {octets}")
+        self.add(f"{key} = {self.number(Scalar('', 'int', size, '', 'big'), at, 0)}")
         self.add(f"{place} = ((({key} ^ ({key} >> 29)) * {_MULTIPLIER}) >> 20) & {pool}_mask")
         with self.block("while True:"):
             self.add(f"{target} = I64({pool}_slots[U64({place})])")

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-_I64, _U64 = np.int64, np.uint64
+# Numba knows these types; to everybody else the numbers are plain integers.
+_I64: Any = np.int64
+_U64: Any = np.uint64
 _HEADER, _IPV4, _IPV6, _UDP = 14, 0x0800, 0x86DD, 17
 _VLAN, _VLAN_OUTER = 0x8100, 0x88A8
 _HASH_MULTIPLIER = 0x100000001B3
@@ -18,7 +20,7 @@ _HASH_START = 0x4BF29CE484222325
 
 
 @njit(cache=True, nogil=True)
-def _pair(b: Any, at: int) -> int:
+def _pair(b: Any, at: int) -> Any:
     """The 16-bit number at ``at``, big-endian."""
     return (_I64(b[_U64(at)]) << 8) | _I64(b[_U64(at + 1)])
 
@@ -34,7 +36,7 @@ def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, in
         return -1, -1, -1
     at = start + _HEADER
     ether = _pair(b, start + 12)
-    while (ether == _VLAN or ether == _VLAN_OUTER) and at < start + _HEADER + 8 and stop >= at + 4:  # noqa: PLR1714
+    while (ether == _VLAN or ether == _VLAN_OUTER) and at < start + _HEADER + 8 and stop >= at + 4:  # noqa: SIM109
         ether = _pair(b, at + 2)
         at += 4
     if not udp:
@@ -58,7 +60,7 @@ def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, in
 
 
 @njit(cache=True, nogil=True)
-def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: int) -> int:
+def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: int) -> Any:
     """The number of the identifier ``b[at:at + size]`` in a pool that has ``many``; a new one is appended.
 
     -1 if the pool is full. ``ends[n]`` is where identifier ``n`` starts in ``arena``, and ends that before it.

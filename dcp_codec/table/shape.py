@@ -121,7 +121,7 @@ class Shape:
     def _table(self, group: Group, indices: list[tuple[str, int]]) -> Table:
         table = Table(TABLE_NAMES[group.type_name], group.type_name, len(self.tables))
         self.tables.append(table)
-        self._add(table, Column("frame", "int", 8, 0, doc="number of the frame in the recording, from 1"))
+        self._add(table, Column("frame", "int", 8, 0, signed=True, doc="number of the frame in the recording, from 1"))
         self._add(table, Column("time", "time", 8, 0, unit="ns", doc="time of capture, UTC"))
         self._add(table, Column("sender", self.sender_kind, 4, 0, doc="sender of the beacon"))
         for name, size in indices:
@@ -198,8 +198,8 @@ class Shape:
                 chosen = self._add(
                     table, Column(name, "label", 1, 0, labels=labels, doc=f"what {node.key} stands for"), node
                 )
-                for index, (_, case) in enumerate(cases):
-                    self._node(table, case, indices, scope, (chosen.number, index))
+                for number, (_, case) in enumerate(cases):
+                    self._node(table, case, indices, scope, (chosen.number, number))
             case _:
                 raise TypeError(f"{type(node).__name__} has no place in a table")
 

@@ -66,7 +66,7 @@ class Recording:
     def blocks(self) -> Iterator[Block]:
         """All frames, in file order."""
         for block in self._blocks():
-            self.frames += block.count
+            self.frames += block.frames
             yield block
 
     def _blocks(self) -> Iterator[Block]:
@@ -102,7 +102,8 @@ class Recording:
             if not count:
                 break
             number, position = number + count, after
-            yield Block(octets, *arrays, nothing, count, position)
+            starts, stops, numbers, times, lengths = arrays
+            yield Block(octets, starts, stops, numbers, times, lengths, nothing, count, position)
             done(position)
         # The end of the file, or what makes it end here: the reader finds out which.
         reader.resume(position, number)
@@ -129,7 +130,8 @@ class Recording:
                     yield packed(odd, position)
                     odd = []
                 number, given, position = number + count, given + count, after
-                yield Block(octets, *arrays, count, position)
+                starts, stops, numbers, times, lengths, interfaces = arrays
+                yield Block(octets, starts, stops, numbers, times, lengths, interfaces, count, position)
                 arrays = _arrays(6, self._frames)
                 done(position)
                 odd_blocks = max(0, odd_blocks - count)
@@ -209,5 +211,3 @@ def packed(frames: Sequence[Frame], position: int) -> Block:
     columns = np.array([(f.number, f.time_ns, f.orig_len, f.interface) for f in frames], np.int64).T
     numbers, times, lengths, interfaces = (np.ascontiguousarray(column) for column in columns)
     return Block(buffer, starts, stops, numbers, times, lengths, interfaces, len(frames), position)
-
-

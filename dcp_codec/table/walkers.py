@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-_I64, _U64 = np.int64, np.uint64
+# Numba knows these types; to everybody else the numbers are plain integers.
+_I64: Any = np.int64
+_U64: Any = np.uint64
 _SECOND = 1_000_000_000
 _RECORD = 16
 
 
 @njit(cache=True, nogil=True)
-def word(b: Any, at: int, big: bool) -> int:
+def word(b: Any, at: int, big: bool) -> Any:
     """The unsigned 32-bit number at ``at``."""
     w, x, y, z = _I64(b[_U64(at)]), _I64(b[_U64(at + 1)]), _I64(b[_U64(at + 2)]), _I64(b[_U64(at + 3)])
     return (w << 24) | (x << 16) | (y << 8) | z if big else (z << 24) | (y << 16) | (x << 8) | w

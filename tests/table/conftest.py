@@ -15,8 +15,8 @@ from dcp_spec.profile import Link
 
 from dcp_codec import Codec, DecodeError, get_codec
 from dcp_codec.capture import Frame, open_capture
-from dcp_codec.framing import OtherTraffic, locate, mac
 from dcp_codec.frames import FrameDissector
+from dcp_codec.framing import OtherTraffic, locate, mac
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = {

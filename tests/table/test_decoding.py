@@ -50,7 +50,7 @@ def decoded(decoder: ColumnDecoder, blocks: Any, rows: Any) -> dict[str, list[di
             for name, table in batch.tables.items():
                 table.validate(full=True)
                 tables[name] += rows(table)
-        assert done == block.count
+        assert done == block.frames
         frames += done
     return tables
 
