@@ -126,9 +126,10 @@ class _Generator:
     def put_octets(self, column: Column, row: str, at: str, size: int) -> None:
         place = self.fresh("q")
         self.add(f"{place} = {row} * {size}")
-        for index in range(size) if size <= 8 else ():
-            self.add(f"c{column.number}[U64({place} + {step})] = b[U64({at} + {step})]")
-        if size > 8:
+        if size <= _SHORT:
+            for index in range(size):
+                self.add(f"c{column.number}[U64({place} + {index})] = b[U64({at} + {index})]")
+        else:
             step = self.fresh("i")
             with self.block(f"for {step} in range({size}):"):
                 self.add(f"c{column.number}[U64({place} + {step})] = b[U64({at} + {step})]")
