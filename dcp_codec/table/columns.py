@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -60,6 +61,50 @@ def arrow_fields(column: Column) -> list[pa.Field]:
 def schema_of(table: Table) -> pa.Schema:
     """The Arrow schema of a table."""
     return pa.schema([field for column in table.columns for field in arrow_fields(column)])
+
+
+class Storage:
+    """Memory for the columns of a decoder, used again when nobody looks at it any more.
+
+    Fresh memory costs as much as filling it, and who streams batches to a file looks at two at a time at most.
+    """
+
+    def __init__(self, columns: Sequence[Column]) -> None:
+        self._columns = columns
+        self._spare: dict[tuple[int, bool], list[npt.NDArray[Any]]] = {}
+        self._size = (0, 0)
+
+    def take(self, room: int, space: int) -> tuple[list[npt.NDArray[Any]], dict[int, Octets]]:
+        """For each column room for so many rows, and for those of varying octets space for so many of these."""
+        if self._size != (room, space):
+            self._spare.clear()
+            self._size = room, space
+        values = [self._free((column.number, False), lambda c=column: storage(c, room)) for column in self._columns]
+        octets = {
+            column.number: self._free((column.number, True), lambda: np.empty(space, np.uint8))
+            for column in self._columns
+            if column.kind in ("varying", "text")
+        }
+        return values, octets
+
+    def _free(self, key: tuple[int, bool], make: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
+        """Memory that nobody uses."""
+        spare = self._spare.setdefault(key, [])
+        for index in range(len(spare)):
+            # An Arrow array refers to a view, and a view to the whole.
+            if sys.getrefcount(spare[index]) <= _UNSHARED:
+                return spare[index]
+        if len(spare) == _SPARE:
+            spare.pop(0)
+        made = make()
+        spare.append(made)
+        return made
+
+
+#: References to an array that only the list has: the list's, and that of asking.
+_UNSHARED = 2
+#: Batches whose memory is remembered: the one being made, and the last one, which a loop still holds.
+_SPARE = 2
 
 
 def storage(column: Column, room: int) -> npt.NDArray[Any]:

@@ -17,7 +17,7 @@ from dcp_codec.jsonform import node_id_text
 from dcp_codec.layout import walk
 from dcp_codec.plan import Group, Scalar
 
-from .columns import IDENTIFIER, TIME, arrow_arrays, schema_of, storage
+from .columns import IDENTIFIER, TIME, Storage, arrow_arrays, schema_of
 from .compiled import compiled, interpreted
 from .kernel import DONE, FULL, POOL_FULL, result_names
 from .pools import Pool
@@ -89,6 +89,7 @@ class ColumnDecoder:
         self.schemas = {table.name: schema_of(table) for table in self.shape.tables} | {ERRORS: ERRORS_SCHEMA}
         self._decode = interpreted(self.shape) if interpret else compiled(self.shape)
         self._room, self._space = room, space
+        self._storage = Storage(self.shape.columns)
         self._results = np.zeros(len(result_names(self.shape)), np.int64)
         self._addresses = Pool(6, mac)
         types = codec.profile.types
@@ -100,12 +101,15 @@ class ColumnDecoder:
         """Decode a block. Its buffer is not used any more when the iteration has ended."""
         first, room, space = 0, self._room, self._space
         while first < block.frames:
-            memory = [storage(column, room + 1) for column in self.shape.columns]
-            octets = {c.number: np.empty(space, np.uint8) for c in self.shape.columns if c.kind in ("varying", "text")}
+            memory, octets = self._storage.take(room + 1, space)
             bad = np.empty(block.frames - first, np.int64)
             after, status = self._call(block, first, room, space, memory, octets, bad)
             if after > first:
-                yield self._batch(block, first, after, memory, octets, bad)
+                made = self._batch(block, first, after, memory, octets, bad)
+                # Whoever takes the batch is alone with its memory, or Storage could not tell when it is free.
+                del memory, octets
+                yield made
+                del made
                 first = after
                 room, space = self._room, self._space
             elif status == FULL:

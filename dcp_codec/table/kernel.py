@@ -17,7 +17,7 @@ from contextlib import contextmanager
 
 from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
-from .shape import Column, Shape, Table
+from .shape import OCTETS, Column, Shape, Table
 
 #: Why the function returned: all frames are done, a table is full, or a pool of identifiers is full.
 DONE, FULL, POOL_FULL = 0, 2, 3
@@ -187,7 +187,12 @@ class _Generator:
         table = self.shape.table_of(group)
         row = f"r{table.number}"
         self.keys(table, row)
+        begin = self.fresh("o")
+        self.add(f"{begin} = o")
         self.group(group, row, end, {}, fits=fits)
+        for column in table.columns:
+            if column.name == OCTETS and self.shape.own(column):
+                self.put(column, row, f"o - {begin}")
         self.add(f"{row} += 1")
 
     def keys(self, table: Table, row: str) -> None:
@@ -425,7 +430,7 @@ def kernel_source(shape: Shape) -> str:
             add(f"t{table.number} = r{table.number}")
         for column in varying:
             add(f"u{column.number} = m{column.number}")
-        add("number, time, begin, bad_now = numbers[i], times[i], o, 1")
+        add("number, time, bad_now = numbers[i], times[i], 1")
         add("sender = I64(0)")
         with block("while True:"):
             _beacon(generator)
@@ -468,7 +473,6 @@ def _beacon(generator: _Generator) -> None:
     generator.put(beacons.column("interface"), row, "interfaces[i]")
     generator.put(beacons.column("frameLength"), row, "lengths[i]")
     generator.table(shape.plan, "e")
-    generator.put(beacons.column("octets"), f"({row} - 1)", "o - begin")
     generator.put(beacons.column("padding"), f"({row} - 1)", "e - o")
     add("bad_now = 0")
     add("break")

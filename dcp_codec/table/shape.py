@@ -30,6 +30,9 @@ TABLE_NAMES = {
 ERRORS = "errors"
 TABLES = (*TABLE_NAMES.values(), ERRORS)
 
+#: Our own column of the tables whose records say nothing of their length.
+OCTETS = "octets"
+
 #: Lists that are counted by nobody get an index of this many octets.
 _FREE_INDEX = 4
 
@@ -93,7 +96,7 @@ class Shape:
         for name, size, doc in (
             ("interface", 4, "interface of the recording, from 0"),
             ("frameLength", 4, "octets of the frame on the wire"),
-            ("octets", 4, "octets of the bearer payload without padding"),
+            (OCTETS, 4, "octets of the bearer payload without padding"),
             ("padding", 4, "octets behind the bearer payload"),
         ):
             self._add(table, Column(name, "int", size, 0, unit="octets" if name != "interface" else "", doc=doc))
@@ -112,6 +115,10 @@ class Shape:
         """The column of ``node``; None if it has none."""
         return self._places.get(id(node))
 
+    def own(self, column: Column) -> bool:
+        """Whether a column is ours, and no field of the profile."""
+        return all(other is not column for other in self._places.values())
+
     def table_of(self, group: Group) -> Table:
         """The table of a record that is not laid flat into another; KeyError if it is."""
         return self.named(TABLE_NAMES[group.type_name])
@@ -126,6 +133,8 @@ class Shape:
         self._add(table, Column("sender", self.sender_kind, 4, 0, doc="sender of the beacon"))
         for name, size in indices:
             self._add(table, Column(name, "int", size, 0, doc=f"index of the {name}, from 0"))
+        if group.type_name == "Container":
+            self._add(table, Column(OCTETS, "int", 4, 0, unit="octets", doc="octets with the header"))
         return table
 
     def _add(self, table: Table, column: Column, node: Node | None = None, group: str = "") -> Column:

@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 
-from dcp_codec.capture import MAX_TIME_NS, CaptureProblem, Frame, open_capture
+from dcp_codec.capture import ETHERNET, MAX_TIME_NS, CaptureProblem, CaptureReader, Frame, open_capture
+from dcp_codec.capture.bytesource import open_source
 from dcp_codec.capture.frame import MAX_RECORD_LENGTH
 from dcp_codec.capture.pcap import PcapReader
 from dcp_codec.capture.pcapng import PcapngReader
@@ -24,8 +25,11 @@ from dcp_codec.capture.pcapngblocks import Interface
 from .decoding import Block, Integers
 from .walkers import walk_pcap, walk_pcapng
 
+if TYPE_CHECKING:
+    from .mcapblocks import McapBlocks
+
 #: Frames, and octets of the file, that one block holds at most.
-FRAMES, SPAN = 1 << 15, 1 << 23
+FRAMES, SPAN = 1 << 14, 1 << 23
 #: Frames that are collected into one block where they come one by one.
 _COLLECTED = 1 << 13
 #: Blocks of a pcapng file that may be unusual, more than there are usual ones, before it is read block by block.
@@ -42,7 +46,15 @@ class Recording:
     """
 
     def __init__(self, source: str | Path | BinaryIO, *, frames: int = FRAMES, span: int = SPAN) -> None:
-        self._reader = open_capture(source)
+        reader = open_capture(source)
+        self._mcap: McapBlocks | None = None
+        if reader.format == "mcap" and isinstance(source, str | Path) and source != "-":
+            reader.close()
+            # Here, so that nobody who has no MCAP file pays for importing the library.
+            from .mcapblocks import McapBlocks
+
+            reader = self._mcap = McapBlocks(open_source(source), frozenset({ETHERNET}), frames)
+        self._reader: CaptureReader = reader
         self._source = source
         self._frames, self._span = frames, span
         #: Frames that were given out so far.
@@ -72,7 +84,9 @@ class Recording:
     def _blocks(self) -> Iterator[Block]:
         reader = self._reader
         mapped = self._mapped() if isinstance(reader, PcapReader | PcapngReader) else None
-        if mapped is None:
+        if self._mcap is not None:
+            yield from self._mcap.blocks()
+        elif mapped is None:
             yield from collected(reader, lambda: reader.position)
         elif isinstance(reader, PcapReader):
             yield from self._pcap(mapped, reader)

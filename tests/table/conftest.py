@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 from dcp_spec.profile import Link
 
-from dcp_codec import Codec, DecodeError, get_codec
+from dcp_codec import Codec, DecodeError, Field, get_codec
 from dcp_codec.capture import Frame, open_capture
 from dcp_codec.frames import FrameDissector
 from dcp_codec.framing import OtherTraffic, locate, mac
@@ -73,7 +73,7 @@ def expected_tables(codec: Codec, frames: Iterable[Frame], link: Link | None = N
         }
         tables["beacons"].append(keys | ours | header)
         for index, payload in enumerate(data["payloads"]):
-            payload_rows(tables, keys | {"payload": index}, payload)
+            payload_rows(tables, keys | {"payload": index}, payload, found.payloads[index])
     return tables
 
 
@@ -83,7 +83,7 @@ def constant(codec: Codec) -> set[str]:
     return names | {"length"} if codec.profile.bp.length_means == "header-size" else names
 
 
-def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any]) -> None:
+def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any], part: Field) -> None:
     content = next(name for name in ("srp", "vardis", "data") if name in payload)
     own = {name: value for name, value in payload.items() if name not in ("srp", "vardis")}
     tables["payloads"].append({**keys, "data": None, **own, "content": content})
@@ -92,7 +92,10 @@ def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any]) 
         tables["srp"].append({**keys, **flat(report)})
     for place, container in enumerate(payload.get("vardis", ())):
         keys_of_it = keys | {"container": place}
-        tables["containers"].append({**keys_of_it, **{k: v for k, v in container.items() if k != "records"}})
+        octets = (part.child("vardis") or part).children[place].length
+        tables["containers"].append(
+            {**keys_of_it, "octets": octets, **{k: v for k, v in container.items() if k != "records"}}
+        )
         for number, record in enumerate(container["records"]):
             name = RECORD_TABLES[container["icName"]]
             tables[name].append({**keys_of_it, "record": number, **flat(record)})
