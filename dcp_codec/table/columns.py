@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -79,9 +80,9 @@ class Storage:
         if self._size != (room, space):
             self._spare.clear()
             self._size = room, space
-        values = [self._free((column.number, False), lambda c=column: storage(c, room)) for column in self._columns]
+        values = [self._free((column.number, False), partial(storage, column, room)) for column in self._columns]
         octets = {
-            column.number: self._free((column.number, True), lambda: np.empty(space, np.uint8))
+            column.number: self._free((column.number, True), partial(np.empty, space, np.uint8))
             for column in self._columns
             if column.kind in ("varying", "text")
         }

@@ -55,7 +55,7 @@ def _same(b: Any, at: int, stop: int, part: int) -> bool:
     start, size = _STARTS[part], _STARTS[part + 1] - _STARTS[part]
     if stop - at < size:
         return False
-    for i in range(size):
+    for i in range(size):  # noqa: SIM110 - Numba has no generator expressions
         if b[_U64(at + i)] != _TEXT[start + i]:
             return False
     return True
@@ -74,7 +74,7 @@ def _number(b: Any, at: int, stop: int, most: int) -> tuple[int, int]:
 
 
 @njit(cache=True, nogil=True)
-def _unpack(b: Any, at: int, stop: int, out: Any, used: int) -> int:
+def _unpack(b: Any, at: int, stop: int, out: Any, used: int) -> Any:
     """Decode base64 to ``out[used:]``; returns how many octets, -1 for what is not in its plainest form."""
     size = stop - at
     if size % 4:
