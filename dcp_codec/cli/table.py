@@ -180,8 +180,10 @@ def _progress(order: Any) -> Iterator[Callable[[int], object]]:
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
+    from dcp_codec.capture.reader import counted
+
     size = sum(Path(path).stat().st_size for path in order.recordings if Path(path).is_file())
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"{len(order.recordings)} recordings", total=size or None)
+        task = bar.add_task(counted(len(order.recordings), "recording"), total=size or None)
         yield lambda octets: bar.advance(task, octets)

@@ -99,12 +99,13 @@ class ColumnDecoder:
 
     def batches(self, block: Block) -> Iterator[Batch]:
         """Decode a block. Its buffer is not used any more when the iteration has ended."""
-        first, room, space = 0, self._room, self._space
+        first, room, space, fresh = 0, self._room, self._space, False
         while first < block.frames:
             memory, octets = self._storage.take(room + 1, space)
             bad = np.empty(block.frames - first, np.int64)
             after, status = self._call(block, first, room, space, memory, octets, bad)
-            if after > first:
+            moved = after > first
+            if moved:
                 made = self._batch(block, first, after, memory, octets, bad)
                 # Whoever takes the batch is alone with its memory, or Storage could not tell when it is free.
                 del memory, octets
@@ -117,14 +118,13 @@ class ColumnDecoder:
                 size = int(block.stops[first] - block.starts[first])
                 room, space = max(room, size + 1), max(space, size)
             if status == POOL_FULL:
-                grow = after == first and self._fresh_pools
+                # Fresh ones; larger ones if not even one frame fits into those.
+                grow = fresh and not moved
                 self._addresses = self._addresses.grown() if grow else self._addresses.fresh()
                 self._nodes = self._nodes.grown() if grow else self._nodes.fresh()
             else:
                 assert status in (DONE, FULL)
-            self._fresh_pools = status == POOL_FULL
-
-    _fresh_pools = False
+            fresh = status == POOL_FULL
 
     def _call(
         self,
