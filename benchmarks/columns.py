@@ -34,7 +34,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from dcp_codec import Codec, get_codec
+from dcp_codec import Codec, get_codec, open_table
 from dcp_codec.capture import convert, open_capture
 from dcp_codec.export.lua import wireshark_dissector
 from dcp_codec.framing import Framing, locate
@@ -145,6 +145,12 @@ def columnar(path: Path, decoder: ColumnDecoder, hold: list[Any] | None = None) 
     return beacons
 
 
+def opened(path: Path, codec: Codec) -> int:
+    """One table of a file as Arrow has it."""
+    rows: int = open_table(path, "beacons", profile=codec.profile.name).arrow().num_rows
+    return rows
+
+
 def scalar_file(path: Path, codec: Codec) -> int:
     """Read and decode a file beacon by beacon."""
     beacons, link = 0, codec.profile.link
@@ -209,6 +215,7 @@ def contenders(material: Material, folder: Path) -> list[Contender]:
         Contender("numpy copy", "the file copied into memory", beacons, lambda: numpy_copy(pcap, beacons)),
         Contender(COLUMNAR, "file to columns, streamed", beacons, lambda: columnar(pcap, decoder)),
         Contender("columnar, pcap, kept", "file to columns, all kept", beacons, lambda: columnar(pcap, decoder, [])),
+        Contender("open_table", "file to an Arrow table of beacons", beacons, lambda: opened(pcap, codec)),
         Contender("columnar, pcapng", "file to columns", part, lambda: columnar(material.part_pcapng, decoder)),
         Contender("columnar, MCAP", "file to columns", part, lambda: columnar(material.part_mcap, decoder)),
         Contender("tables, Parquet", "file to files", beacons, lambda: to_parquet(pcap, folder, codec.profile.name)),

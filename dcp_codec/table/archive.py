@@ -6,9 +6,10 @@ import glob
 import multiprocessing
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -146,12 +147,24 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
         return [run(job, advance) for job in jobs]
     context = multiprocessing.get_context("spawn")
     done: Any = context.Value("q", 0)
+    others = set(multiprocessing.active_children())
     with ProcessPoolExecutor(workers, context, initializer=_Worker.prepare, initargs=(done,)) as pool:
         # The longest first, so that no worker is left alone with it at the end.
         order_of_work = sorted(range(len(jobs)), key=lambda index: -_size(jobs[index].path))
         futures: dict[int, Future[Outcome]] = {index: pool.submit(_Worker.work, jobs[index]) for index in order_of_work}
-        _watch(list(futures.values()), lambda: int(done.value), advance)
-        return [futures[index].result() for index in range(len(jobs))]
+        try:
+            _watch(list(futures.values()), lambda: int(done.value), advance)
+            return [futures[index].result() for index in range(len(jobs))]
+        except BrokenExecutor:
+            raise TableError(
+                "a process that decodes died: too little memory, or a file that was cut while read"
+            ) from None
+        except BaseException:
+            # Interrupted, or out of disk: what is still at work would be waited for.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
 
 
 class _Worker:
@@ -161,6 +174,8 @@ class _Worker:
 
     @classmethod
     def prepare(cls, done: Any) -> None:
+        # Ctrl-C goes to all processes of a terminal; the first one sees to it.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         cls.done = done
 
     @classmethod

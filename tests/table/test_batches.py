@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 
 from dcp_codec import get_codec
-from dcp_codec.capture import Frame
+from dcp_codec.capture import Frame, convert
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.compiled import cache_folder
 from dcp_codec.table.pools import Pool
@@ -104,6 +104,37 @@ def test_malformed_frames_are_judged_by_the_strict_decoder():
     decoder = ColumnDecoder(codec)
     with pytest.raises(AssertionError, match="refuses what the strict one accepts"):
         decoder._problem(senders(1)[0].data, 14)
+
+
+_MEMORY = """
+import resource, sys
+from dcp_codec.table import ColumnDecoder, Recording
+from dcp_codec import get_codec
+decoder, rows = ColumnDecoder(get_codec("cpp-2.0")), 0
+with Recording(sys.argv[1]) as source:
+    for block in source.blocks():
+        for batch in decoder.batches(block):
+            rows += batch.tables["beacons"].num_rows
+print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+
+
+def test_memory_does_not_grow_with_the_file(tmp_path):
+    """A file of 300 MB is decoded in hardly more memory than one of 30 MB."""
+    convert(C_LATEJOIN, tmp_path / "once.pcap")
+    octets = (tmp_path / "once.pcap").read_bytes()
+    used = {}
+    for times in (1_000, 10_000):
+        with (tmp_path / "long.pcap").open("wb") as file:
+            file.write(octets[:24])
+            for _ in range(times):
+                file.write(octets[24:])
+        assert (tmp_path / "long.pcap").stat().st_size > times * 29_000
+        command = [sys.executable, "-c", _MEMORY, str(tmp_path / "long.pcap")]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        rows, used[times] = map(int, done.stdout.split())
+        assert rows == 270 * times
+    assert used[10_000] < used[1_000] + 80
 
 
 # -- the cache ----------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import csv
 import io
 import os
 import pty
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -353,6 +354,48 @@ def test_one_bar_on_a_terminal(tmp_path):
         assert b"1 recording " in shown
         assert process.stdout is not None
         assert process.stdout.read() == b""
+
+
+@pytest.fixture
+def waiting(tmp_path):
+    """The command with two workers that wait for pipes to which nobody writes, in a session of its own."""
+    names = ("1.pcap", "2.pcap")
+    for name in names:
+        os.mkfifo(tmp_path / name)
+    code = "import sys; from dcp_codec.cli import main; main(sys.argv[1:])"
+    command = [sys.executable, "-c", code, "table", *names, "-p", "cpp-2.0", "-j", "2", "-o", "tables"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True) as process:
+        # Opening one side waits until a worker has opened the other.
+        writers = [(tmp_path / name).open("wb") for name in names]
+        yield process
+        for writer in writers:
+            writer.close()
+
+
+def told(process: subprocess.Popen[bytes]) -> str:
+    """What the command says until it ends."""
+    assert process.stderr is not None
+    shown = process.stderr.read().decode()
+    assert "Traceback" not in shown
+    return shown
+
+
+def test_interrupted(waiting, tmp_path):
+    """Ctrl-C ends the command and its workers, and leaves nothing behind."""
+    os.killpg(waiting.pid, signal.SIGINT)
+    told(waiting)
+    assert waiting.wait() == 130
+    nothing_else(tmp_path, "1.pcap", "2.pcap")
+
+
+def test_a_worker_that_dies(waiting, tmp_path):
+    children = Path(f"/proc/{waiting.pid}/task/{waiting.pid}/children").read_text().split()
+    workers = [pid for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    assert len(workers) == 2
+    os.kill(int(workers[0]), signal.SIGKILL)
+    assert "a process that decodes died" in told(waiting)
+    assert waiting.wait() == 2
+    nothing_else(tmp_path, "1.pcap", "2.pcap")
 
 
 def _read(descriptor: int) -> bytes:
