@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .common import MALFORMED, UNUSABLE, ExpectedError, load_codec, no_beacons_note, note, profile_options
+from dcp_codec.commandline import UNUSABLE, ExpectedError
+
+from .common import MALFORMED, load_codec, no_beacons_note, note, profile_options
 
 if TYPE_CHECKING:
     from dcp_codec.table.archive import Order

@@ -374,7 +374,8 @@ class _Generator:
         if fits:
             self.fail_if(f"{count} < 0 or {count} > ({end} - o) // {element.size}")
         self.add(f"{index} = 0")
-        with self.loop(f"while {index} < {count}:" if count else f"while o < {end}:"):
+        more = f"o < {end} or {index} == 0" if node.nonempty else f"o < {end}"
+        with self.loop(f"while {index} < {count}:" if count else f"while {more}:"):
             self.indices.append(index)
             self.table(element, end, fits=fits)
             self.indices.pop()

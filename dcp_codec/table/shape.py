@@ -141,7 +141,8 @@ class Shape:
         name = column.name
         taken = {other.name for other in table.columns}
         if name in taken:
-            name = f"{group or 'own'}_{name}"
+            # Elements of lists have no name of their own.
+            name = f"{group or table.type_name.lower()}_{name}"
         while name in taken:
             name += "_"
         made = Column(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import runpy
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -17,6 +16,8 @@ from dcp_codec import Codec, DecodeError, Field, get_codec
 from dcp_codec.capture import Frame, open_capture
 from dcp_codec.frames import FrameDissector
 from dcp_codec.framing import OtherTraffic, locate, mac
+
+from ..odd_profiles import NAMES, codec_of
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = {
@@ -33,8 +34,17 @@ RECORD_TABLES = {
     "CREATE-VARIABLES": "creates",
     "DELETE-VARIABLES": "deletes",
 }
-#: The profiles of the other tests of the codec: as odd as a profile may be.
-ODD_PROFILES: dict[str, str] = runpy.run_path(str(ROOT / "tests" / "codec" / "conftest.py"))["ODD_PROFILES"]
+#: What a node identifier or an opaque region may be beyond what fits a register.
+_LONG = """
+    extends = "dcp-2.0"
+    name = "odd-octets"
+    [types]
+    node_id = { width = 12, representation = "hex" }
+    [bp]
+    payload_header = ["protocolId", { opaque = 9, name = "time" }, "length"]
+    [srp]
+    record = ["sData", { opaque = 20, name = "frame" }, "nodeId", "tStamp", "seqno"]
+"""
 
 Tables = dict[str, list[dict[str, Any]]]
 
@@ -86,10 +96,10 @@ def constant(codec: Codec) -> set[str]:
 def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any], part: Field) -> None:
     content = next(name for name in ("srp", "vardis", "data") if name in payload)
     own = {name: value for name, value in payload.items() if name not in ("srp", "vardis")}
-    tables["payloads"].append({**keys, "data": None, **own, "content": content})
+    tables["payloads"].append(beside(keys, {"data": None, **own, "content": content}, "payload"))
     if content == "srp":
         report = payload["srp"]
-        tables["srp"].append({**keys, **flat(report)})
+        tables["srp"].append(beside(keys, flat(report), "srp"))
     for place, container in enumerate(payload.get("vardis", ())):
         keys_of_it = keys | {"container": place}
         octets = (part.child("vardis") or part).children[place].length
@@ -99,6 +109,11 @@ def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any], 
         for number, record in enumerate(container["records"]):
             name = RECORD_TABLES[container["icName"]]
             tables[name].append({**keys_of_it, "record": number, **flat(record)})
+
+
+def beside(keys: dict[str, Any], values: dict[str, Any], record: str) -> dict[str, Any]:
+    """Keys and values; a value whose name is that of a key gets the name of its record in front."""
+    return keys | {f"{record}_{name}" if name in keys else name: value for name, value in values.items()}
 
 
 def flat(record: dict[str, Any]) -> dict[str, Any]:
@@ -188,17 +203,15 @@ def odd_codec(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Codec
     folder = tmp_path_factory.mktemp("profiles")
 
     def make(name: str) -> Codec:
-        if name not in ODD_PROFILES:
-            return get_codec(name)
+        if name != "odd-octets":
+            return codec_of(name, folder)
         path = folder / f"{name}.toml"
-        path.write_text(ODD_PROFILES[name], encoding="utf-8")
-        return get_codec(str(path))
+        path.write_text(_LONG, encoding="utf-8")
+        return Codec(path)
 
     return make
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "any_profile" in metafunc.fixturenames:
-        from dcp_spec.profile_loading import BUILTIN_PROFILES
-
-        metafunc.parametrize("any_profile", [*BUILTIN_PROFILES, *ODD_PROFILES])
+        metafunc.parametrize("any_profile", [*NAMES, "odd-octets"])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import runpy
 from collections import defaultdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,8 @@ from dcp_codec.capture import Frame, convert
 from dcp_codec.table.decoding import ColumnDecoder
 from dcp_codec.table.sources import Recording, packed
 
-_DRAWN = runpy.run_path(str(Path(__file__).resolve().parents[1] / "codec" / "test_any_profile.py"))["profiles"]
+from ..codec.test_any_profile import profiles
+
 #: Profiles that are compiled; all others are run as plain Python, from the same source.
 COMPILED = ("cpp-2.0", "student-2024", "odd-areas")
 
@@ -118,7 +117,7 @@ def test_any_message(any_profile, decoder_of, reference, rows, differ):
 
 
 @settings(max_examples=30)
-@given(_DRAWN().filter(lambda profile: not list(contradictions(profile))), st.data())
+@given(profiles().filter(lambda profile: not list(contradictions(profile))), st.data())
 def test_any_profile(reference, rows, differ, profile: Profile, data: st.DataObject) -> None:
     codec = Codec(profile)
     octets = codec.encode(data.draw(strategies.beacons(codec)))

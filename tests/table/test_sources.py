@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import runpy
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,9 +17,8 @@ from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture
 from dcp_codec.capture.mcapfile import RECORD_HEAD
 from dcp_codec.table import Recording
 
-_TESTS = Path(__file__).resolve().parents[1] / "capture"
-properties = SimpleNamespace(**runpy.run_path(str(_TESTS / "test_properties.py")))
-pcapng = SimpleNamespace(**runpy.run_path(str(_TESTS / "test_pcapng.py")))
+from ..capture import test_pcapng as pcapng
+from ..capture import test_properties as properties
 
 
 def read(path: Path, **options: Any) -> tuple[Any, ...]:
