@@ -17,8 +17,10 @@ from typing import Any, Literal
 import msgspec
 
 from dcp_codec.capture import SUFFIXES
+from dcp_codec.codec import get_codec
 
 from .job import Advance, Job, Outcome, run
+from .shape import ERRORS, Shape
 from .writing import Format, write_database
 
 Engine = Literal["local", "dask"]
@@ -95,6 +97,11 @@ def make(order: Order, advance: Advance = lambda _octets: None) -> list[Outcome]
 def _check(order: Order) -> None:
     if order.single and (order.tables is None or len(order.tables) != 1):
         raise TableError(f"{order.out}: one file has one table: name it with --tables, or give a folder")
+    if order.profile != "auto" and order.tables is not None:
+        known = {table.name for table in Shape(get_codec(order.profile).beacon_plan).tables} | {ERRORS}
+        for name in order.tables:
+            if name not in known:
+                raise TableError(f"profile {order.profile} has no table {name}, only {', '.join(sorted(known))}")
     out = order.out
     if not out.exists() or order.force:
         return
