@@ -11,7 +11,6 @@ import hashlib
 import linecache
 import os
 import sys
-import tempfile
 from collections.abc import Callable
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba import njit
 
 from . import native
 from .kernel import kernel_source
@@ -37,19 +37,19 @@ from dcp_codec.table.native import intern, locate
 I64, U64 = np.int64, np.uint64
 
 
-@njit(cache={cache}, nogil=True)
+@njit(cache=True, nogil=True)
 '''
 
 
 def interpreted(shape: Shape) -> Decode:
     """The columnar decoder as plain Python: hundreds of times slower, and nothing to compile."""
-    text = kernel_source(shape)
-    namespace: dict[str, Any] = {
-        "I64": np.int64,
-        "U64": np.uint64,
-        "intern": native.intern.py_func,
-        "locate": native.locate.py_func,
-    }
+    helpers: tuple[Any, Any] = native.intern, native.locate
+    return _function(kernel_source(shape), *(helper.py_func for helper in helpers))
+
+
+def _function(text: str, intern: Any, locate: Any) -> Decode:
+    """The function of a source that needs these two."""
+    namespace: dict[str, Any] = {"I64": np.int64, "U64": np.uint64, "intern": intern, "locate": locate}
     filename = f"<dcp_codec table {hashlib.sha256(text.encode()).hexdigest()[:12]}>"
     linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)
     exec(compile(text, filename, "exec"), namespace)  # noqa: S102 - as dcp_codec.source does
@@ -64,9 +64,10 @@ def compiled(shape: Shape) -> Decode:
     digest = hashlib.sha256(text.encode() + helpers + numba.__version__.encode()).hexdigest()[:20]
     folder = cache_folder()
     if folder is None:
-        return _module(_uncached(text, digest), digest)
+        anew: Decode = njit(nogil=True)(_function(text, native.intern, native.locate))
+        return anew
     path = folder / f"columns_{digest}.py"
-    wanted = _HEAD.format(cache=True) + text
+    wanted = _HEAD + text
     try:
         same = path.read_text(encoding="utf-8") == wanted
     except (OSError, UnicodeDecodeError):
@@ -92,13 +93,6 @@ def cache_folder() -> Path | None:
     if status.st_uid != os.getuid() or status.st_mode & 0o022 or not os.access(folder, os.W_OK):
         return None
     return folder
-
-
-def _uncached(text: str, digest: str) -> Path:
-    # Numba asks for the source of what it compiles only when it reports an error in it.
-    with tempfile.NamedTemporaryFile("w", suffix=f"_{digest}.py", delete=False, encoding="utf-8") as file:
-        file.write(_HEAD.format(cache=False) + text)
-    return Path(file.name)
 
 
 def _module(path: Path, digest: str) -> Decode:

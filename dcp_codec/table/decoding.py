@@ -19,7 +19,8 @@ from dcp_codec.plan import Group, Scalar
 
 from .columns import IDENTIFIER, TIME, Storage, arrow_arrays, schema_of
 from .compiled import compiled, interpreted
-from .kernel import DONE, FULL, POOL_FULL, result_names
+from .kernel import result_names
+from .kernellines import DONE, FULL, POOL_FULL
 from .pools import Pool
 from .shape import ERRORS, Shape
 

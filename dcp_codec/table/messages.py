@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from dcp_codec.capture.frame import ETHERNET, MAX_TIME_NS
+
+from .jit import machine
 
 _I64: Any = np.int64
 _U64: Any = np.uint64
@@ -41,7 +42,7 @@ _BASE64 = np.full(256, _NO_DIGIT, np.uint8)
 _BASE64[np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8)] = np.arange(64)
 
 
-@njit(cache=True, nogil=True)
+@machine
 def _little(b: Any, at: int, size: int) -> Any:
     found = _I64(0)
     for i in range(size):
@@ -49,7 +50,7 @@ def _little(b: Any, at: int, size: int) -> Any:
     return found
 
 
-@njit(cache=True, nogil=True)
+@machine
 def _same(b: Any, at: int, stop: int, part: int) -> bool:
     """Whether a fixed part of the message stands at ``at``."""
     start, size = _STARTS[part], _STARTS[part + 1] - _STARTS[part]
@@ -61,7 +62,7 @@ def _same(b: Any, at: int, stop: int, part: int) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@machine
 def _number(b: Any, at: int, stop: int, most: int) -> tuple[int, int]:
     """The decimal number at ``at`` and where it ends; -1 if there is none of at most ``most`` digits."""
     value, start = _I64(0), at
@@ -73,7 +74,7 @@ def _number(b: Any, at: int, stop: int, most: int) -> tuple[int, int]:
     return value, at
 
 
-@njit(cache=True, nogil=True)
+@machine
 def _unpack(b: Any, at: int, stop: int, out: Any, used: int) -> Any:
     """Decode base64 to ``out[used:]``; returns how many octets, -1 for what is not in its plainest form."""
     size = stop - at
@@ -107,7 +108,7 @@ def _unpack(b: Any, at: int, stop: int, out: Any, used: int) -> Any:
     return used - start
 
 
-@njit(cache=True, nogil=True)
+@machine
 def walk_messages(
     b: Any,
     position: int,

@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from .jit import machine
 
 # Numba knows these types; to everybody else the numbers are plain integers.
 _I64: Any = np.int64
@@ -19,13 +20,13 @@ _HASH_MULTIPLIER = 0x100000001B3
 _HASH_START = 0x4BF29CE484222325
 
 
-@njit(cache=True, nogil=True)
+@machine
 def _pair(b: Any, at: int) -> Any:
     """The 16-bit number at ``at``, big-endian."""
     return (_I64(b[_U64(at)]) << 8) | _I64(b[_U64(at + 1)])
 
 
-@njit(cache=True, nogil=True)
+@machine
 def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, int, int]:
     """Where the bearer payload of the frame ``b[start:stop]`` starts and stops, and the EtherType.
 
@@ -59,7 +60,7 @@ def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, in
     return segment + 8, max(segment + 8, end), ether
 
 
-@njit(cache=True, nogil=True)
+@machine
 def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: int) -> Any:
     """The number of the identifier ``b[at:at + size]`` in a pool that has ``many``; a new one is appended.
 

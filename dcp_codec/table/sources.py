@@ -48,7 +48,7 @@ class Recording:
     def __init__(self, source: str | Path | BinaryIO, *, frames: int = FRAMES, span: int = SPAN) -> None:
         reader = open_capture(source)
         self._mcap: McapBlocks | None = None
-        if reader.format == "mcap" and isinstance(source, str | Path) and source != "-":
+        if reader.format == "mcap" and isinstance(source, str | Path) and source != "-" and reader.size is not None:
             reader.close()
             # Here, so that nobody who has no MCAP file pays for importing the library.
             from .mcapblocks import McapBlocks

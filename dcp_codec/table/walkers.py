@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from .jit import machine
 
 # Numba knows these types; to everybody else the numbers are plain integers.
 _I64: Any = np.int64
@@ -18,14 +19,14 @@ _SECOND = 1_000_000_000
 _RECORD = 16
 
 
-@njit(cache=True, nogil=True)
+@machine
 def word(b: Any, at: int, big: bool) -> Any:
     """The unsigned 32-bit number at ``at``."""
     w, x, y, z = _I64(b[_U64(at)]), _I64(b[_U64(at + 1)]), _I64(b[_U64(at + 2)]), _I64(b[_U64(at + 3)])
     return (w << 24) | (x << 16) | (y << 8) | z if big else (z << 24) | (y << 16) | (x << 8) | w
 
 
-@njit(cache=True, nogil=True)
+@machine
 def walk_pcap(
     b: Any,
     position: int,
@@ -77,7 +78,7 @@ _ENHANCED_PACKET = 6
 _FIXED, _LEAST = 28, 32
 
 
-@njit(cache=True, nogil=True)
+@machine
 def _plain_options(b: Any, at: int, stop: int, big: bool) -> bool:
     """Whether the options in ``b[at:stop]`` lie within it."""
     while at < stop:
@@ -94,7 +95,7 @@ def _plain_options(b: Any, at: int, stop: int, big: bool) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@machine
 def walk_pcapng(
     b: Any,
     position: int,
