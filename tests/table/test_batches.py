@@ -16,6 +16,7 @@ from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.compiled import cache_folder
+from dcp_codec.table.jit import machine
 from dcp_codec.table.pools import Pool
 from dcp_codec.table.sources import packed
 
@@ -138,13 +139,16 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
 
 # -- the cache ----------------------------------------------------------------------------------------------------
 
+# The layout of beacons without what is in their payloads is compiled quickly.
 _PROGRAM = """
 import sys
 from dcp_codec.table import ColumnDecoder, Recording
-from dcp_codec import get_codec
+from dcp_codec import Codec
+codec = Codec("cpp-2.0")
+codec.beacon_plan = codec.envelope_plan
 with Recording(sys.argv[1]) as source:
-    decoder = ColumnDecoder(get_codec("dcp-1.0"))
-    print(sum(batch.frames for block in source.blocks() for batch in decoder.batches(block)))
+    decoder = ColumnDecoder(codec)
+    print(sum(batch.tables["payloads"].num_rows for block in source.blocks() for batch in decoder.batches(block)))
 """
 
 
@@ -157,19 +161,29 @@ def program(recording: Any, cache: str) -> subprocess.CompletedProcess[str]:
 
 def test_what_was_compiled_is_kept(tmp_path):
     path = C_LATEJOIN
-    assert program(path, str(tmp_path)).stdout == "270\n"
+    assert program(path, str(tmp_path)).stdout == "445\n"
     folder = tmp_path / "dcp-codec"
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     kept = {entry: entry.stat().st_mtime_ns for entry in folder.rglob("*") if entry.is_file()}
     assert any(entry.suffix == ".nbc" for entry in kept)
-    assert program(path, str(tmp_path)).stdout == "270\n"
+    assert program(path, str(tmp_path)).stdout == "445\n"
     assert {entry: entry.stat().st_mtime_ns for entry in folder.rglob("*") if entry.suffix == ".nbc"} == {
         entry: time for entry, time in kept.items() if entry.suffix == ".nbc"
     }
     # Somebody else's writing is not executed.
     (source,) = folder.glob("columns_*.py")
     source.write_text("raise SystemExit('executed')")
-    assert program(path, str(tmp_path)).stdout == "270\n"
+    assert program(path, str(tmp_path)).stdout == "445\n"
+
+
+def test_without_a_place_to_keep_it():
+    assert program(C_LATEJOIN, "/dev/null").stdout == "445\n"
+
+
+def test_functions_that_cannot_be_kept_are_compiled_all_the_same():
+    namespace: dict[str, Any] = {}
+    exec("def twice(x): return 2 * x", namespace)
+    assert machine(namespace["twice"])(21) == 42
 
 
 def test_a_folder_that_others_may_write_is_no_cache(tmp_path, monkeypatch):
