@@ -16,7 +16,7 @@ from .decoding import ColumnDecoder
 from .job import resolve
 from .shape import TABLES
 from .sources import Recording
-from .writing import file_schema, with_file
+from .writing import Pile, file_schema, with_file
 
 Source = str | Path | Sequence[str | Path]
 
@@ -74,8 +74,11 @@ class OpenTable:
         return pa.RecordBatch.from_arrays(arrays, schema=self.schema)
 
     def arrow(self) -> pa.Table:
-        """All rows as an Arrow table, whose columns are the memory they were decoded into."""
-        return pa.Table.from_batches(list(self.batches()), self.schema).unify_dictionaries()
+        """All rows as an Arrow table."""
+        pile = Pile(self.schema)
+        for batch in self.batches():
+            pile.add(batch)
+        return pile.table()
 
     def reader(self) -> pa.RecordBatchReader:
         """The rows as an Arrow stream, decoded as they are asked for."""

@@ -26,6 +26,39 @@ class Writer(Protocol):
         """Finish the file."""
 
 
+class Pile:
+    """Rows that are collected.
+
+    A batch lies in memory for a whole batch, of which its rows may need little, and a process may have only so many
+    pieces of memory. So batches are copied together, some at a time.
+    """
+
+    def __init__(self, schema: pa.Schema) -> None:
+        self._schema = schema
+        self._fresh: list[pa.RecordBatch] = []
+        self._together: list[pa.RecordBatch] = []
+        self.rows = 0
+
+    def add(self, batch: pa.RecordBatch) -> None:
+        """Append the rows of a batch."""
+        if not batch.num_rows:
+            return
+        self._fresh.append(batch)
+        self.rows += batch.num_rows
+        if len(self._fresh) == _TOGETHER:
+            whole = pa.Table.from_batches(self._fresh, self._schema).unify_dictionaries().combine_chunks()
+            self._together += whole.to_batches()
+            self._fresh = []
+
+    def table(self) -> pa.Table:
+        """All rows, with one dictionary for each column of identifiers."""
+        return pa.Table.from_batches([*self._together, *self._fresh], self._schema).unify_dictionaries()
+
+
+#: Batches that are copied together.
+_TOGETHER = 8
+
+
 class ParquetTable:
     """A Parquet file with row groups of about ``GROUP`` rows."""
 
@@ -42,26 +75,22 @@ class ParquetTable:
             use_dictionary=[field.name for field in schema if pa.types.is_dictionary(field.type)],
             column_encoding=dict.fromkeys(("frame", "time"), "DELTA_BINARY_PACKED"),
         )
-        self._pending: list[pa.RecordBatch] = []
-        self._rows = 0
+        self._pile = Pile(schema)
 
     def write(self, batch: pa.RecordBatch) -> None:
         """Append rows."""
-        if batch.num_rows:
-            self._pending.append(batch)
-            self._rows += batch.num_rows
-        if self._rows >= GROUP:
+        self._pile.add(batch)
+        if self._pile.rows >= GROUP:
             self._flush()
 
     def _flush(self) -> None:
         # Identifiers have one dictionary in a row group, or they would be written out.
-        table = pa.Table.from_batches(self._pending, self._schema).unify_dictionaries()
-        self._writer.write_table(table, row_group_size=2 * GROUP)
-        self._pending, self._rows = [], 0
+        self._writer.write_table(self._pile.table(), row_group_size=2 * GROUP)
+        self._pile = Pile(self._schema)
 
     def close(self) -> None:
         """Finish the file."""
-        if self._pending:
+        if self._pile.rows:
             self._flush()
         self._writer.close()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
@@ -19,6 +21,7 @@ from dcp_codec.table.compiled import cache_folder
 from dcp_codec.table.jit import machine
 from dcp_codec.table.pools import Pool
 from dcp_codec.table.sources import packed
+from dcp_codec.table.writing import ParquetTable
 
 
 def tables(batches: Any) -> dict[str, pa.Table]:
@@ -135,6 +138,28 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
         rows, used[times] = map(int, done.stdout.split())
         assert rows == 270 * times
     assert used[6_000] < used[1_000] + 60
+
+
+def test_little_is_kept_of_many_batches(tmp_path):
+    """Rows that wait to be written do not hold on to the memory of whole batches."""
+
+    def megabytes() -> int:
+        (size,) = re.findall(r"VmSize:\s+(\d+) kB", Path("/proc/self/status").read_text())
+        return int(size) // 1024
+
+    decoder = ColumnDecoder(get_codec("cpp-2.0"))
+    writers = {name: ParquetTable(tmp_path / name, schema) for name, schema in decoder.schemas.items()}
+    before, most = megabytes(), 0
+    with Recording(C_LATEJOIN, frames=1) as source:
+        for block in source.blocks():
+            for batch in decoder.batches(block):
+                for name, rows in batch.tables.items():
+                    writers[name].write(rows)
+                most = max(most, megabytes())
+    assert most < before + 4_000
+    for writer in writers.values():
+        writer.close()
+    assert parquet.read_table(tmp_path / "beacons").column("frame").to_pylist() == list(range(1, 271))
 
 
 # -- the cache ----------------------------------------------------------------------------------------------------
