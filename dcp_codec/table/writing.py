@@ -29,8 +29,8 @@ class Writer(Protocol):
 class Pile:
     """Rows that are collected.
 
-    A batch lies in memory for a whole batch, of which its rows may need little, and a process may have only so many
-    pieces of memory. So batches are copied together, some at a time.
+    A batch lies in memory with room for many more rows than it may have. Few rows are not to hold on to much memory, so
+    batches are copied together, some at a time.
     """
 
     def __init__(self, schema: pa.Schema) -> None:
