@@ -98,7 +98,6 @@ def test_damaged_recordings(recording, every, reference, rows, differ, frames_of
     assert differ(found, reference(codec, frames)) == []
 
 
-@pytest.mark.req("BP-RX-16", "VD-RX-07", "SRP-RX-01")
 def test_any_message(any_profile, decoder_of, reference, rows, differ):
     decoder = decoder_of(any_profile)
     codec = decoder.codec

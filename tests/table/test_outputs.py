@@ -267,6 +267,7 @@ def test_one_of_several_cannot_be_read(run, tmp_path, archive):
         ((C_LATEJOIN, "-o", "taken", "--format", "duckdb"), "a DuckDB database is a file"),
         ((C_LATEJOIN, "-o", "taken/file.duckdb"), "is there already; --force"),
         ((C_LATEJOIN, "-o", "taken/file.duckdb/below"), "taken/file.duckdb"),
+        ((C_LATEJOIN, "-o", "out", "--engine", "dask", "--scheduler", "nonsense://x"), "cannot be reached"),
         (
             (C_LATEJOIN, "-o", "srp.csv", "-p", "sim-1.0", "--tables", "srp"),
             "profile sim-1.0 has no table srp, only beacons",
