@@ -26,7 +26,12 @@ def run_on_cluster(jobs: Sequence[Job], workers: int, scheduler: str | None, adv
     # By name, since it says nothing of types.
     distributed: Any = import_module("distributed")
     whole = [
-        msgspec.structs.replace(job, path=str(Path(job.path).resolve()), folder=str(Path(job.folder).resolve()))
+        msgspec.structs.replace(
+            job,
+            path=str(Path(job.path).resolve()),
+            folder=str(Path(job.folder).resolve()),
+            profile=str(Path(job.profile).resolve()) if Path(job.profile).is_file() else job.profile,
+        )
         for job in jobs
     ]
     with ExitStack() as stack:
