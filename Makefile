@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 KAITAI := node_modules/kaitai-struct-compiler/package.json
 
-.PHONY: demo test lint unit bench matrix selftest-doc clean
+.PHONY: demo test lint unit bench bench-columns matrix selftest-doc clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
@@ -30,6 +30,10 @@ $(KAITAI): package.json
 bench: $(STAMP)
 	$(BIN)/python benchmarks/codec.py
 	$(BIN)/python benchmarks/stack.py
+
+# Columnar decoding beside construct, scapy, struct, tshark and a plain copy, side by side in one run.
+bench-columns: $(STAMP)
+	$(BIN)/python benchmarks/columns.py
 
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
 matrix: $(STAMP)

@@ -7,7 +7,16 @@ The names below are the package's interface; everything is built on :class:`Code
     >>> beacon = codec.decode(octets)              # strict: a value, or DecodeError
     >>> octets == codec.encode(beacon)
     >>> codec.dissect(octets).problems             # lenient: never raises
+
+Tables of whole recordings, with the extra ``table``::
+
+    >>> from dcp_codec import open_table
+    >>> open_table("flight.mcap", "updates").polars()
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from .codec import Codec, get_codec
 from .dissect import Dissection, Field
@@ -27,6 +36,23 @@ from .values import (
     VarSumm,
     VarUpdate,
 )
+
+if TYPE_CHECKING:
+    from .table.opening import OpenTable, Source
+
+
+def open_table(
+    path: Source, table: str = "beacons", *, profile: str = "auto", ether_type: int | None = None
+) -> OpenTable:
+    """Open one table of recordings for Arrow, pandas or Polars: :func:`dcp_codec.table.opening.open_table`.
+
+    Raises ImportError without the extra ``table``.
+    """
+    # Here, so that Numba and Arrow are imported by those who want tables, and nobody else.
+    from .table.opening import open_table as opened
+
+    return opened(path, table, profile=profile, ether_type=ether_type)
+
 
 __all__ = [
     "BPHeader",
@@ -50,4 +76,5 @@ __all__ = [
     "VarSumm",
     "VarUpdate",
     "get_codec",
+    "open_table",
 ]

@@ -60,14 +60,25 @@ class PcapReader(CaptureReader):
             # The top four bits count the checksum in units of 16 bits.
             self._metadata["pcap"] = {"fcsLength": str((link >> 28) * 2)}
         self._limit = max(MAX_FRAME_LENGTH, min(snap, MAX_RECORD_LENGTH))
-        self._position = HEADER_LENGTH
+        self._position = source.start = HEADER_LENGTH
+
+    @property
+    def layout(self) -> tuple[bool, int, int]:
+        """How records are written: whether big-endian, nanoseconds per unit of the stamps, the longest frame."""
+        return self._order == ">", self._scale, self._limit
+
+    def resume(self, position: int, frames: int) -> None:
+        """Go on at octet `position`, where the record behind the first `frames` starts. Before iterating only."""
+        self._source.skip(position - self._source.position)
+        self._number = self._frames_read = frames
+        self._position = position
 
     def _records(self) -> Iterator[Frame]:
         source, scale, limit = self._source, self._scale, self._limit
         unpack = struct.Struct(self._order + "IIII").unpack_from
-        buffer, base, start = source.buffer, source.base, HEADER_LENGTH
+        buffer, base, start = source.buffer, source.base, source.start
         end = len(buffer)
-        number = 0
+        number = self._number
         while True:
             body = start + RECORD_HEADER_LENGTH
             if body > end:

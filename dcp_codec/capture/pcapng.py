@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from dcp_codec.capture.bytesource import ByteSource
 from dcp_codec.capture.frame import ETHERNET, MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
@@ -66,6 +66,36 @@ class PcapngReader(CaptureReader):
                 refused = self._interfaces[-1].link_type
         if not self._stamp and self._interface_count:
             raise self._refuse(f"has {wrong_link_type(refused, link_types)}")
+
+    @property
+    def big_endian(self) -> bool:
+        """The byte order of the section that is being read."""
+        return self._order == ">"
+
+    @property
+    def interfaces(self) -> Sequence[Interface]:
+        """The interfaces of the section that is being read, as far as they have been described."""
+        return self._interfaces
+
+    @property
+    def number(self) -> int:
+        """The number of the last frame, passed over or not."""
+        return self._number
+
+    def step(self, position: int, number: int, frames: int) -> tuple[bool, Frame | None]:
+        """Take the one block at octet `position`, behind frame `number` and `frames` that were given out.
+
+        For those who find most frames on their own, going forward, instead of iterating. Returns whether there is
+        more to read, and the frame of the block if it has one.
+        """
+        self._source.skip(position - self._source.position)
+        self._number, self._frames_read = number, frames
+        self._pending = None
+        if self._going:
+            self._going = self._block()
+        if not self._going:
+            self._log.settle()
+        return self._going, self._pending
 
     def _records(self) -> Iterator[Frame]:
         source = self._source

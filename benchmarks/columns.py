@@ -1,0 +1,405 @@
+"""Measure columnar decoding from file to columns, beside everything else that reads the same beacons.
+
+    python benchmarks/columns.py [RECORDING] [--beacons N] [--rounds N] [--json FILE]
+
+RECORDING (``captures/b_crud.mcap``) is repeated to at least N beacons in a temporary folder; the files are read once
+before anything is measured, so that they lie in the page cache. One round after the other, the contenders take turns,
+each in this one process and thread, except where it says otherwise. The best round of each counts. Slow contenders get
+the first part of the recording, stated as ``beacons``; what a program needs to start is not counted against it
+(tshark: the time for one frame is taken off). Ratios are those of beacons per second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import logging
+import multiprocessing
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from dcp_codec import Codec, get_codec, open_table
+from dcp_codec.capture import convert, open_capture
+from dcp_codec.export.lua import wireshark_dissector
+from dcp_codec.framing import Framing, locate
+from dcp_codec.table import ColumnDecoder, Recording
+from dcp_codec.table.archive import Order, make
+from dcp_codec.table.job import resolve
+
+sys.path.insert(0, str(Path(__file__).parent))
+logging.getLogger("scapy").setLevel(logging.ERROR)
+
+import handwritten  # noqa: E402 - the folder is no package
+import scapy_only  # noqa: E402
+
+CAPTURES = Path(__file__).resolve().parent.parent / "captures"
+#: Beacons that contenders get which need microseconds, tens of microseconds, and more for each.
+QUICK, SLOW, SLOWEST = 200_000, 100_000, 4_000
+#: The layouts that the contenders written by hand know.
+BY_HAND = ("cpp-2.0", "cpp-1.3")
+#: Where a magic number stands in front of what is repeated.
+PCAP_HEADER = 24
+COLUMNAR = "columnar, pcap"
+#: Fields that tshark writes: much of what the tables hold.
+_RECORD = "dcp.payloads.vardis.records"
+FIELDS = ("frame.number", "frame.time_epoch", "dcp.bp.senderId", "dcp.bp.seqno", "dcp.payloads.vardis.icType")
+FIELDS += tuple(f"{_RECORD}.{name}" for name in ("varId", "seqno", "spec.varId", "upd.seqno", "upd.value"))
+
+
+@dataclass
+class Contender:
+    """One way to do it: ``run`` handles ``beacons`` beacons and returns how many it found, or seconds it took."""
+
+    name: str
+    what: str
+    beacons: int
+    run: Callable[[], int]
+    seconds: list[float] = field(default_factory=list)
+
+    def turn(self) -> None:
+        """Run once, and note how long it took."""
+        gc.collect()
+        gc.disable()
+        begin = time.perf_counter()
+        found = self.run()
+        self.seconds.append(time.perf_counter() - begin)
+        gc.enable()
+        if found != self.beacons:
+            raise SystemExit(f"{self.name}: found {found} beacons instead of {self.beacons}")
+
+    @property
+    def rate(self) -> float:
+        """Beacons per second in the best round."""
+        return self.beacons / min(self.seconds)
+
+
+# -- material -----------------------------------------------------------------------------------------------------
+
+
+class Material:
+    """The recording repeated, as files, and its first beacons as octets and values."""
+
+    def __init__(self, recording: Path, beacons: int, folder: Path) -> None:
+        self.name = recording.name
+        self.codec, self.link, _ = resolve(recording, "auto", None)
+        once = folder / "once.pcap"
+        convert(recording, once, lossy=True)
+        octets = once.read_bytes()
+        with open_capture(once) as reader:
+            frames = sum(isinstance(locate(frame.data, self.link), Framing) for frame in reader)
+        self.beacons = frames * -(-beacons // frames)
+        self.pcap = _repeated(octets, self.beacons // frames, folder / "whole.pcap")
+        self.size = self.pcap.stat().st_size
+        part = frames * -(-QUICK // frames)
+        self.part_beacons = part
+        self.part_pcap = _repeated(octets, part // frames, folder / "part.pcap")
+        self.part_pcapng = folder / "part.pcapng"
+        convert(self.part_pcap, self.part_pcapng)
+        self.part_mcap = folder / "part.mcap"
+        convert(self.part_pcap, self.part_mcap)
+        self.octets: list[bytes] = []
+        with open_capture(self.part_pcap) as reader:
+            for frame in islice(reader, QUICK):
+                framing = locate(frame.data, self.link)
+                if isinstance(framing, Framing):
+                    self.octets.append(frame.data[framing.start : framing.end])
+        self.values = [self.codec.decode(octets) for octets in self.octets]
+
+
+def _repeated(octets: bytes, times: int, path: Path) -> Path:
+    with path.open("wb") as file:
+        file.write(octets[:PCAP_HEADER])
+        for _ in range(times):
+            file.write(octets[PCAP_HEADER:])
+    return path
+
+
+# -- contenders ---------------------------------------------------------------------------------------------------
+
+
+def columnar(path: Path, decoder: ColumnDecoder, hold: list[Any] | None = None) -> int:
+    """Decode a file to columns; ``hold`` keeps all of them in memory."""
+    beacons = 0
+    with Recording(path) as recording:
+        for block in recording.blocks():
+            for batch in decoder.batches(block):
+                beacons += batch.tables["beacons"].num_rows
+                if hold is not None:
+                    hold.append(batch)
+    return beacons
+
+
+def opened(path: Path, codec: Codec) -> int:
+    """One table of a file as Arrow has it."""
+    rows: int = open_table(path, "beacons", profile=codec.profile.name).arrow().num_rows
+    return rows
+
+
+def scalar_file(path: Path, codec: Codec) -> int:
+    """Read and decode a file beacon by beacon."""
+    beacons, link = 0, codec.profile.link
+    with open_capture(path) as reader:
+        for frame in reader:
+            framing = locate(frame.data, link)
+            if isinstance(framing, Framing):
+                codec.decode_from(frame.data[: framing.end], framing.start)
+                beacons += 1
+    return beacons
+
+
+def read_file(path: Path) -> int:
+    """Read the frames of a file, and nothing else."""
+    with open_capture(path) as reader:
+        return sum(1 for _ in reader)
+
+
+def each(function: Callable[[Any], Any], items: Sequence[Any]) -> Callable[[], int]:
+    """Call ``function`` for every item."""
+
+    def run() -> int:
+        for item in items:
+            function(item)
+        return len(items)
+
+    return run
+
+
+def numpy_copy(path: Path, beacons: int) -> int:
+    """Copy the whole file into fresh memory."""
+    np.array(np.memmap(path, np.uint8, "r"))
+    return beacons
+
+
+def to_parquet(path: Path, folder: Path, profile: str) -> int:
+    """All tables of a file as Parquet."""
+    out = folder / "tables"
+    (outcome,) = make(Order((str(path),), out, "parquet", profile=profile, force=True))
+    shutil.rmtree(out)
+    return outcome.rows["beacons"]
+
+
+def tshark(path: Path, script: Path, count: int) -> int:
+    """tshark with our dissector, writing fields."""
+    home = script.parent / "home"
+    home.mkdir(exist_ok=True)
+    environment = {**os.environ, "HOME": str(home), "XDG_CONFIG_HOME": str(home)}
+    fields = [part for name in FIELDS for part in ("-e", name)]
+    command = ["tshark", "-n", "-X", f"lua_script:{script}", "-r", str(path), "-c", str(count), "-T", "fields", *fields]
+    done = subprocess.run(command, capture_output=True, env=environment, check=True)
+    return done.stdout.count(b"\n")
+
+
+def contenders(material: Material, folder: Path) -> list[Contender]:
+    """Everybody who takes part."""
+    codec, beacons, pcap = material.codec, material.beacons, material.pcap
+    part, octets, values = material.part_beacons, material.octets, material.values
+    decoder = ColumnDecoder(codec, material.link)
+    few, many = octets[:SLOWEST], len(octets)
+    found = [
+        Contender("numpy copy", "the file copied into memory", beacons, lambda: numpy_copy(pcap, beacons)),
+        Contender(COLUMNAR, "file to columns, streamed", beacons, lambda: columnar(pcap, decoder)),
+        Contender("columnar, pcap, kept", "file to columns, all kept", beacons, lambda: columnar(pcap, decoder, [])),
+        Contender("open_table", "file to an Arrow table of beacons", beacons, lambda: opened(pcap, codec)),
+        Contender("columnar, pcapng", "file to columns", part, lambda: columnar(material.part_pcapng, decoder)),
+        Contender("columnar, MCAP", "file to columns", part, lambda: columnar(material.part_mcap, decoder)),
+        Contender("tables, Parquet", "file to files", beacons, lambda: to_parquet(pcap, folder, codec.profile.name)),
+        Contender("MCAP read", "file to frames", part, lambda: read_file(material.part_mcap)),
+        Contender("pcap read", "file to frames", part, lambda: read_file(material.part_pcap)),
+        Contender("pcapng read", "file to frames", part, lambda: read_file(material.part_pcapng)),
+        Contender("scalar, pcap", "file to values", part, lambda: scalar_file(material.part_pcap, codec)),
+        Contender("scalar decode", "octets to values", many, each(codec.decode, octets)),
+        Contender("scalar encode", "values to octets", many, each(codec.encode, values)),
+    ]
+    if codec.profile.name in BY_HAND:
+        since_2_0 = codec.profile.name == "cpp-2.0"
+        layout = handwritten.Layout(since_2_0, codec.safety_data_type)
+        packet = scapy_only.Layer(since_2_0).beacon
+        found += [
+            Contender(
+                "struct by hand, values",
+                "octets to values",
+                many,
+                each(lambda one: handwritten.decode_values(one, layout), octets),
+            ),
+            Contender(
+                "struct by hand, tuples",
+                "octets to tuples",
+                many,
+                each(lambda one: handwritten.decode_tuples(one, layout), octets),
+            ),
+            Contender(
+                "struct by hand, encode",
+                "values to octets",
+                many,
+                each(lambda one: handwritten.encode_values(one, layout), values),
+            ),
+            Contender("scapy", "octets to packets", len(few), each(packet, few)),
+        ]
+    found.append(Contender("construct", "octets to containers", len(few), each(codec.schema.beacon.parse, few)))
+    if shutil.which("tshark"):
+        script = folder / "dcp.lua"
+        script.write_text(wireshark_dissector(codec), encoding="utf-8")
+        count = min(SLOW, part)
+        found.append(Contender("tshark", "file to fields", count, lambda: tshark(pcap, script, count)))
+        found.append(Contender("tshark, one frame", "its start", 1, lambda: tshark(pcap, script, 1)))
+    return found
+
+
+# -- cores --------------------------------------------------------------------------------------------------------
+
+
+class Worker:
+    """A process that decodes; it has compiled everything before it is measured."""
+
+    decoder: ColumnDecoder | None = None
+
+    @classmethod
+    def decode(cls, path: str, profile: str) -> int:
+        """Decode a file to columns."""
+        if cls.decoder is None:
+            cls.decoder = ColumnDecoder(get_codec(profile))
+        return columnar(Path(path), cls.decoder)
+
+    @staticmethod
+    def spin(_path: str, _profile: str) -> int:
+        """Do nothing for about as long, without memory: what the machine has to give."""
+        return sum(number & 1 for number in range(4_000_000))
+
+
+def over_cores(material: Material, rounds: int) -> dict[str, float]:
+    """How many times as fast two processes are as one, with two files: decoding, and spinning beside it.
+
+    Of the best rounds. On a machine that has other things to do spinning gains little, and says so.
+    """
+    jobs = [(str(material.pcap), material.codec.profile.name)] * 2
+    works: dict[str, Callable[[str, str], int]] = {"columnar": Worker.decode, "spinning": Worker.spin}
+    seconds: dict[tuple[str, int], list[float]] = {(name, n): [] for name in works for n in (1, 2)}
+    context = multiprocessing.get_context("spawn")
+    with (
+        ProcessPoolExecutor(1, context) as single,
+        ProcessPoolExecutor(1, context) as second,
+    ):
+        for pool in (single, second):
+            pool.submit(Worker.decode, *jobs[0]).result()
+        for _ in range(rounds):
+            for name, work in works.items():
+                for number, pools in ((1, (single, single)), (2, (single, second))):
+                    begin = time.perf_counter()
+                    futures = [pool.submit(work, *job) for pool, job in zip(pools, jobs, strict=True)]
+                    for future in futures:
+                        future.result()
+                    seconds[name, number].append(time.perf_counter() - begin)
+    return {name: min(seconds[name, 1]) / min(seconds[name, 2]) for name in works}
+
+
+# -- report -------------------------------------------------------------------------------------------------------
+
+
+def figures(found: Sequence[Contender]) -> list[dict[str, Any]]:
+    """Rates of all, and how many times faster columnar decoding is."""
+    by_name = {one.name: one for one in found}
+    start = by_name.get("tshark, one frame")
+    rows = []
+    for one in found:
+        if one is start:
+            continue
+        rate = one.rate
+        if one.name == "tshark" and start is not None:
+            rate = (one.beacons - 1) / (min(one.seconds) - min(start.seconds))
+        rows.append(
+            {
+                "contender": one.name,
+                "what": one.what,
+                "beacons": one.beacons,
+                "per_second": rate,
+                "us": 1e6 / rate,
+                "columnar_is_times_faster": by_name[COLUMNAR].rate / rate,
+                "rounds": len(one.seconds),
+            }
+        )
+    return rows
+
+
+def show(material: Material, rows: Sequence[dict[str, Any]], cores: dict[str, float] | None) -> None:
+    """Print everything as one table."""
+    console = Console(width=130)
+    average = material.size / material.beacons
+    console.print(
+        f"{material.name} repeated: {material.beacons} beacons, {material.size / 1e6:.0f} MB ({average:.0f} octets "
+        f"for each), profile {material.codec.profile.name}; one core"
+    )
+    table = Table("contender", "what")
+    for heading in ("beacons", "beacons/s", "µs/beacon", "columnar is × faster"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            row["contender"],
+            row["what"],
+            str(row["beacons"]),
+            f"{row['per_second']:,.0f}",
+            f"{row['us']:.3f}",
+            f"{row['columnar_is_times_faster']:.2f}",
+        )
+    console.print(table)
+    rate = {row["contender"]: row["per_second"] for row in rows}
+    for ours, theirs in (("scalar decode", "struct by hand, values"), ("scalar encode", "struct by hand, encode")):
+        if theirs in rate:
+            console.print(f"{ours}: {rate[theirs] / rate[ours]:.2f} times the time of {theirs}")
+    if cores is not None:
+        listed = ", ".join(f"{name} {ratio:.2f}" for name, ratio in cores.items())
+        console.print(f"two cores: times as fast as one (two files, two processes): {listed}")
+
+
+def main() -> None:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", type=Path, nargs="?", default=CAPTURES / "b_crud.mcap")
+    parser.add_argument("--beacons", type=int, default=2_000_000, help="at least so many")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        material = Material(given.recording, given.beacons, folder)
+        found = contenders(material, folder)
+        # Once for everything that is only done once: compiling, the page cache, imports.
+        for one in found:
+            one.turn()
+            one.seconds.clear()
+        for _ in range(given.rounds):
+            for one in found:
+                one.turn()
+        cores = over_cores(material, given.rounds) if len(os.sched_getaffinity(0)) > 1 else None
+        rows = figures(found)
+        show(material, rows, cores)
+    if given.json is not None:
+        about = {
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+            "recording": material.name,
+            "beacons": material.beacons,
+            "octets": material.size,
+            "figures": rows,
+            "two_cores": cores,
+        }
+        given.json.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""``dcp-codec table``: recordings as tables for DuckDB, Polars, pandas, spreadsheets."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dcp_codec.commandline import UNUSABLE, ExpectedError
+
+from .common import MALFORMED, load_codec, no_beacons_note, note, profile_options
+
+if TYPE_CHECKING:
+    from dcp_codec.table.archive import Order
+    from dcp_codec.table.job import Outcome
+
+#: Suffix of --out -> format that is meant.
+_FORMATS = {".parquet": "parquet", ".csv": "csv", ".duckdb": "duckdb", ".db": "duckdb"}
+
+
+def _tables(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Names of tables, one by one or with commas."""
+    from dcp_codec.table.shape import TABLES
+
+    names = tuple(name.strip() for part in value for name in part.split(","))
+    for name in names:
+        if name not in TABLES:
+            raise click.BadParameter(f"{name!r} is none of {', '.join(TABLES)}")
+    return tuple(dict.fromkeys(names)) or None
+
+
+@click.command(
+    "table",
+    epilog="FILE is an MCAP, pcap or pcapng recording, a folder with some, or a pattern in quotes; - is standard "
+    "input. Tables and example queries: docs/tables.md. Exit status: 0 all good, 1 malformed DCP frames were seen "
+    "(they are the rows of the table 'errors'), 2 wrong usage or input that could not be read to its end (what could "
+    "be read is written).",
+)
+@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="DIR|FILE",
+    help="A folder for all tables, a .duckdb database, or a .parquet or .csv file for one table.",
+)
+@profile_options
+@click.option(
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(["parquet", "csv", "duckdb"]),
+    help="Format of the tables. [default: what the suffix of --out says, or parquet]",
+)
+@click.option("--tables", multiple=True, callback=_tables, metavar="NAME,...", help="Only these tables.")
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Recordings that are decoded at a time. [default: the cores there are]",
+)
+@click.option(
+    "--engine",
+    type=click.Choice(["local", "dask"]),
+    default="local",
+    show_default=True,
+    help="Processes of this machine, or the workers of a Dask cluster.",
+)
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="The Dask scheduler, such as tcp://host:8786; without, a local one."
+)
+@click.option("--force", is_flag=True, help="Replace what is at --out.")
+def command(
+    files: tuple[str, ...],
+    out: Path,
+    profile: str,
+    ether_type: int | None,
+    form: str | None,
+    tables: tuple[str, ...] | None,
+    jobs: int | None,
+    engine: str,
+    scheduler: str | None,
+    force: bool,
+) -> int:
+    """Turn recordings into tables: beacons, payloads, state reports, containers, records, errors.
+
+    Rows are joined by the columns frame and time, and file if there are several recordings.
+    """
+    if scheduler is not None and engine != "dask":
+        raise click.UsageError("--scheduler is for --engine dask")
+    _check_input(files, profile)
+    with _extras():
+        from dcp_codec.table.archive import Order, TableError, find_recordings
+
+        try:
+            order = Order(
+                recordings=tuple(find_recordings(files)),
+                out=out,
+                form=form or _FORMATS.get(out.suffix.lower(), "parquet"),  # type: ignore[arg-type]
+                profile=profile,
+                ether_type=ether_type,
+                tables=tables,
+                jobs=jobs or len(os.sched_getaffinity(0)),
+                engine=engine,  # type: ignore[arg-type]
+                scheduler=scheduler,
+                force=force,
+            )
+            outcomes = _make(order)
+        except TableError as error:
+            raise ExpectedError(str(error)) from None
+    return max(_report(outcome) for outcome in outcomes)
+
+
+def _check_input(files: Sequence[str], profile: str) -> None:
+    if "-" in files and (len(files) > 1 or profile == "auto"):
+        raise ExpectedError("a pipe is read once and alone: give - as the only FILE, and name the --profile of it")
+    if profile != "auto":
+        # So that a wrong name is told once, and before anything is done.
+        load_codec(profile)
+
+
+@contextmanager
+def _extras() -> Iterator[None]:
+    """Say which extra to install where a package is missing."""
+    try:
+        yield
+    except ImportError as error:
+        extra = {"duckdb": "duckdb", "distributed": "dask"}.get((error.name or "").partition(".")[0], "table")
+        raise ExpectedError(
+            f"{error.name or error} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
+        ) from None
+
+
+def _make(order: Order) -> list[Outcome]:
+    from dcp_codec.table.archive import make
+
+    with _progress(order) as advance:
+        outcomes = make(order, advance)
+    if all(outcome.failure is not None for outcome in outcomes):
+        raise ExpectedError("; ".join(str(outcome.failure) for outcome in outcomes[:5]))
+    total: dict[str, int] = {}
+    for outcome in outcomes:
+        for name, rows in outcome.rows.items():
+            total[name] = total.get(name, 0) + rows
+    listed = ", ".join(f"{name} {rows}" for name, rows in total.items())
+    note(f"{order.out}: {listed} rows")
+    return outcomes
+
+
+def _report(outcome: Outcome) -> int:
+    """Tell what there is to be told of one recording; returns the exit status that it calls for."""
+    name, status = outcome.path, 0
+    if outcome.failure is not None:
+        note(outcome.failure)
+        return UNUSABLE
+    for text in outcome.notes:
+        note(f"{name}: {text}")
+    if outcome.malformed:
+        note(f"{name}: {outcome.malformed} of {outcome.frames - outcome.other} DCP frames are malformed")
+        status = MALFORMED
+    if outcome.link is not None:
+        no_beacons_note(name, outcome.others, outcome.link)
+    for text in outcome.problems:
+        note(f"{name}: {text}")
+        status = UNUSABLE
+    return status
+
+
+@contextmanager
+def _progress(order: Any) -> Iterator[Callable[[int], object]]:
+    """One bar over all recordings, on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _octets: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    from dcp_codec.capture.reader import counted
+
+    size = sum(Path(path).stat().st_size for path in order.recordings if Path(path).is_file())
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(counted(len(order.recordings), "recording"), total=size or None)
+        yield lambda octets: bar.advance(task, octets)

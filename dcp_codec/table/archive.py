@@ -1,0 +1,276 @@
+"""Many recordings to tables: which files, in which order, by which workers, and everything or nothing in its place."""
+
+from __future__ import annotations
+
+import glob
+import multiprocessing
+import os
+import shutil
+import signal
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from dcp_codec.capture import SUFFIXES
+from dcp_codec.codec import get_codec
+
+from .job import Advance, Job, Outcome, run
+from .shape import ERRORS, Shape
+from .writing import Format, write_database
+
+Engine = Literal["local", "dask"]
+
+#: Seconds between two looks at how far the workers are.
+_LOOK = 0.2
+
+
+class TableError(Exception):
+    """Tables cannot be made or put where they should go; the message is one for people."""
+
+
+class Order(msgspec.Struct, frozen=True):
+    """What is wanted: the recordings, where the tables go, and how they are made."""
+
+    recordings: tuple[str, ...]
+    out: Path
+    form: Format
+    profile: str = "auto"
+    ether_type: int | None = None
+    tables: tuple[str, ...] | None = None
+    jobs: int = 1
+    engine: Engine = "local"
+    scheduler: str | None = None
+    force: bool = False
+
+    @property
+    def single(self) -> bool:
+        """Whether the one table that is wanted goes to one file."""
+        return self.form != "duckdb" and self.out.suffix.lower() == f".{self.form}"
+
+
+def find_recordings(names: Sequence[str]) -> list[str]:
+    """The recordings that are meant: files, all below folders, and what patterns match; each once, in this order.
+
+    Raises TableError for a folder or pattern without recordings. A file need not be there: opening it will say so.
+    """
+    found: dict[str, None] = {}
+    for name in names:
+        if Path(name).is_dir():
+            below = sorted(str(path) for path in Path(name).rglob("*") if path.suffix.lower() in SUFFIXES)
+            if not below:
+                raise TableError(f"{name}: there are no recordings in it ({', '.join(SUFFIXES)})")
+        elif not Path(name).exists() and glob.has_magic(name):
+            below = sorted(path for path in glob.glob(name, recursive=True) if Path(path).is_file())  # noqa: PTH207
+            if not below:
+                raise TableError(f"{name}: nothing matches this pattern")
+        else:
+            below = [name]
+        found |= dict.fromkeys(below)
+    return list(found)
+
+
+def make(order: Order, advance: Advance = lambda _octets: None) -> list[Outcome]:
+    """Make the tables. ``advance`` is told how many octets of recordings were read since it was last called.
+
+    The outcomes are in the order of the recordings. Nothing stands at ``order.out`` before everything does; if no
+    recording could be read, nothing does in the end. Raises TableError, and ImportError for an engine or format whose
+    package is not there.
+    """
+    _check(order)
+    try:
+        order.out.parent.mkdir(parents=True, exist_ok=True)
+        with _workshop(order.out) as folder:
+            outcomes = _run(order, _jobs(order, folder), advance)
+            if all(outcome.failure is not None for outcome in outcomes):
+                return outcomes
+            _deliver(order, folder, outcomes)
+    except OSError as error:
+        raise TableError(f"{order.out}: {error.strerror or error}") from error
+    return outcomes
+
+
+def _check(order: Order) -> None:
+    if order.single and (order.tables is None or len(order.tables) != 1):
+        raise TableError(f"{order.out}: one file has one table: name it with --tables, or give a folder")
+    if order.profile != "auto" and order.tables is not None:
+        known = {table.name for table in Shape(get_codec(order.profile).beacon_plan).tables} | {ERRORS}
+        for name in order.tables:
+            if name not in known:
+                raise TableError(f"profile {order.profile} has no table {name}, only {', '.join(sorted(known))}")
+    out = order.out
+    if not out.exists() or order.force:
+        return
+    if not out.is_dir():
+        raise TableError(f"{out}: is there already; --force replaces it")
+    if order.form == "duckdb":
+        raise TableError(f"{out}: is a folder; a DuckDB database is a file")
+    if any(out.iterdir()):
+        raise TableError(f"{out}: is not empty; --force replaces it")
+
+
+@contextmanager
+def _workshop(out: Path) -> Iterator[Path]:
+    """A folder beside ``out``, so that moving into place is renaming; gone afterwards, whatever happens."""
+    folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _jobs(order: Order, folder: Path) -> list[Job]:
+    several = len(order.recordings) > 1
+    digits = len(str(len(order.recordings)))
+    return [
+        Job(
+            path=path,
+            folder=str(folder / "tables"),
+            stem=f"{number:0{digits}}-{Path(path).stem}" if several else None,
+            file=path if several else None,
+            profile=order.profile,
+            ether_type=order.ether_type,
+            tables=order.tables,
+            form="parquet" if order.single else order.form,
+        )
+        for number, path in enumerate(order.recordings, start=1)
+    ]
+
+
+# -- workers ------------------------------------------------------------------------------------------------------
+
+
+def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
+    if order.engine == "dask":
+        from .cluster import run_on_cluster
+
+        return run_on_cluster(jobs, order.jobs, order.scheduler, advance)
+    workers = min(order.jobs, len(jobs))
+    if workers <= 1:
+        return [run(job, advance) for job in jobs]
+    context = multiprocessing.get_context("spawn")
+    done: Any = context.Value("q", 0)
+    others = set(multiprocessing.active_children())
+    with ProcessPoolExecutor(workers, context, initializer=_Worker.prepare, initargs=(done,)) as pool:
+        # The longest first, so that no worker is left alone with it at the end.
+        order_of_work = sorted(range(len(jobs)), key=lambda index: -_size(jobs[index].path))
+        futures: dict[int, Future[Outcome]] = {index: pool.submit(_Worker.work, jobs[index]) for index in order_of_work}
+        try:
+            _watch(list(futures.values()), lambda: int(done.value), advance)
+            return [futures[index].result() for index in range(len(jobs))]
+        except BrokenExecutor:
+            raise TableError(
+                "a process that decodes died: too little memory, or a file that was cut while read"
+            ) from None
+        except BaseException:
+            # Interrupted, or out of disk: what is still at work would be waited for.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
+
+
+class _Worker:
+    """A process of the pool; ``done`` counts the octets that all of them have read."""
+
+    done: Any = None
+
+    @classmethod
+    def prepare(cls, done: Any) -> None:
+        # Ctrl-C goes to all processes of a terminal; the first one sees to it.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        cls.done = done
+
+    @classmethod
+    def work(cls, job: Job) -> Outcome:
+        def count(octets: int) -> None:
+            with cls.done.get_lock():
+                cls.done.value += octets
+
+        return run(job, count)
+
+
+def _watch(futures: Sequence[Future[Outcome]], done: Callable[[], int], advance: Advance) -> None:
+    """Wait for all, and tell how far they are."""
+    seen, pending = 0, set(futures)
+    while pending:
+        _, pending = wait(pending, timeout=_LOOK, return_when=FIRST_COMPLETED)
+        now = done()
+        advance(now - seen)
+        seen = now
+
+
+def _size(path: str) -> int:
+    try:
+        return Path(path).stat().st_size
+    except OSError:
+        return 0
+
+
+# -- delivery -----------------------------------------------------------------------------------------------------
+
+
+def _deliver(order: Order, folder: Path, outcomes: Sequence[Outcome]) -> None:
+    """Put what was made into its place, in one step."""
+    parts: dict[str, list[Path]] = {}
+    for outcome in outcomes:
+        for name, path in outcome.files.items() if outcome.failure is None else ():
+            parts.setdefault(name, []).append(Path(path))
+    made = folder / "tables"
+    if order.form == "duckdb":
+        made = folder / "database"
+        write_database(made, parts)
+    elif order.single:
+        made = folder / f"table.{order.form}"
+        assert order.tables is not None
+        if order.tables[0] not in parts:
+            raise TableError(f"{order.out}: no recording has the table {order.tables[0]} in its profile")
+        _concatenate(parts[order.tables[0]], made, order.form)
+    else:
+        for outcome in outcomes:
+            for path in outcome.files.values() if outcome.failure is not None else ():
+                Path(path).unlink(missing_ok=True)
+    _replace(made, order.out)
+
+
+def _concatenate(parts: Sequence[Path], target: Path, form: Format) -> None:
+    """Parts of one table to one file; where profiles differ, columns are those that any of them has."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    from .writing import open_writer
+
+    if form == "parquet" and len(parts) == 1:
+        parts[0].rename(target)
+        return
+    files = [parquet.ParquetFile(part) for part in parts]
+    schema = pa.unify_schemas([file.schema_arrow for file in files], promote_options="permissive")
+    writer = open_writer(form, target, schema)
+    for file in files:
+        for batch in file.iter_batches(1 << 16):
+            arrays = [
+                batch.column(field.name).cast(field.type)
+                if field.name in batch.schema.names
+                else pa.nulls(batch.num_rows, field.type)
+                for field in schema
+            ]
+            writer.write(pa.RecordBatch.from_arrays(arrays, schema=schema))
+        file.close()
+    writer.close()
+
+
+def _replace(made: Path, out: Path) -> None:
+    if made.is_dir() and out.is_dir():
+        # A folder cannot be renamed onto one that has something in it.
+        aside = made.with_name("replaced")
+        out.rename(aside)
+    elif out.is_dir():
+        raise TableError(f"{out}: is a folder, and what is to be written is a file")
+    elif made.is_dir() and out.exists():
+        aside = made.with_name("replaced")
+        out.rename(aside)
+    os.replace(made, out)  # noqa: PTH105 - Path.replace says the same; os says that it is atomic

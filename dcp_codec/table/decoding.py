@@ -1,0 +1,265 @@
+"""Blocks of frames to record batches: the compiled decoder around which everything else is arranged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+from dcp_spec.profile import Link
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import DecodeError, Problem
+from dcp_codec.framing import Framing, locate, mac
+from dcp_codec.jsonform import node_id_text
+from dcp_codec.layout import walk
+from dcp_codec.plan import Group, Scalar
+
+from .columns import IDENTIFIER, TIME, Storage, arrow_arrays, schema_of
+from .compiled import compiled, interpreted
+from .kernel import result_names
+from .kernellines import DONE, FULL, POOL_FULL
+from .pools import Pool
+from .shape import ERRORS, Shape
+
+Integers = npt.NDArray[np.int64]
+
+#: Rows of a table, and octets of a column of varying octets, that a batch holds at most (unless one frame has more).
+ROOM, SPACE = 1 << 18, 1 << 22
+
+ERRORS_SCHEMA = pa.schema(
+    [
+        pa.field("frame", pa.int64(), metadata={"doc": "number of the frame in the recording, from 1"}),
+        pa.field("time", TIME, metadata={"doc": "time of capture, UTC", "unit": "ns"}),
+        pa.field("sender", IDENTIFIER, metadata={"doc": "sender of the beacon, where it can be read"}),
+        pa.field("reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "what is wrong, a fixed word"}),
+        pa.field("path", pa.string(), metadata={"doc": "the field, with indices"}),
+        pa.field("offset", pa.int64(), metadata={"doc": "where it starts, in octets from the start of the frame"}),
+        pa.field("needed", pa.int64(), metadata={"doc": "octets, or the number that is right"}),
+        pa.field("available", pa.int64(), metadata={"doc": "octets, or the number that is there"}),
+        pa.field("requirement", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "id of the catalogue"}),
+    ]
+)
+
+
+class Block(NamedTuple):
+    """Frames in one buffer: frame ``i`` is ``buffer[starts[i]:stops[i]]``.
+
+    ``lengths`` are octets on the wire, ``times`` ns since 1970. ``position`` is how many octets of the file are
+    behind us after this block, ``buffer`` is read-only.
+    """
+
+    buffer: npt.NDArray[np.uint8]
+    starts: Integers
+    stops: Integers
+    numbers: Integers
+    times: Integers
+    lengths: Integers
+    interfaces: Integers
+    frames: int
+    position: int
+
+
+class Batch(NamedTuple):
+    """What ``frames`` frames gave: record batches by the name of the table, and what gave none.
+
+    ``other`` frames are not DCP; malformed ones are rows of ``errors``.
+    """
+
+    tables: dict[str, pa.RecordBatch]
+    frames: int
+    malformed: int
+    other: int
+
+
+class ColumnDecoder:
+    """Decodes frames to columns with one codec; ``link`` replaces the profile's idea of where beacons are.
+
+    ``interpret`` runs the generated source as plain Python, which is slow and compiles nothing. Not for use by
+    several threads at a time.
+    """
+
+    def __init__(
+        self, codec: Codec, link: Link | None = None, *, interpret: bool = False, room: int = ROOM, space: int = SPACE
+    ) -> None:
+        self.codec = codec
+        self.link = link or codec.profile.link
+        self.shape = Shape(codec.beacon_plan)
+        self.schemas = {table.name: schema_of(table) for table in self.shape.tables} | {ERRORS: ERRORS_SCHEMA}
+        self._decode = interpreted(self.shape) if interpret else compiled(self.shape)
+        self._room, self._space = room, space
+        self._storage = Storage(self.shape.columns)
+        self._results = np.zeros(len(result_names(self.shape)), np.int64)
+        self._addresses = Pool(6, mac)
+        types = codec.profile.types
+        width = 0 if types.node_id.length is not None else types.node_id.width
+        self._nodes = Pool(width, lambda octets: node_id_text(octets, types.node_id.representation))
+        self._sender_at = _sender_offset(self.shape)
+
+    def batches(self, block: Block) -> Iterator[Batch]:
+        """Decode a block. Its buffer is not used any more when the iteration has ended."""
+        first, room, space, fresh = 0, self._room, self._space, False
+        while first < block.frames:
+            memory, octets = self._storage.take(room + 1, space)
+            bad = np.empty(block.frames - first, np.int64)
+            after, status = self._call(block, first, room, space, memory, octets, bad)
+            moved = after > first
+            if moved:
+                made = self._batch(block, first, after, memory, octets, bad)
+                # Whoever takes the batch is alone with its memory, or Storage could not tell when it is free.
+                del memory, octets
+                yield made
+                del made
+                first = after
+                room, space = self._room, self._space
+            elif status == FULL:
+                # One frame that is larger than everything: the next one has the usual room again.
+                size = int(block.stops[first] - block.starts[first])
+                room, space = max(room, size + 1), max(space, size)
+            if status == POOL_FULL:
+                # Fresh ones; larger ones if not even one frame fits into those.
+                grow = fresh and not moved
+                self._addresses = self._addresses.grown() if grow else self._addresses.fresh()
+                self._nodes = self._nodes.grown() if grow else self._nodes.fresh()
+            else:
+                assert status in (DONE, FULL)
+            fresh = status == POOL_FULL
+
+    def _call(
+        self,
+        block: Block,
+        first: int,
+        room: int,
+        space: int,
+        memory: list[npt.NDArray[Any]],
+        octets: dict[int, npt.NDArray[np.uint8]],
+        bad: Integers,
+    ) -> tuple[int, int]:
+        addresses, nodes, link = self._addresses, self._nodes, self.link
+        udp = link.transport == "udp"
+        kind = link.udp_port if udp else link.ether_type
+        result = self._decode(
+            block.buffer,
+            block.starts,
+            block.stops,
+            block.numbers,
+            block.times,
+            block.lengths,
+            block.interfaces,
+            first,
+            block.frames,
+            udp,
+            -1 if kind is None else kind,
+            room,
+            space,
+            addresses.slots,
+            addresses.keys,
+            addresses.many,
+            nodes.slots,
+            nodes.keys,
+            nodes.ends,
+            nodes.arena,
+            nodes.many,
+            self._results,
+            bad,
+            *memory,
+            *octets.values(),
+        )
+        tables = len(self.shape.tables)
+        addresses.many, nodes.many = int(self._results[tables]), int(self._results[tables + 1])
+        return result
+
+    def _batch(
+        self,
+        block: Block,
+        first: int,
+        after: int,
+        memory: list[npt.NDArray[Any]],
+        octets: dict[int, npt.NDArray[np.uint8]],
+        bad: Integers,
+    ) -> Batch:
+        shape, results = self.shape, self._results.tolist()
+        used = dict(zip(octets, results[len(shape.tables) + 4 :], strict=True))
+        malformed, other = results[len(shape.tables) + 2 : len(shape.tables) + 4]
+        tables = {}
+        for table in shape.tables:
+            arrays: list[pa.Array] = []
+            for column in table.columns:
+                pool = {"address": self._addresses, "node": self._nodes}.get(column.kind)
+                number = column.number
+                arrays += arrow_arrays(
+                    column, results[table.number], memory, octets.get(number), used.get(number, 0), pool
+                )
+            tables[table.name] = pa.RecordBatch.from_arrays(arrays, schema=self.schemas[table.name])
+        tables[ERRORS] = self._errors(block, bad[:malformed])
+        return Batch(tables, after - first, malformed, other)
+
+    # -- what is wrong ----------------------------------------------------------------------------------------
+
+    def _errors(self, block: Block, bad: Integers) -> pa.RecordBatch:
+        """The rows of the frames that are not plainly good, as the strict decoder judges them."""
+        columns: dict[str, list[Any]] = {name: [] for name in ERRORS_SCHEMA.names}
+        for index in bad.tolist():
+            frame = block.buffer[block.starts[index] : block.stops[index]].tobytes()
+            framing = locate(frame, self.link)
+            assert isinstance(framing, Framing)
+            payload = frame[: framing.end]
+            problem = self._problem(payload, framing.start)
+            columns["frame"].append(int(block.numbers[index]))
+            columns["time"].append(int(block.times[index]))
+            columns["sender"].append(self._sender(payload, framing))
+            for name in ("reason", "path", "offset", "requirement"):
+                columns[name].append(getattr(problem, name))
+            for name in ("needed", "available"):
+                columns[name].append(_fitting(getattr(problem, name)))
+        arrays = [pa.array(columns[field.name], _value_type(field.type)) for field in ERRORS_SCHEMA]
+        arrays = [
+            array.dictionary_encode() if pa.types.is_dictionary(field.type) else array.cast(field.type)
+            for array, field in zip(arrays, ERRORS_SCHEMA, strict=True)
+        ]
+        return pa.RecordBatch.from_arrays(arrays, schema=ERRORS_SCHEMA)
+
+    def _problem(self, octets: bytes, start: int) -> Problem:
+        try:
+            self.codec.decode_from(octets, start)
+        except DecodeError as error:
+            return error.problem
+        raise AssertionError(f"the columnar decoder of {self.codec.profile.name} refuses what the strict one accepts")
+
+    def _sender(self, payload: bytes, framing: Framing) -> str | None:
+        """As :attr:`dcp_codec.frames.DissectedFrame.sender`."""
+        sender = self.shape.sender
+        if sender is None:
+            return mac(framing.src) if framing.src is not None else None
+        at = framing.start + self._sender_at
+        octets = payload[at : at + sender.size]
+        if len(octets) < sender.size:
+            return None
+        return mac(octets) if self.codec.profile.types.node_id.representation == "mac" else octets.hex()
+
+
+def _fitting(number: int | None) -> int | None:
+    """A number of a problem as far as a column of signed 64-bit integers can say it."""
+    return None if number is None else min(number, (1 << 63) - 1)
+
+
+def _value_type(kind: pa.DataType) -> pa.DataType:
+    if pa.types.is_dictionary(kind):
+        return kind.value_type
+    return pa.int64() if pa.types.is_timestamp(kind) else kind
+
+
+def _sender_offset(shape: Shape) -> int:
+    """Octets of the header in front of the sender's identifier."""
+    if shape.sender is None:
+        return 0
+    header = next(node for node in walk(shape.plan) if isinstance(node, Group) and shape.sender in node.members)
+    at = 0
+    for member in header.members:
+        if member is shape.sender:
+            break
+        assert isinstance(member, Scalar)
+        at += member.size
+    return at

@@ -1,0 +1,147 @@
+"""One recording to one file per table: what each worker does, in this process, another, or on another machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import msgspec
+from dcp_spec.profile import Link
+
+from dcp_codec.capture import CaptureError, open_capture
+from dcp_codec.codec import Codec, get_codec
+from dcp_codec.frames import with_ether_type
+from dcp_codec.framing import OtherTraffic, locate
+from dcp_codec.guess import guess, sample
+
+from .decoding import ColumnDecoder
+from .sources import Recording
+from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
+
+#: Frames that are looked at to tell what there is in a recording without beacons.
+_LOOKED_AT = 10_000
+
+Advance = Callable[[int], object]
+
+
+class Job(msgspec.Struct, frozen=True):
+    """What to do with one recording; it can be sent to another process.
+
+    ``profile`` is a name, a profile file, or "auto"; ``tables`` are those that are wanted, None for all. The files
+    are ``folder/TABLE/STEM.SUFFIX``, or ``folder/TABLE.SUFFIX`` if ``stem`` is None. ``file`` is what the recording is
+    called in the column of that name, None for no such column.
+    """
+
+    path: str
+    folder: str
+    stem: str | None
+    file: str | None
+    profile: str
+    ether_type: int | None
+    tables: tuple[str, ...] | None
+    form: Format
+
+
+class Outcome(msgspec.Struct):
+    """What came of a job. ``failure`` says why nothing did; ``notes`` and ``problems`` are for people."""
+
+    path: str
+    profile: str = ""
+    notes: list[str] = msgspec.field(default_factory=list)
+    problems: list[str] = msgspec.field(default_factory=list)
+    failure: str | None = None
+    frames: int = 0
+    malformed: int = 0
+    other: int = 0
+    #: Other traffic by EtherType, where there is no DCP at all; and where it was looked for.
+    others: dict[str, int] = msgspec.field(default_factory=dict)
+    link: Link | None = None
+    rows: dict[str, int] = msgspec.field(default_factory=dict)
+    files: dict[str, str] = msgspec.field(default_factory=dict)
+
+
+def resolve(path: str | Path, profile: str, ether_type: int | None) -> tuple[Codec, Link, str]:
+    """The codec of a recording, where its beacons are, and what the guess says ("" if there was none).
+
+    Raises CaptureError and ProfileError.
+    """
+    if profile != "auto":
+        codec = get_codec(profile)
+        link = codec.profile.link
+        return codec, link if ether_type is None else with_ether_type(link, ether_type), ""
+    with open_capture(path) as reader:
+        first, _ = sample(reader)
+    found = guess(first, ether_type=ether_type)
+    return get_codec(found.best.profile.name), found.best.link, f"profile {found}"
+
+
+def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
+    """Decode one recording into its files. ``advance`` is told how many octets of the file were read since.
+
+    A recording that cannot be opened is an outcome, not an exception; what the disk refuses is an OSError.
+    """
+    outcome = Outcome(job.path)
+    try:
+        codec, link, note = resolve(job.path, job.profile, job.ether_type)
+        if note:
+            outcome.notes.append(note)
+        outcome.profile = codec.profile.name
+        with Recording(job.path) as recording:
+            _write(job, recording, ColumnDecoder(codec, link), outcome, advance)
+            outcome.problems += [problem.message for problem in recording.problems]
+        if outcome.other == outcome.frames:
+            outcome.link = link
+            outcome.others = {} if job.path == "-" else _others(job.path, link)
+    except CaptureError as error:
+        outcome.failure = str(error)
+    return outcome
+
+
+def _write(job: Job, recording: Recording, decoder: ColumnDecoder, outcome: Outcome, advance: Advance) -> None:
+    names = [name for name in decoder.schemas if job.tables is None or name in job.tables]
+    schemas = {name: decoder.schemas[name] for name in names}
+    if job.file is not None:
+        schemas = {name: file_schema(schema) for name, schema in schemas.items()}
+    with ExitStack() as stack:
+        writers: dict[str, Writer] = {}
+        for name in names:
+            path = _path(job, name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            writers[name] = open_writer(job.form, path, schemas[name])
+            stack.callback(writers[name].close)
+            outcome.files[name] = str(path)
+            outcome.rows[name] = 0
+        position = 0
+        for block in recording.blocks():
+            for batch in decoder.batches(block):
+                outcome.frames += batch.frames
+                outcome.malformed += batch.malformed
+                outcome.other += batch.other
+                for name in names:
+                    rows = batch.tables[name]
+                    outcome.rows[name] += rows.num_rows
+                    writers[name].write(rows if job.file is None else with_file(rows, schemas[name], job.file))
+            advance(block.position - position)
+            position = block.position
+
+
+def _path(job: Job, table: str) -> Path:
+    suffix = SUFFIXES[job.form]
+    if job.stem is None:
+        return Path(job.folder) / f"{table}{suffix}"
+    return Path(job.folder) / table / f"{job.stem}{suffix}"
+
+
+def _others(path: str, link: Link) -> dict[str, int]:
+    """What a recording without beacons has instead, by EtherType."""
+    found: dict[str, int] = {}
+    with open_capture(path) as reader:
+        for frame in reader:
+            framing = locate(frame.data, link)
+            if isinstance(framing, OtherTraffic):
+                kind = framing.reason if framing.ether_type is None else f"0x{framing.ether_type:04x}"
+                found[kind] = found.get(kind, 0) + 1
+            if reader.frames_read >= _LOOKED_AT:
+                break
+    return dict(sorted(found.items(), key=lambda item: -item[1]))

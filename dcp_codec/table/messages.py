@@ -1,0 +1,174 @@
+"""Finding raw frames in the chunks of an MCAP file, for Numba: JSON as our writer writes it, and nothing else.
+
+A message that is written in any other way ends the walk there, and the reader takes it (``dcp_codec.capture``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dcp_codec.capture.frame import ETHERNET, MAX_TIME_NS
+
+from .jit import machine
+
+_I64: Any = np.int64
+_U64: Any = np.uint64
+_SECOND = 1_000_000_000
+_HEAD, _MESSAGE_HEAD, _MESSAGE = 9, 22, 5
+
+#: What a channel is: not described, raw frames, something else.
+UNKNOWN, RAW, OTHER = 0, 1, 2
+#: Why the walk ended: something for the reader, or no room for another frame.
+ODD, FULL = 0, 1
+
+# The parts of a message between its numbers, and the places where they start.
+_PARTS = (
+    b'{"timestamp":{"sec":',
+    b',"nsec":',
+    b'},"number":',
+    b',"interface":',
+    b',"linkType":',
+    b',"origLen":',
+    b',"data":"',
+    b'"}',
+)
+_TEXT = np.frombuffer(b"".join(_PARTS), np.uint8).copy()
+_STARTS = np.cumsum([0, *map(len, _PARTS)]).astype(np.int64)
+_DIGITS = np.array([10, 9, 18, 9, 9, 9], np.int64)
+_NO_DIGIT = 255
+_BASE64 = np.full(256, _NO_DIGIT, np.uint8)
+_BASE64[np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8)] = np.arange(64)
+
+
+@machine
+def _little(b: Any, at: int, size: int) -> Any:
+    found = _I64(0)
+    for i in range(size):
+        found |= _I64(b[_U64(at + i)]) << (8 * i)
+    return found
+
+
+@machine
+def _same(b: Any, at: int, stop: int, part: int) -> bool:
+    """Whether a fixed part of the message stands at ``at``."""
+    start, size = _STARTS[part], _STARTS[part + 1] - _STARTS[part]
+    if stop - at < size:
+        return False
+    for i in range(size):  # noqa: SIM110 - Numba has no generator expressions
+        if b[_U64(at + i)] != _TEXT[start + i]:
+            return False
+    return True
+
+
+@machine
+def _number(b: Any, at: int, stop: int, most: int) -> tuple[int, int]:
+    """The decimal number at ``at`` and where it ends; -1 if there is none of at most ``most`` digits."""
+    value, start = _I64(0), at
+    while at < stop and at - start < most and 48 <= b[_U64(at)] <= 57:
+        value = value * 10 + _I64(b[_U64(at)]) - 48
+        at += 1
+    if at == start or (b[_U64(start)] == 48 and at - start > 1):
+        return _I64(-1), at
+    return value, at
+
+
+@machine
+def _unpack(b: Any, at: int, stop: int, out: Any, used: int) -> Any:
+    """Decode base64 to ``out[used:]``; returns how many octets, -1 for what is not in its plainest form."""
+    size = stop - at
+    if size % 4:
+        return _I64(-1)
+    start = used
+    while at < stop:
+        w, x = _I64(_BASE64[b[_U64(at)]]), _I64(_BASE64[b[_U64(at + 1)]])
+        y, z = _I64(_BASE64[b[_U64(at + 2)]]), _I64(_BASE64[b[_U64(at + 3)]])
+        if (w | x | y | z) < 64:
+            bits = (w << 18) | (x << 12) | (y << 6) | z
+            out[_U64(used)] = bits >> 16
+            out[_U64(used + 1)] = (bits >> 8) & 0xFF
+            out[_U64(used + 2)] = bits & 0xFF
+            used += 3
+            at += 4
+            continue
+        # Only the last group may be filled up with "=", and bits that are no octets are 0.
+        if at + 4 != stop or (w | x) >= 64 or b[_U64(at + 3)] != 61:
+            return _I64(-1)
+        if b[_U64(at + 2)] == 61:
+            if x & 0x0F:
+                return _I64(-1)
+            out[_U64(used)] = ((w << 2) | (x >> 4)) & 0xFF
+            return used + 1 - start
+        if y >= 64 or y & 0x03:
+            return _I64(-1)
+        out[_U64(used)] = ((w << 2) | (x >> 4)) & 0xFF
+        out[_U64(used + 1)] = ((x << 4) | (y >> 2)) & 0xFF
+        return used + 2 - start
+    return used - start
+
+
+@machine
+def walk_messages(
+    b: Any,
+    position: int,
+    channels: Any,
+    count: int,
+    used: int,
+    buffer: Any,
+    starts: Any,
+    stops: Any,
+    numbers: Any,
+    times: Any,
+    lengths: Any,
+    interfaces: Any,
+) -> tuple[int, int, int, int]:
+    """Take the messages of the records ``b[position:]`` into a block that has ``count`` frames and ``used`` octets.
+
+    ``channels`` says of each channel what it is. Returns the position of the first record that was not taken, the new
+    ``count`` and ``used``, and why the walk ended.
+    """
+    end = _I64(b.size)
+    fields = np.empty(6, np.int64)
+    while end - position >= _HEAD:
+        start = position + _HEAD
+        length = _little(b, position + 1, 8)
+        if b[_U64(position)] != _MESSAGE or length < _MESSAGE_HEAD or length > end - start:
+            break
+        stop = start + length
+        kind = channels[_little(b, start, 2)]
+        if kind == OTHER:
+            position = stop
+            continue
+        if kind != RAW:
+            break
+        if count == starts.size or used + length > buffer.size:
+            return position, count, used, FULL
+        at = start + _MESSAGE_HEAD
+        good = True
+        for part in range(6):
+            good = _same(b, at, stop, part)
+            if not good:
+                break
+            fields[part], at = _number(b, at + _STARTS[part + 1] - _STARTS[part], stop, _DIGITS[part])
+            good = fields[part] >= 0
+            if not good:
+                break
+        if not good or not _same(b, at, stop, 6) or not _same(b, stop - 2, stop, 7):
+            break
+        at += _STARTS[7] - _STARTS[6]
+        if stop - 2 < at or fields[0] >= MAX_TIME_NS // _SECOND or fields[2] == 0 or fields[4] != ETHERNET:
+            break
+        size = _unpack(b, at, stop - 2, buffer, used)
+        if size < 0:
+            break
+        starts[_U64(count)] = used
+        stops[_U64(count)] = used + size
+        numbers[_U64(count)] = fields[2]
+        times[_U64(count)] = fields[0] * _SECOND + fields[1]
+        lengths[_U64(count)] = max(fields[5], size)
+        interfaces[_U64(count)] = fields[3]
+        count += 1
+        used += size
+        position = stop
+    return position, count, used, ODD

@@ -1,0 +1,184 @@
+"""One recording to files: a writer for each table, fed with record batches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+import pyarrow as pa
+
+Format = Literal["parquet", "csv", "duckdb"]
+
+#: Rows that are collected before they are written: a row group of Parquet is worth reading on its own.
+GROUP = 1 << 19
+_HEX = np.frombuffer(b"".join(f"{octet:02x}".encode() for octet in range(256)), np.uint16)
+
+
+class Writer(Protocol):
+    """Writes the rows of one table to one file."""
+
+    def write(self, batch: pa.RecordBatch) -> None:
+        """Append rows."""
+
+    def close(self) -> None:
+        """Finish the file."""
+
+
+class Pile:
+    """Rows that are collected.
+
+    A batch lies in memory with room for many more rows than it may have. Few rows are not to hold on to much memory, so
+    batches are copied together, some at a time.
+    """
+
+    def __init__(self, schema: pa.Schema) -> None:
+        self._schema = schema
+        self._fresh: list[pa.RecordBatch] = []
+        self._together: list[pa.RecordBatch] = []
+        self.rows = 0
+
+    def add(self, batch: pa.RecordBatch) -> None:
+        """Append the rows of a batch."""
+        if not batch.num_rows:
+            return
+        self._fresh.append(batch)
+        self.rows += batch.num_rows
+        if len(self._fresh) == _TOGETHER:
+            whole = pa.Table.from_batches(self._fresh, self._schema).unify_dictionaries().combine_chunks()
+            self._together += whole.to_batches()
+            self._fresh = []
+
+    def table(self) -> pa.Table:
+        """All rows, with one dictionary for each column of identifiers."""
+        return pa.Table.from_batches([*self._together, *self._fresh], self._schema).unify_dictionaries()
+
+
+#: Batches that are copied together.
+_TOGETHER = 8
+
+
+class ParquetTable:
+    """A Parquet file with row groups of about ``GROUP`` rows."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        from pyarrow import parquet
+
+        self._schema = schema
+        # Looking for repetition in numbers that count up takes half of all time, and finds none.
+        self._writer = parquet.ParquetWriter(
+            path,
+            schema,
+            compression="zstd",
+            compression_level=1,
+            use_dictionary=[field.name for field in schema if pa.types.is_dictionary(field.type)],
+            column_encoding=dict.fromkeys(("frame", "time"), "DELTA_BINARY_PACKED"),
+        )
+        self._pile = Pile(schema)
+
+    def write(self, batch: pa.RecordBatch) -> None:
+        """Append rows."""
+        self._pile.add(batch)
+        if self._pile.rows >= GROUP:
+            self._flush()
+
+    def _flush(self) -> None:
+        # Identifiers have one dictionary in a row group, or they would be written out.
+        self._writer.write_table(self._pile.table(), row_group_size=2 * GROUP)
+        self._pile = Pile(self._schema)
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._pile.rows:
+            self._flush()
+        self._writer.close()
+
+
+class CsvTable:
+    """A CSV file with a heading; octets are lower-case hex, as in JSON."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        from pyarrow import csv
+
+        self._schema = pa.schema([pa.field(field.name, _csv_type(field.type)) for field in schema])
+        self._writer = csv.CSVWriter(path, self._schema)
+
+    def write(self, batch: pa.RecordBatch) -> None:
+        """Append rows."""
+        arrays = [_csv_array(column, field.type) for column, field in zip(batch.columns, self._schema, strict=True)]
+        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+
+
+def _csv_type(kind: pa.DataType) -> pa.DataType:
+    if pa.types.is_dictionary(kind) or pa.types.is_binary(kind) or pa.types.is_fixed_size_binary(kind):
+        return pa.string()
+    return kind
+
+
+def _csv_array(array: pa.Array, wanted: pa.DataType) -> pa.Array:
+    if pa.types.is_fixed_size_binary(array.type):
+        array = array.cast(pa.binary())
+    return hexadecimal(array) if pa.types.is_binary(array.type) else array.cast(wanted)
+
+
+def hexadecimal(array: pa.Array) -> pa.Array:
+    """A binary array as text: two digits for each octet."""
+    validity, offsets, data = array.buffers()
+    ends = np.frombuffer(offsets, np.int32, len(array) + 1, array.offset * 4)
+    octets = np.frombuffer(data, np.uint8) if data is not None else np.empty(0, np.uint8)
+    digits = _HEX[octets[ends[0] : ends[-1]]]
+    found = pa.Array.from_buffers(
+        pa.string(), len(array), [None, pa.py_buffer(2 * (ends - ends[0])), pa.py_buffer(digits)]
+    )
+    if not array.null_count or validity is None:
+        return found
+    import pyarrow.compute as pc
+
+    return pc.if_else(array.is_valid(), found, pa.scalar(None, pa.string()))
+
+
+SUFFIXES: Mapping[str, str] = {"parquet": ".parquet", "csv": ".csv", "duckdb": ".parquet"}
+
+
+def open_writer(form: Format, path: Path, schema: pa.Schema) -> Writer:
+    """A writer of the format; tables of a DuckDB database are Parquet files until all are there."""
+    return CsvTable(path, schema) if form == "csv" else ParquetTable(path, schema)
+
+
+def with_file(batch: pa.RecordBatch, schema: pa.Schema, name: str) -> pa.RecordBatch:
+    """A batch with the column ``file`` in front that ``schema`` has."""
+    codes = pa.array(np.zeros(batch.num_rows, np.int32))
+    column = pa.DictionaryArray.from_arrays(codes, pa.array([name], pa.string()))
+    return pa.RecordBatch.from_arrays([column, *batch.columns], schema=schema)
+
+
+FILE = pa.field("file", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "the recording"})
+
+
+def file_schema(schema: pa.Schema) -> pa.Schema:
+    """The schema of a table of several recordings."""
+    return pa.schema([FILE, *schema])
+
+
+def write_database(path: Path, parts: Mapping[str, Sequence[Path]]) -> None:
+    """A DuckDB database with the tables that are in ``parts``, Parquet files by the name of the table.
+
+    Raises ImportError without DuckDB.
+    """
+    import duckdb
+
+    with duckdb.connect(str(path)) as database:
+        # Rows stay in the order of the recordings and frames.
+        database.execute("SET preserve_insertion_order = true")
+        for name, files in parts.items():
+            listed = [str(file) for file in files]
+            # The name is one of ours, and the files are an argument.
+            database.execute(
+                f'CREATE TABLE "{name}" AS SELECT * FROM read_parquet($files, union_by_name = true)',  # noqa: S608
+                {"files": listed},
+            )

@@ -1,0 +1,251 @@
+"""Blocks hold the frames that the readers give out, and what is wrong with a file is in the readers' words."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture
+from dcp_codec.capture.mcapfile import RECORD_HEAD
+from dcp_codec.table import Recording
+
+from ..capture import test_pcapng as pcapng
+from ..capture import test_properties as properties
+
+
+def read(path: Path, **options: Any) -> tuple[Any, ...]:
+    """Frames and problems of a file by blocks."""
+    found = []
+    with Recording(path, **options) as recording:
+        position = 0
+        for block in recording.blocks():
+            assert block.position >= position
+            position = block.position
+            for i in range(block.frames):
+                data = block.buffer[block.starts[i] : block.stops[i]].tobytes()
+                numbers = (block.numbers[i], block.times[i], block.lengths[i], block.interfaces[i])
+                found.append((*map(int, numbers), data))
+        assert recording.frames == len(found)
+        return found, [(p.reason, p.message, p.offset, p.needed, p.available, p.frame) for p in recording.problems]
+
+
+def expected(path: Path) -> tuple[Any, ...]:
+    with open_capture(path) as reader:
+        found = [(f.number, f.time_ns, f.orig_len, f.interface, f.data) for f in reader]
+        return found, [(p.reason, p.message, p.offset, p.needed, p.available, p.frame) for p in reader.problems]
+
+
+def refusal(reading: Callable[[Path], Any], path: Path) -> str | None:
+    """Why a file cannot be read at all."""
+    try:
+        reading(path)
+    except CaptureError as error:
+        return str(error)
+    return None
+
+
+def check(octets: bytes, folder: Path, **options: Any) -> None:
+    path = folder / "recording"
+    path.write_bytes(octets)
+    refused = [refusal(reading, path) for reading in (expected, read)]
+    assert refused[0] == refused[1]
+    if refused[0] is not None:
+        return
+    theirs = expected(path)
+    ours = read(path, **options)
+    assert len(ours[0]) == len(theirs[0])
+    for one, other in zip(ours[0], theirs[0], strict=True):
+        assert one == other
+    assert ours[1] == theirs[1]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("sources")
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_what_is_written(form, folder):
+    @settings(max_examples=40)
+    @given(properties.frames_for([form]), st.integers(1, 5), st.sampled_from([1, 200, 1 << 20]))
+    def body(frames: list[Frame], most: int, span: int) -> None:
+        check(properties.written(frames, form), folder, frames=most, span=span)
+
+    body()
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_damaged_anywhere(form, folder):
+    octets = properties.written(properties.SOME, form)
+
+    @settings(max_examples=150)
+    @given(st.lists(st.tuples(st.integers(0, len(octets) - 1), st.integers(0, 255)), max_size=4), st.data())
+    def body(changes: list[tuple[int, int]], data: st.DataObject) -> None:
+        damaged = bytearray(octets)
+        for place, octet in changes:
+            damaged[place] = octet
+        check(bytes(damaged[: data.draw(st.integers(0, len(octets)))]), folder)
+
+    body()
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_cut_off_anywhere(form, folder):
+    octets = properties.written(properties.SOME[:3], form)
+    # Most of an MCAP file is the schema: there, every fifth place will do.
+    for size in range(0, len(octets) + 1, 5 if form == "mcap" else 1):
+        check(octets[:size], folder)
+
+
+@pytest.mark.parametrize("magic", ["a1b2c3d4", "d4c3b2a1", "a1b23c4d", "4d3cb2a1"])
+def test_pcap_of_every_kind(magic, folder):
+    order = ">" if magic.startswith("a1") else "<"
+    head = bytes.fromhex(magic) + struct.pack(order + "HHiIII", 2, 4, 0, 0, 65535, 1)
+    records = [(1_700_000_000, 999_999, b"abc", 60), (2**32 - 1, 2**32 - 1, b"", 0), (0, 0, b"x", 0), (7, 0, b"", 0)]
+    body = b"".join(struct.pack(order + "IIII", s, f, len(d), n) + d for s, f, d, n in records)
+    check(head + body, folder)
+    check(head + body + bytes(16) + body, folder)  # zeros, as after a power cut
+    check(head + body + struct.pack(order + "IIII", 1, 1, 2**31, 5) + bytes(50), folder)
+    check(head, folder)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("resolution", [0, 3, 6, 9, 12, 18, 127, 0x80, 0x80 | 9, 0x80 | 20, 0x80 | 32, 0x80 | 127])
+def test_pcapng_clocks(order, resolution, folder):
+    options = pcapng.option(9, bytes([resolution]), order) + pcapng.option(14, struct.pack(order + "q", 3), order)
+    start = pcapng.section(order=order) + pcapng.interface(options, order)
+    stamps = [0, 1, 511, 512, 10**6, 2**33 + 12345, 2**62, 2**63, 2**64 - 1]
+    check(start + b"".join(pcapng.packet(b"data", stamp, order=order) for stamp in stamps), folder)
+
+
+def test_pcapng_of_many_kinds(folder):
+    section, interface, packet, block = pcapng.section, pcapng.interface, pcapng.packet, pcapng.block
+    big = ">"
+    comment = pcapng.option(1, b"a comment") + pcapng.option(0, b"")
+    octets = section() + interface() + packet(b"one", 5) + interface(link=105) + packet(b"other link", 6, which=1)
+    octets += packet(b"two", 7, options=comment) + packet(b"no interface", 8, which=9) + packet(b"three", 9)
+    octets += block(3, struct.pack("<I", 4) + b"four") + packet(b"five", 10, options=b"\1\0\xff\xff")
+    octets += block(0xBAD, b"custom00") + block(0x7777, b"unknown") + packet(b"six", 11)
+    octets += section(order=big) + interface(order=big) + packet(b"seven", 12, order=big)
+    octets += block(5, struct.pack(">III", 0, 0, 0), big) + packet(b"eight", 13, order=big, length=2)
+    octets += block(2, struct.pack(">HHIIII", 0, 1, 0, 14, 4, 4) + b"nine", big)
+    check(octets, folder)
+    check(octets + packet(b"ten", 15), folder)  # in the wrong byte order
+    for size in range(0, len(octets), 3):
+        check(octets[:size], folder)
+
+
+def test_pcapng_where_nothing_is_plain(folder):
+    """Every other block is one that the walk stops at; so many of them end it."""
+    start = pcapng.section() + pcapng.interface()
+    odd = pcapng.block(3, struct.pack("<I", 4) + b"odd!")
+    check(start + b"".join(pcapng.packet(b"plain", n) + odd + odd for n in range(1500)), folder)
+
+
+def mcap_message(**fields: Any) -> dict[str, Any]:
+    message = {"timestamp": {"sec": 1, "nsec": 2}, "number": 3, "interface": 0, "linkType": 1, "origLen": 4}
+    return message | {"data": "AAECAw=="} | fields
+
+
+ODD_MESSAGES = [
+    json.dumps(mcap_message(), indent=1),
+    json.dumps(mcap_message(extra=1), separators=(",", ":")),
+    *(
+        json.dumps(mcap_message(**fields), separators=(",", ":"))
+        for fields in (
+            {},
+            {"number": 0},
+            {"number": 2**62},
+            {"number": 2**62 + 1},
+            {"interface": 2**32},
+            {"origLen": 0},
+            {"origLen": 2**32 - 1},
+            {"linkType": 105},
+            {"timestamp": {"sec": 9223372036, "nsec": 854775807}},
+            {"timestamp": {"sec": 9223372036, "nsec": 854775808}},
+            {"timestamp": {"sec": 5, "nsec": 2**32 - 1}},
+            {"timestamp": {"sec": -1, "nsec": 0}},
+            {"data": ""},
+            {"data": "AA=="},
+            {"data": "AB=="},
+            {"data": "AAA="},
+            {"data": "AAB="},
+            {"data": "A==="},
+            {"data": "===="},
+            {"data": "AA==AAAA"},
+            {"data": "AAA"},
+            {"data": "AA A"},
+            {"data": "AA\\u0041A"},
+            {"data": "-_-_"},
+        )
+    ),
+    "{}",
+    '{"data":"AAAA"}',
+    '{"timestamp":{"sec":01,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"AAAA"}',
+    '{"timestamp":{"sec":,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"AAAA"}',
+    '{"timestamp":{"sec":1,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"',
+    '{"timestamp":{"sec":1,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"}',
+    '{"timestamp":{"sec":1',
+    "",
+]
+
+
+def test_mcap_messages_of_any_kind(folder):
+    """Messages that our writer would not write stand between those that it writes."""
+    octets = properties.written(properties.SOME, "mcap", compression="none")
+    chunk = octets.index(b'{"timestamp"')
+    # A file without chunks: records stand on their own, and may be of any length.
+    head, channel, schema = b"\x89MCAP0\r\n", b"", b""
+    position = 8
+    while position < len(octets):
+        opcode, length = RECORD_HEAD.unpack_from(octets, position)
+        if opcode in (3, 4):
+            record = octets[position : position + 9 + length]
+            schema, channel = (record, channel) if opcode == 3 else (schema, record)
+        position += 9 + length
+        if opcode in (2, 15):
+            break
+    assert schema
+    assert channel
+    assert chunk
+    number = struct.unpack_from("<H", channel, 9)[0]
+
+    def record(text: str, where: int = number) -> bytes:
+        content = struct.pack("<HIQQ", where, 0, 77, 78) + text.encode()
+        return RECORD_HEAD.pack(5, len(content)) + content
+
+    plain = record(json.dumps(mcap_message(), separators=(",", ":")))
+    for text in ODD_MESSAGES:
+        check(head + schema + channel + plain + record(text) + plain, folder)
+    everything = b"".join(plain + record(text) for text in ODD_MESSAGES)
+    check(head + schema + channel + everything + record("{}", number + 1) + plain, folder)
+    check(head + schema + channel + everything + RECORD_HEAD.pack(5, 3) + b"abc" + plain, folder)
+    inside = schema + channel + everything + plain
+    for cut in (0, 5, 20):
+        body = inside[: len(inside) - cut]
+        fields = struct.pack("<QQQII", 0, 0, len(body), 0, 0) + struct.pack("<Q", len(body)) + body
+        check(head + RECORD_HEAD.pack(6, len(fields)) + fields + plain, folder)
+
+
+def test_a_pipe_is_read_too(recording):
+    path, _ = recording
+    with Recording(io.BytesIO(path.read_bytes())) as source:
+        assert sum(block.frames for block in source.blocks()) == len(expected(path)[0])
+        assert source.problems == []
+
+
+def test_what_is_no_recording(tmp_path):
+    for name, octets in (("empty", b""), ("text", b"hello, this is text")):
+        (tmp_path / name).write_bytes(octets)
+        with pytest.raises(CaptureError, match=name):
+            Recording(tmp_path / name)
+    with pytest.raises(CaptureError, match="no such file"):
+        Recording(tmp_path / "absent")
