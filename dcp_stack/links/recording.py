@@ -27,10 +27,10 @@ _FLUSHES_PER_AGE = 1800
 class Recorder:
     """Writes frames to an MCAP file, raw and decoded; a :class:`~dcp_stack.links.base.Watcher`.
 
-    In memory is one chunk (128 KiB) and the index of chunks that stands at the end of an MCAP file: 0.6 to 1 KB for each
-    flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day, and 50 octets for
-    each node with a position. There is no thread: whoever uses it calls
-    :meth:`tick` now and then, as :class:`RecordingLink` does. What cannot be written (a full disk) is logged once,
+    In memory is one chunk (128 KiB) and the index of chunks that stands at the end of an MCAP file: 0.6 to 1 KB for
+    each flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day, and 50 octets for
+    each node with a position. There is no thread: whoever uses it calls :meth:`tick` now and then, as
+    :class:`RecordingLink` does. What cannot be written (a full disk) is logged once,
     stands in ``problem`` and ends the recording; nothing is raised after the file was created.
     """
 
