@@ -7,18 +7,22 @@ import struct
 from pathlib import Path
 
 import pytest
+from dcp_conformance.cli import main as conformance
 
 from dcp_codec.capture import convert
 from dcp_codec.cli import main
 
 ROOT = Path(__file__).parents[2]
-_SESSION = re.compile(r"^\$ dcp-codec ((?:decode|stats|guess)[^\n#]*)\n((?:(?!\$ |```).*\n)*)", re.MULTILINE)
+_SESSION = re.compile(
+    r"^\$ (dcp-codec (?:decode|stats|guess)|dcp-conformance check)( [^\n#]*)\n((?:(?!\$ |```).*\n)*)", re.MULTILINE
+)
+_COMMANDS = {"dcp-codec": main, "dcp-conformance": conformance}
 
 
 def sessions() -> list[tuple[str, list[str]]]:
-    """Every shown dcp-codec command that reads a recording, with the lines shown for it."""
+    """Every shown command that reads a recording, with the lines shown for it."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return [(command.strip(), shown.splitlines()) for command, shown in _SESSION.findall(text)]
+    return [((command + rest).strip(), shown.splitlines()) for command, rest, shown in _SESSION.findall(text)]
 
 
 def damaged_flight(folder: Path) -> None:
@@ -33,7 +37,7 @@ def damaged_flight(folder: Path) -> None:
 
 
 def test_there_are_sessions():
-    assert len(sessions()) >= 3
+    assert len(sessions()) >= 4
 
 
 @pytest.mark.parametrize(("command", "shown"), sessions(), ids=lambda value: value if isinstance(value, str) else "")
@@ -41,8 +45,9 @@ def test_shown_output_is_printed(command, shown, tmp_path, monkeypatch, capsys):
     (tmp_path / "captures").symlink_to(ROOT / "captures")
     damaged_flight(tmp_path)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
     with pytest.raises(SystemExit):
-        main(command.split())
+        _COMMANDS[command.split()[0]](command.split()[1:])
     printed = capsys.readouterr()
     lines = [line.rstrip() for line in (printed.err + printed.out).splitlines()]
     expected = [line.rstrip() for line in shown if line.strip() not in ("", "...")]
