@@ -183,7 +183,7 @@ def test_it_agrees_with_our_node_whatever_is_said(profile: str, seed: int):
     assert certain or not duel.features.creation_time
 
 
-# -- what no node may do --------------------------------------------------------------------------------------------------
+# -- what no node may do ----------------------------------------------------------------------------------------------
 
 
 class Model:
