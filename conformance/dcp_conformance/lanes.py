@@ -41,18 +41,24 @@ def run_pytest(run: ConformanceRun, extra: list[str] | None = None) -> None:
     arguments += ["--rootdir", str(Path(__file__).parent), "-p", "no:cacheprovider", "--noconftest"]
     if not extra:
         arguments += ["-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings"]
-    pytest.main([*arguments, *(extra or [])], plugins=[run])
+    status = pytest.main([*arguments, *(extra or [])], plugins=[run])
+    if not run.finished:
+        # It has not come to a session, and has said why.
+        run.trouble, run.usage = f"pytest could not begin (its status is {int(status)})", True
 
 
 def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
     """Run the selected cases of ``run`` in so many processes; results come to ``run`` as they are there."""
-    cases = [case.id for case in run.selected if case.base != SANITY]
+    # Every lane begins with the sanity case, and runs only that if nothing else is wanted.
+    cases = [case.id for case in run.selected if case.base != SANITY] or [SANITY]
     lanes = max(1, min(lanes, len(cases)))
     # Neighbours are of a kind and take alike long: dealt out one by one, the lanes are done together.
     shares = [cases[number::lanes] for number in range(lanes)]
     context = multiprocessing.get_context("spawn")
     run.begin(len(cases))
     with contextlib.ExitStack() as stack:
+        # Whoever ends this process ends the lanes, and these their nodes.
+        stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
         connections: dict[Connection, Any] = {}
         for share in shares:
             ours, theirs = context.Pipe(duplex=False)
@@ -62,33 +68,43 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             theirs.close()
             stack.callback(_end, process)
             connections[ours] = process
-        ends = []
-        for message in _messages(connections):
-            if isinstance(message, LaneEnd):
-                ends.append(message)
-                continue
-            result = msgspec.json.decode(message, type=CaseResult)
-            run.take(run.cases[result.id], result)
-            if run.until_fail and run.should_stop(result):
-                break
+        ends: list[LaneEnd] = []
+        try:
+            for message in _messages(connections):
+                if isinstance(message, LaneEnd):
+                    ends.append(message)
+                    continue
+                result = msgspec.json.decode(message, type=CaseResult)
+                run.take(run.cases[result.id], result)
+                if run.until_fail and run.should_stop(result):
+                    break
+        except KeyboardInterrupt:
+            count = len({result.id for result in run.results} - {SANITY})
+            ends.insert(0, LaneEnd(None, (), f"interrupted after {count} of {len(cases)} cases", usage=False))
         run.close_lanes(ends, lanes)
 
 
 def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
     open_ones = dict(connections)
+    done: set[Connection] = set()
     while open_ones:
         for ready in wait(list(open_ones)):
             assert isinstance(ready, Connection)
             try:
-                yield ready.recv()
+                message = ready.recv()
             except EOFError:
-                # Its last words were a LaneEnd, or it was killed.
                 process = open_ones.pop(ready)
                 process.join(5)
-                if process.exitcode:
-                    yield LaneEnd(
-                        None, (), f"a lane of the tester has ended with status {process.exitcode}", usage=False
+                if process.exitcode or ready not in done:
+                    # It was ended before it could say that it was done.
+                    text = (
+                        f"a lane of the tester has ended with status {process.exitcode}, before all its cases were run"
                     )
+                    yield LaneEnd(None, (), text, usage=False)
+                continue
+            if isinstance(message, LaneEnd):
+                done.add(ready)
+            yield message
 
 
 def _lane(
@@ -102,6 +118,8 @@ def _lane(
     """What a lane's process does."""
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # The parent's way to end it: everything is closed, then.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
     run = ConformanceRun(
         options,
@@ -115,7 +133,7 @@ def _lane(
         run_pytest(run)
         about = run.result()
         to.send(LaneEnd(about.sut, about.notes, run.trouble, run.usage))
-    except BrokenPipeError:
+    except (BrokenPipeError, KeyboardInterrupt):
         # Nobody listens any more.
         return
     finally:

@@ -93,7 +93,8 @@ class ConformanceRun:
         self._attempts: dict[str, int] = {}
         self._began = time.monotonic()
         self._started = timestamp()
-        self._stop = ""
+        self.finished = False
+        """Whether there was a session of pytest, with or without results."""
 
     # -- collection --------------------------------------------------------------------------------------------
 
@@ -198,14 +199,27 @@ class ConformanceRun:
             return f"the implementation does not take part: {result.reason}"
         return ""
 
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+    def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
         """Close everything; whatever was still to be said is said by :meth:`result`."""
+        self.finished = True
+        self._note_end(session, exitstatus)
         if self._target is not None:
             self._sut = self._target.runner.about()
             self._notes = list(self._target.runner.notes)
         with contextlib.suppress(LowerTesterError, UpperTesterError):
             self._stack.close()
         session.exitstatus = self.exit_status()
+
+    def _note_end(self, session: pytest.Session, status: int) -> None:
+        """What pytest says of the session, where that is more than the results say."""
+        if self.trouble or session.config.option.collectonly:
+            return
+        if status == pytest.ExitCode.NO_TESTS_COLLECTED or not session.items:
+            self.trouble, self.usage = "no case is left to run", True
+        elif status == pytest.ExitCode.INTERNAL_ERROR:
+            self.trouble = "pytest has failed; what it said of it is above"
+        elif status == pytest.ExitCode.INTERRUPTED and not session.shouldstop:
+            self.trouble = f"interrupted after {len(self.results)} of {len(session.items)} cases"
 
     # -- results -----------------------------------------------------------------------------------------------
 

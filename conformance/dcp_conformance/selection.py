@@ -46,7 +46,9 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
     for part in selection.sections:
         if not any(part.lower() in case.section.lower() for case in cases.values()):
             headings = sorted({case.section for case in cases.values()})
-            raise UsageError(f"no section is called {part!r}; there are: {'; '.join(headings)}")
+            near = difflib.get_close_matches(part, [*headings, *{each.partition(":")[0] for each in headings}], n=3)
+            hint = f"did you mean {' or '.join(near)}?" if near else "'dcp-conformance list' shows those there are"
+            raise UsageError(f"no section is called {part!r}; {hint}")
     if selection.sections:
         parts = [part.lower() for part in selection.sections]
         chosen = [case for case in chosen if any(part in case.section.lower() for part in parts)]
@@ -78,7 +80,7 @@ def _matching(cases: Mapping[str, Case], pattern: str) -> list[Case]:
         if ids and not found:
             raise UsageError(f"no case decides {', '.join(ids)}; docs/traceability.md says why")
     if not found:
-        names: Sequence[str] = [*cases, *{case.base for case in cases.values()}, *requirements()]
+        names: Sequence[str] = list(dict.fromkeys((*cases, *(case.base for case in cases.values()), *requirements())))
         near = difflib.get_close_matches(pattern, names, n=3)
         hint = f"; did you mean {', '.join(near)}?" if near else "; 'dcp-conformance list' shows those there are"
         raise UsageError(f"no case is called {pattern!r}{hint}")

@@ -1,0 +1,376 @@
+"""``dcp-conformance run`` and ``list``: what they say, how they end, and what they leave behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from dcp_conformance.case import all_cases
+from dcp_conformance.errors import UsageError
+from dcp_conformance.expected import ExpectedResults
+from dcp_conformance.lanes import run_in_lanes, run_pytest
+from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, TESTER_ERROR, UNEXPECTED, USAGE, exit_status
+from dcp_conformance.plugin import ConformanceRun
+from dcp_conformance.reporting import load_results
+from dcp_conformance.results import CaseResult
+from dcp_conformance.runner import SANITY
+from dcp_conformance.selection import Selection, select
+from dcp_conformance.target import TargetOptions
+from dcp_conformance.verdict import Verdict
+
+from .command import Command
+
+#: Cases for some seconds against our own node, in two lanes.
+RUN = (sys.executable, "-c", "from dcp_conformance.cli import main; main()", "run", "VD-CRE-*", "-j", "2")
+ONE = "TC_VD_UPD_BV_01"
+PATIENCE = 30.0
+
+
+def expected_file(folder: Path, *entries: str) -> Path:
+    path = folder / "expected.toml"
+    path.write_text("\n".join(f"[[expected]]\n{entry}\n" for entry in entries))
+    return path
+
+
+def entry(case: str, verdict: str = "fail", reason: str = "known since May", **more: str) -> str:
+    lines = {"case": f'"{case}"', "verdict": f'"{verdict}"', "reason": f'"{reason}"', **more}
+    return "\n".join(f"{name} = {value}" for name, value in lines.items())
+
+
+class TestExitStatus:
+    def test_0_as_expected(self, dcp_conformance: Command):
+        done = dcp_conformance("run", "--in-process", ONE)
+        assert done.status == AS_EXPECTED == 0
+        assert re.search(r"requirements: \d+ pass$", done.out, re.MULTILINE)
+        assert "2 cases in" in done.out
+
+    def test_1_unexpected_pass(self, dcp_conformance: Command, tmp_path: Path):
+        done = dcp_conformance("run", "--in-process", ONE, "--expected", expected_file(tmp_path, entry(ONE)))
+        assert done.status == UNEXPECTED == 1
+        assert "unexpected pass: fail was expected (known since May)" in done.out
+
+    def test_1_unexpected_fail(self, dcp_conformance: Command, tmp_path: Path):
+        """Nobody is there to answer."""
+        link = f"udp:239.77.1.{os.getpid() % 250}:{free_port()}"
+        done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--report-dir", tmp_path)
+        assert done.status == UNEXPECTED
+        assert SANITY in done.out
+        assert load_results(tmp_path).cases
+
+    def test_2_usage(self, dcp_conformance: Command):
+        assert dcp_conformance("run", "--no-such-option").status == USAGE == 2
+
+    def test_3_inconclusive(self):
+        assert exit_status([result_of(Verdict.PASS), result_of(Verdict.INCONCLUSIVE)]) == INCONCLUSIVE == 3
+        assert exit_status([result_of(Verdict.FAIL), result_of(Verdict.INCONCLUSIVE)]) == UNEXPECTED
+
+    def test_3_by_an_upper_tester_that_dies_in_the_middle(self, dcp_conformance: Command, tmp_path: Path):
+        """It answers so many requests and is gone; the report says so."""
+        upper = tmp_path / "upper.py"
+        upper.write_text(_UPPER)
+        link = f"udp:239.77.2.{os.getpid() % 250}:{free_port()}"
+        done = dcp_conformance(
+            "run", "--link", link, "--beacon-period", "20", "--ut", f"exec:{sys.executable} {upper}", SANITY,
+            "--report-dir", tmp_path / "report",
+        )  # fmt: skip
+        assert done.status in (UNEXPECTED, INCONCLUSIVE, TESTER_ERROR)
+        assert done.status != AS_EXPECTED
+        assert (tmp_path / "report" / "report.html").exists()
+
+    def test_4_the_testers_own_trouble(self, dcp_conformance: Command, tmp_path: Path):
+        done = dcp_conformance(
+            "run", "--link", "udp", "--ut", f"tcp:127.0.0.1:{free_port()}", ONE, "--report-dir", tmp_path
+        )
+        assert done.status == TESTER_ERROR == 4
+        assert "127.0.0.1" in done.err
+        assert any("127.0.0.1" in note for note in load_results(tmp_path).notes)
+
+
+_UPPER = """
+import json, sys
+for number, line in enumerate(sys.stdin):
+    if number >= 3:
+        sys.exit(1)
+    request = json.loads(line)
+    if request["method"] == "UT-Hello":
+        answer = {"result": {"status": "UT-STATUS-OK", "name": "frail", "version": "1", "specVersion": "2.0",
+                             "methods": ["UT-Hello", "UT-Reset"], "nodeId": "02:00:00:00:00:01"}}
+    elif request["method"] == "UT-Reset":
+        answer = {"result": {"status": "UT-STATUS-OK"}}
+    else:
+        answer = {"error": {"code": -32601, "message": "no such method"}}
+    print(json.dumps({"jsonrpc": "2.0", "id": request.get("id"), **answer}), flush=True)
+"""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def result_of(verdict: Verdict) -> CaseResult:
+    return CaseResult(id="TC_X", purpose="", section="", kind="BV", requirements=(), verdict=verdict)
+
+
+class TestWhatIsRun:
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["TC_VD_UPD_BV_1"], "did you mean TC_VD_UPD_BV_01"),
+            (["TC_NOTHING_LIKE_IT"], "no case is called 'TC_NOTHING_LIKE_IT'"),
+            (["BP-HDR-99"], "did you mean BP-HDR-0"),
+            (["-r", "XX-01"], "XX-01"),
+            (["-s", "no such heading"], "no section is called 'no such heading'"),
+            (["-s", "dcp-wardis.md"], "did you mean dcp-vardis.md"),
+            (["-x", "TC_*"], "no case is left to run"),
+            (["--plan", "none"], "--plan"),
+            (["--profile", "dcp-3.0"], "dcp-3.0"),
+            (["--pics", "no-such.toml"], "no-such.toml"),
+            (["--expected", "no-such.toml"], "no-such.toml"),
+            (["--interface", "nosuch0"], "there is no such interface; there are lo"),
+            (["--link", "udp:nowhere"], "nowhere"),
+            (["--in-process", "--link", "udp"], "--in-process tests our own node"),
+            (["--ether-type", "IP"], "'IP' is no number"),
+            (["--pytest", "-k nothing_at_all", "--in-process"], "no case is left to run"),
+            (["--pytest", "--no-such-option", "--in-process"], "pytest could not begin"),
+        ],
+    )
+    def test_what_makes_no_sense_says_so(self, dcp_conformance: Command, arguments: list[str], message: str):
+        done = dcp_conformance("run", *arguments)
+        assert done.status == USAGE, done.out
+        assert message in done.err
+
+    def test_near_names_are_told_once(self):
+        with pytest.raises(UsageError) as raised:
+            select(all_cases(), Selection(patterns=("TC_VD_UPD_BV_1",)))
+        near = re.findall(r"TC_\w+(?:-\w+)?", str(raised.value).partition("did you mean")[2])
+        assert len(near) == len(set(near)) > 1
+
+    def test_a_dry_run_runs_nothing(self, dcp_conformance: Command):
+        done = dcp_conformance("run", "--dry-run", "VD-UPD-08", "--interface", "nosuch0")
+        assert done.status == 0
+        assert ONE in done.out
+        assert all(line.startswith("TC_") for line in done.out.splitlines())
+
+    def test_only_what_was_asked_for_is_run(self, dcp_conformance: Command, tmp_path: Path):
+        dcp_conformance("run", "--in-process", "-r", "VD-UPD-08", "-x", ONE, "--report-dir", tmp_path)
+        ran = {case.id for case in load_results(tmp_path).cases}
+        wanted = {case.id for case in all_cases().values() if "VD-UPD-08" in case.requirements} - {ONE}
+        assert ran == wanted | {SANITY}
+
+    def test_sanity_is_first_and_last_and_behind_every_destructive_case(self, dcp_conformance: Command, tmp_path: Path):
+        destructive = [case.id for case in all_cases().values() if case.destructive][:2]
+        dcp_conformance("run", "--in-process", ONE, *destructive, "--report-dir", tmp_path)
+        ran = [case.id for case in load_results(tmp_path).cases]
+        assert ran == [SANITY, ONE, destructive[0], SANITY, destructive[1], SANITY]
+
+    def test_the_sanity_case_alone_is_run_alone(self, dcp_conformance: Command, tmp_path: Path):
+        done = dcp_conformance("run", "--in-process", SANITY, "--report-dir", tmp_path)
+        assert done.status == 0
+        assert [case.id for case in load_results(tmp_path).cases] == [SANITY]
+
+    def test_everything_several_times(self, dcp_conformance: Command, tmp_path: Path):
+        done = dcp_conformance("run", "--in-process", ONE, "--repeat", "3", "--report-dir", tmp_path)
+        assert done.status == 0
+        attempts = [case.attempt for case in load_results(tmp_path).cases if case.id == ONE]
+        assert attempts == [1, 2, 3]
+
+    def test_until_it_fails(self, dcp_conformance: Command, tmp_path: Path):
+        link = f"udp:239.77.3.{os.getpid() % 250}:{free_port()}"
+        done = dcp_conformance(
+            "run", "--link", link, "--beacon-period", "20", SANITY, ONE, "--until-fail", "--repeat", "5",
+            "--report-dir", tmp_path,
+        )  # fmt: skip
+        assert done.status == UNEXPECTED
+        assert [case.id for case in load_results(tmp_path).cases] == [SANITY]
+
+    def test_the_smoke_plan_has_something_of_everything(self):
+        smoke = [case for case in all_cases().values() if case.smoke]
+        assert 20 <= len(smoke) <= 30
+        documents = {case.section.partition(":")[0] for case in smoke}
+        assert documents >= {"dcp-bp.md", "dcp-srp.md", "dcp-vardis.md", "Networks"}
+        assert not any(case.destructive for case in smoke)
+
+    def test_the_smoke_plan_passes_for_every_version(self, dcp_conformance: Command):
+        for profile in ("dcp-1.0", "dcp-1.3", "dcp-2.0", "cpp-2.0"):
+            done = dcp_conformance("run", "--in-process", "--plan", "smoke", "--profile", profile)
+            assert done.status == 0, done.out
+
+    @pytest.mark.parametrize("options", [["-v"], ["-q"], []])
+    def test_what_it_shows(self, dcp_conformance: Command, options: list[str]):
+        done = dcp_conformance("run", "--in-process", ONE, *options)
+        assert (f"pass     {ONE}" in done.out) == (options == ["-v"])
+        assert "\x1b" not in done.out
+        assert max(map(len, done.out.splitlines())) < 400
+
+
+class TestExpectedResults:
+    def test_what_is_expected_to_fail_and_does(self, dcp_conformance: Command, tmp_path: Path):
+        link = f"udp:239.77.4.{os.getpid() % 250}:{free_port()}"
+        known = expected_file(tmp_path, entry(SANITY, match='"."'))
+        done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--expected", known)
+        assert done.status == AS_EXPECTED, done.out
+
+    def test_that_it_fails_for_another_reason(self, dcp_conformance: Command, tmp_path: Path):
+        link = f"udp:239.77.5.{os.getpid() % 250}:{free_port()}"
+        known = expected_file(tmp_path, entry(SANITY, match='"quite another"'))
+        done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--expected", known)
+        assert done.status == UNEXPECTED
+        assert "for another reason" in done.out
+
+    def test_an_entry_that_nothing_matches_fails_the_run(self, dcp_conformance: Command, tmp_path: Path):
+        known = expected_file(tmp_path, entry(ONE, verdict="pass"), entry("TC_VD_UPD_BV_0*"))
+        done = dcp_conformance("run", "--in-process", ONE, "--expected", known)
+        assert done.status == UNEXPECTED
+        assert "nothing came out like this; take it out" in done.out
+
+    def test_entries_about_cases_that_were_not_run_are_left_alone(self, dcp_conformance: Command, tmp_path: Path):
+        known = expected_file(tmp_path, entry("TC_BP_HDR_BV_01"))
+        assert dcp_conformance("run", "--in-process", ONE, "--expected", known).status == AS_EXPECTED
+
+    def test_an_entry_whose_day_has_come_fails_the_run(self, dcp_conformance: Command, tmp_path: Path):
+        known = expected_file(tmp_path, entry(ONE, verdict="pass", expires="2020-01-31"))
+        done = dcp_conformance("run", "--in-process", ONE, "--expected", known)
+        assert done.status == UNEXPECTED
+        assert "expired on 2020-01-31" in done.out
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ('[[expected]]\ncase = "TC_NO"\nreason = "r"', "no case is called 'TC_NO'"),
+            (f'[[expected]]\ncase = "{ONE}"', "reason"),
+            (f'[[expected]]\ncase = "{ONE}"\nreason = " "', "`reason` says nothing"),
+            (f'[[expected]]\ncase = "{ONE}"\nreason = "r"\nmatch = "("', "expected.toml"),
+            (f'[[expected]]\ncase = "{ONE}"\nreason = "r"\nverdict = "fine"', "verdict"),
+            (f'[[expected]]\ncase = "{ONE}"\nreason = "r"\nwhen = 1', "when"),
+            ("[[expected", "expected.toml"),
+            ("\udcff", "expected.toml"),
+        ],
+    )
+    def test_what_cannot_be_read_says_so(self, tmp_path: Path, text: str, message: str):
+        path = tmp_path / "expected.toml"
+        path.write_bytes(text.encode("utf-8", "surrogateescape"))
+        with pytest.raises(UsageError, match=re.escape(message)):
+            ExpectedResults.load(path, all_cases().values())
+
+
+class TestList:
+    def test_it_shows_cases_with_what_they_decide(self, dcp_conformance: Command):
+        done = dcp_conformance("list", "VD-UPD-08")
+        assert done.status == 0
+        assert re.search(rf"{ONE} .*\[.*VD-UPD-08.*\]", done.out)
+
+    def test_as_json(self, dcp_conformance: Command):
+        entries = json.loads(dcp_conformance("list", "--json").out)
+        assert {each["id"] for each in entries} == set(all_cases())
+
+    def test_by_requirement(self, dcp_conformance: Command):
+        done = dcp_conformance("list", "--requirements", "-r", "VD-UPD-08")
+        assert re.search(rf"^VD-UPD-08  .*\n(    TC_.*\n)*    {ONE}$", done.out, re.MULTILINE)
+
+    def test_unknown_names(self, dcp_conformance: Command):
+        assert dcp_conformance("list", "TC_NOPE").status == USAGE
+
+
+class TestPytest:
+    def test_cases_are_pytest_items_anywhere(self, tmp_path: Path):
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", "-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases",
+             "--dcp-in-process", "-k", "TC_VD_UPD_BV", "-q", "-p", "no:cacheprovider"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert re.search(r"\d+ pass", done.stdout)
+
+    def test_its_options_work_in_a_run(self, tmp_path: Path):
+        run = ConformanceRun(TargetOptions(in_process=True), Selection())
+        run_pytest(run, ["-k", ONE, "-q"])
+        assert {result.id for result in run.results} == {SANITY, ONE}
+        assert run.exit_status() == AS_EXPECTED
+
+
+class TestLanes:
+    """Our own node as a process; over UDP, so that no privilege is needed."""
+
+    def options(self) -> TargetOptions:
+        return TargetOptions(beacon_period_ms=20.0)
+
+    def test_they_come_to_the_same_as_one(self):
+        wanted = Selection(patterns=("VD-UPD-0*", "BP-HDR-01", "SRP-RX-06"))
+        verdicts = []
+        for lanes in (1, 3):
+            run = ConformanceRun(self.options(), wanted)
+            run_in_lanes(run, lanes)
+            assert run.exit_status() == AS_EXPECTED, run.trouble
+            verdicts.append({result.id: result.verdict for result in run.results if result.id != SANITY})
+        assert verdicts[0] == verdicts[1]
+        assert len(verdicts[0]) > 5
+
+    def test_the_sanity_case_alone_stays_alone(self):
+        run = ConformanceRun(self.options(), Selection(patterns=(SANITY,)))
+        run_in_lanes(run, 4)
+        assert {result.id for result in run.results} == {SANITY}
+
+    def test_a_lane_that_is_killed_is_the_testers_trouble(self, tmp_path: Path):
+        command = [*RUN, "--report-dir", str(tmp_path)]
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        ) as process:
+            lane = self._lane_of(process.pid)
+            os.kill(lane, signal.SIGKILL)
+            _, err = process.communicate(timeout=PATIENCE)
+        assert process.returncode == TESTER_ERROR, err
+        assert "a lane of the tester has ended" in err
+        assert any("a lane of the tester" in note for note in load_results(tmp_path).notes)
+
+    def test_an_interrupted_run_leaves_a_report_and_nothing_else(self, tmp_path: Path):
+        command = [*RUN, "--report-dir", str(tmp_path)]
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        ) as process:
+            lane = self._lane_of(process.pid)
+            process.send_signal(signal.SIGTERM)
+            _, err = process.communicate(timeout=PATIENCE)
+        assert process.returncode == TESTER_ERROR, err
+        assert "interrupted after" in err
+        assert (tmp_path / "report.html").exists()
+        assert not Path(f"/proc/{lane}").exists()
+
+    def _lane_of(self, parent: int) -> int:
+        """A lane's process, once it has a node of its own."""
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
+            for lane in children(parent):
+                if "spawn_main" in command_line(lane) and any("dcp_stack" in command_line(c) for c in below(lane)):
+                    return lane
+            time.sleep(0.05)
+        raise AssertionError("no lane has started")
+
+
+def children(pid: int) -> list[int]:
+    try:
+        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def below(pid: int) -> list[int]:
+    found = children(pid)
+    return found + [each for child in found for each in below(child)]
+
+
+def command_line(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except OSError:
+        return ""
