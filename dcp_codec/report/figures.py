@@ -1,0 +1,377 @@
+"""The plots of a report, one function each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from matplotlib.patches import FancyArrowPatch, Rectangle
+from matplotlib.ticker import MaxNLocator
+
+from . import analysis
+from .analysis import KINDS, Part, Sender, Steps, Time
+from .canvas import ACCENT, BAD, INK, SERIES, SOFT, Canvas, Plot, style_of
+from .recorded import Column, Recorded
+from .series import in_unit, ordinal, runs, seconds_text, si, stairs, thinned, usual_interval
+from .variables import Hops, Values, numeric
+
+#: Nodes and variables that are drawn one by one.
+DRAWN = 20
+#: Points that are drawn of one series, and dots of one plot.
+_POINTS, _DOTS = 400, 2000
+#: Positions beyond this many units are not on this planet.
+_FAR = 1e8
+
+
+@dataclass
+class Easel:
+    """What all plots of one recording share: time, who is drawn in which colour, whether PNGs are wanted."""
+
+    recorded: Recorded
+    time: Time
+    #: Numbers of the nodes that are drawn, in the order of their colours.
+    nodes: list[int]
+    variables: list[int]
+    png: bool = False
+    prefix: str = ""
+    short: dict[int, str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.short = short_names({node: self.recorded.nodes[node] for node in self.nodes})
+
+    def canvas(self, name: str, title: str, caption: str, **size: float) -> Canvas:
+        """A new plot of this recording."""
+        return Canvas(f"{self.prefix}{name}", title, caption, **size)
+
+    def node_style(self, node: int) -> dict[str, Any]:
+        """How a node is drawn, everywhere."""
+        return style_of(self.nodes.index(node))
+
+    def node_legend(self, nodes: Sequence[int]) -> list[tuple[str, dict[str, Any]]]:
+        """Entries of a legend."""
+        return [(self.short[node], self.node_style(node)) for node in nodes]
+
+
+def short_names(names: dict[int, str]) -> dict[int, str]:
+    """The shortest ends of identifiers that tell them apart, two octets at least."""
+    for octets in range(2, 256):
+        found = {}
+        for node, name in names.items():
+            parts = name.split(":") if ":" in name else [name[at : at + 2] for at in range(0, len(name), 2)]
+            joined = (":" if ":" in name else "").join(parts[-octets:])
+            found[node] = joined if joined == name or name == "unknown" else f"…{joined}"
+        found = {node: names[node] if names[node] == "unknown" else text for node, text in found.items()}
+        if len(set(found.values())) == len(set(names.values())):
+            return found
+    return dict(names)
+
+
+def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
+    """Beacons per second, and the share of them that is lost."""
+    recorded, time = easel.recorded, easel.time
+    senders = [node for node in easel.nodes if (recorded.column("beacons", "node") == node).any()]
+    plots = []
+    found = {node: analysis.rates(recorded, time, steps, node) for node in senders}
+    mean = f"Mean over {seconds_text(time.width)}."
+    with easel.canvas("beacon-rate", "Beacons heard", mean) as canvas:
+        for node, (rate, _) in found.items():
+            canvas.axes.plot(*stairs(time, rate), **easel.node_style(node))
+        canvas.time_axis(time.duration, "beacons per second")
+        canvas.legend(easel.node_legend(senders))
+        plots.append(canvas.plot(png=easel.png))
+    if not recorded.modulus:
+        return plots
+    caption = f"Sequence numbers that are missing, of all in {seconds_text(time.width)}."
+    with easel.canvas("loss", "Beacons lost", caption) as canvas:
+        for node, (_, loss) in found.items():
+            canvas.axes.plot(*stairs(time, 100 * loss), **easel.node_style(node))
+        canvas.time_axis(time.duration, "lost (%)")
+        highest = max((float(np.nanmax(loss)) for _, loss in found.values() if np.isfinite(loss).any()), default=0)
+        canvas.axes.set_ylim(0, 100 * highest * 1.08 if highest else 10)
+        if not highest:
+            canvas.axes.text(0.5, 0.5, "nothing lost", transform=canvas.axes.transAxes, ha="center", color=SOFT)
+        canvas.legend(easel.node_legend(senders))
+        plots.append(canvas.plot(png=easel.png))
+    return plots
+
+
+def presence(easel: Easel) -> Plot:
+    """Who was heard when."""
+    time, beacons = easel.time, easel.recorded.tables["beacons"]
+    senders = [node for node in easel.nodes if (beacons["node"] == node).any()]
+    caption = "Times without a beacon are blank."
+    with easel.canvas("heard", "Who was heard when", caption, height=70 + 15 * len(senders)) as canvas:
+        ends = time.finer()
+        # No finer than beacons come, or each interval would be a gap.
+        usual = max((usual_interval(time.seconds(beacons["time"][beacons["node"] == node])) for node in senders), default=0)
+        if usual:
+            ends = np.linspace(0, ends[-1], max(1, min(len(ends) - 1, int(ends[-1] / (3 * usual)))) + 1)
+        for row, node in enumerate(senders):
+            heard, _ = np.histogram(time.seconds(beacons["time"][beacons["node"] == node]), ends)
+            bars = [(float(ends[a]), float(ends[b] - ends[a])) for a, b in runs(heard > 0)]
+            canvas.axes.broken_barh(bars, (row - 0.32, 0.64), color=easel.node_style(node)["color"], linewidth=0)
+        canvas.time_axis(time.duration, "")
+        canvas.axes.set_yticks(range(len(senders)), [easel.short[node] for node in senders])
+        canvas.axes.set_ylim(max(len(senders), 1) - 0.4, -0.6)
+        canvas.axes.grid(visible=False, axis="y")
+        return canvas.plot(png=easel.png)
+
+
+def ages(easel: Easel) -> list[Plot]:
+    """The age of each node's last report, over time and as others could know it."""
+    recorded, time = easel.recorded, easel.time
+    reports = recorded.tables["srp"]
+    nodes = [node for node in easel.nodes if (reports["node"] == node).any()]
+    ends = time.finer()
+    plots = []
+    caption = f"Since the last state report that was heard; the greatest age in each {seconds_text(ends[1] - ends[0])}."
+    with easel.canvas("age", "Age of information", caption) as canvas:
+        for node in nodes:
+            found = analysis.age(np.sort(time.seconds(reports["time"][reports["node"] == node])), ends)
+            canvas.axes.plot((ends[:-1] + ends[1:]) / 2, found, **{**easel.node_style(node), "linewidth": 1.0})
+        canvas.time_axis(time.duration, "age of the last report (s)")
+        canvas.legend(easel.node_legend(nodes))
+        plots.append(canvas.plot(png=easel.png))
+    _, high = analysis.pair_ages(recorded, time, easel.nodes)
+    if np.isfinite(high).any():
+        plots.append(_pairs(easel, high))
+    return plots
+
+
+def _pairs(easel: Easel, high: Column) -> Plot:
+    many = len(easel.nodes)
+    caption = (
+        "95th percentile of the age, in seconds, whenever the node of the row sends a beacon: at best it has heard "
+        "what the recorder has."
+    )
+    with easel.canvas("age-pairs", "Age per neighbour pair", caption, height=max(170, 90 + 15 * many)) as canvas:
+        canvas.axes.grid(visible=False)
+        top = float(np.nanmax(high)) or 1
+        for row, place in zip(*np.nonzero(np.isfinite(high)), strict=True):
+            value = float(high[row, place])
+            cell = Rectangle((place - 0.48, row - 0.46), 0.96, 0.92, color=ACCENT, alpha=0.08 + 0.5 * value / top, lw=0)
+            canvas.axes.add_patch(cell)
+            if many <= 8:
+                canvas.axes.text(place, row, f"{value:.2g}" if value < 100 else f"{value:.0f}", ha="center", va="center")
+        names = [easel.short[node] for node in easel.nodes]
+        canvas.axes.set_xticks(range(many), names, rotation=0 if many <= 6 else 90)
+        canvas.axes.set_yticks(range(many), names)
+        canvas.axes.set_xlim(-0.5, many - 0.5)
+        canvas.axes.set_ylim(many - 0.5, -0.5)
+        for side in ("left", "bottom"):
+            canvas.axes.spines[side].set_visible(False)
+        canvas.label("report about", "node")
+        return canvas.plot(png=easel.png)
+
+
+def graph(easel: Easel, edges: dict[tuple[int, int], int]) -> Plot:
+    """Who passes on what whom said: nodes on a circle, an arrow for each ordered pair."""
+    drawn = {pair: many for pair, many in edges.items() if pair[0] in easel.nodes and pair[1] in easel.nodes}
+    nodes = [node for node in easel.nodes if any(node in pair for pair in drawn)]
+    caption = (
+        "An arrow from A to B, and beside it at A's end the number of values that B passed on when A was the last one "
+        "heard saying them. Who really was B's source only B knows."
+    )
+    with easel.canvas("graph", "Who passes on whom", caption, height=270) as canvas:
+        axes = canvas.axes
+        axes.set_axis_off()
+        turn = 2 * math.pi / max(1, len(nodes))
+        at = {node: (math.sin(turn * row), math.cos(turn * row)) for row, node in enumerate(nodes)}
+        most = max(drawn.values(), default=1)
+        for (a, b), many in sorted(drawn.items()):
+            share = many / most
+            arrow = FancyArrowPatch(
+                at[a], at[b], connectionstyle="arc3,rad=0.14", arrowstyle="-|>,head_length=5,head_width=2.5",
+                shrinkA=17, shrinkB=17, linewidth=0.5 + 2.2 * share, color=easel.node_style(a)["color"],
+                alpha=0.35 + 0.6 * share, mutation_scale=1,
+            )  # fmt: skip
+            axes.add_patch(arrow)
+            if len(nodes) <= 5:
+                axes.text(*_beside(at[a], at[b]), str(many), ha="center", va="center", fontsize=7.5, color=SOFT)
+        for node in nodes:
+            axes.plot(*at[node], "o", markersize=22, color=easel.node_style(node)["color"], alpha=0.25, mew=0)
+            axes.text(*at[node], easel.short[node].lstrip("…"), ha="center", va="center", fontsize=7.5)
+        axes.set_xlim(-1.9, 1.9)
+        axes.set_ylim(-1.3, 1.3)
+        axes.set_aspect("equal")
+        return canvas.plot(png=easel.png)
+
+
+def _beside(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    """A place beside the arrow, nearer to its beginning, on the side that it bends to."""
+    x, y = b[0] - a[0], b[1] - a[1]
+    return a[0] + 0.36 * x + 0.155 * y, a[1] + 0.36 * y - 0.155 * x
+
+
+def positions(easel: Easel) -> list[Plot]:
+    """Where nodes were: in plan, and their height."""
+    reports, time = easel.recorded.tables["srp"], easel.time
+    place = {
+        node: rows[np.argsort(reports["time"][rows], kind="stable")]
+        for node in easel.nodes
+        for rows in [np.flatnonzero((reports["node"] == node) & usable(reports))]
+        if rows.size
+    }
+    if not place:
+        return []
+    unit = easel.recorded.units
+    plots = []
+    with easel.canvas("plan", "Positions in plan", "A ring is where a node was first, a dot where last.", height=280) as canvas:
+        for node, rows in place.items():
+            rows = thinned(rows, _POINTS)
+            x, y, style = reports["x"][rows], reports["y"][rows], easel.node_style(node)
+            canvas.axes.plot(x, y, **style)
+            canvas.axes.plot(x[0], y[0], "o", color=style["color"], fillstyle="none", markersize=6)
+            canvas.axes.plot(x[-1], y[-1], "o", color=style["color"], markersize=4)
+        canvas.axes.set_aspect("equal", "datalim")
+        canvas.axes.margins(0.12)
+        canvas.label(f"x{in_unit(unit.get('position.x'))}", f"y{in_unit(unit.get('position.y'))}")
+        canvas.legend(easel.node_legend(list(place)))
+        plots.append(canvas.plot(png=easel.png))
+    if "position.z" not in unit:
+        return plots
+    with easel.canvas("height", "Height", "As state reports say it.", height=280) as canvas:
+        for node, rows in place.items():
+            rows = thinned(rows, _POINTS)
+            canvas.axes.plot(time.seconds(reports["time"][rows]), reports["z"][rows], **easel.node_style(node))
+        canvas.time_axis(time.duration, f"z{in_unit(unit.get('position.z'))}")
+        canvas.axes.autoscale(axis="y")
+        canvas.axes.margins(y=0.12)
+        canvas.legend(easel.node_legend(list(place)))
+        plots.append(canvas.plot(png=easel.png))
+    return plots
+
+
+def usable(reports: dict[str, Column]) -> Column:
+    """Which reports say a place that can be drawn; a height may be missing."""
+    good = np.ones(reports["x"].size, bool)
+    for axis in "xy":
+        good &= np.abs(np.nan_to_num(reports[axis], nan=np.inf)) < _FAR
+    return good & ~(np.abs(reports["z"]) >= _FAR)
+
+
+def values(easel: Easel, found: Values) -> list[Plot]:
+    """Sequence numbers, and values that fit a number, over time."""
+    time, plots = easel.time, []
+    legend = [(f"variable {each}", style_of(number)) for number, each in enumerate(easel.variables)]
+    with easel.canvas("seqno", "Sequence numbers of variables", "Each value when it was first heard.") as canvas:
+        for number, each in enumerate(easel.variables):
+            rows = thinned(np.flatnonzero(found.variable == each), _POINTS)
+            canvas.axes.plot(
+                found.time[rows], found.seqno[rows], "o", color=style_of(number)["color"],
+                markersize=2.4 if rows.size > 60 else 3.4, mew=0, fillstyle="full" if number < len(SERIES) else "left",
+            )  # fmt: skip
+        canvas.time_axis(time.duration, "sequence number")
+        canvas.whole()
+        canvas.axes.set_ylim(bottom=-0.04 * max(1, canvas.axes.get_ylim()[1]))
+        canvas.legend([(name, {**style, "linestyle": "", "marker": "o", "markersize": 4}) for name, style in legend])
+        plots.append(canvas.plot(png=easel.png))
+    numbers = [each for each in easel.variables if numeric(found, each)]
+    if not numbers:
+        return plots
+    caption = "Those whose values all have one length of at most 8 octets, read as unsigned, most significant octet first."
+    with easel.canvas("values", "Values of variables", caption) as canvas:
+        for each in numbers:
+            rows = thinned(np.flatnonzero(found.variable == each), _POINTS)
+            style = style_of(easel.variables.index(each))
+            canvas.axes.plot(found.time[rows], found.number[rows], drawstyle="steps-post", **style)
+            canvas.axes.plot(found.time[rows], found.number[rows], "o", color=style["color"], markersize=2.5)
+        canvas.time_axis(time.duration, "value")
+        if np.nanmax(found.number[np.isin(found.variable, numbers)]) >= 1e4:
+            canvas.axes.set_yscale("symlog", linthresh=1)
+            canvas.axes.set_ylim(bottom=0)
+            canvas.axes.set_ylabel("value (logarithmic)")
+        canvas.legend([entry for entry, each in zip(legend, easel.variables, strict=True) if each in numbers])
+        plots.append(canvas.plot(png=easel.png))
+    return plots
+
+
+def delays(easel: Easel, hops: Hops) -> list[Plot]:
+    """How long values take to be passed on."""
+    counted = hops.counted & np.isin(hops.node, easel.nodes)
+    nodes = [node for node in easel.nodes if (counted & (hops.node == node)).any()]
+    plots = []
+    caption = "From the first beacon with a value to the first of each other node that passes it on."
+    with easel.canvas("delay", "Dissemination delay of each value", caption) as canvas:
+        for node in nodes:
+            rows = thinned(np.flatnonzero(counted & (hops.node == node)), _DOTS // len(nodes))
+            canvas.axes.plot(
+                hops.time[rows], hops.delay[rows], "o", color=easel.node_style(node)["color"], markersize=2.6, mew=0,
+                alpha=0.85,
+            )  # fmt: skip
+        canvas.time_axis(easel.time.duration, "delay (s)")
+        canvas.legend(
+            [
+                (name, {**style, "linestyle": "", "marker": "o", "markersize": 4})
+                for name, style in easel.node_legend(nodes)
+            ]
+        )
+        plots.append(canvas.plot(png=easel.png))
+    caption = "The share of values that were passed on by so many nodes after at most this delay."
+    with easel.canvas("delay-hops", "Delay by hop", caption) as canvas:
+        ranks = [rank for rank in np.unique(hops.hop[counted]).tolist()][:DRAWN]
+        for number, rank in enumerate(ranks):
+            delay = np.sort(hops.delay[counted & (hops.hop == rank)])
+            share = 100 * np.arange(1, delay.size + 1) / delay.size
+            kept = thinned(np.arange(delay.size), _POINTS)
+            x, y = np.concatenate([delay[:1], delay[kept]]), np.concatenate([[0.0], share[kept]])
+            canvas.axes.plot(x, y, drawstyle="steps-post", **style_of(number))
+        canvas.label("delay (s)", "values (%)")
+        canvas.axes.set_xlim(left=0)
+        canvas.axes.set_ylim(0, 102)
+        names = [f"{ordinal(rank)} node" for rank in ranks]
+        canvas.legend([(name, style_of(number)) for number, name in enumerate(names)])
+        plots.append(canvas.plot(png=easel.png))
+    return plots
+
+
+def octets(easel: Easel, parts: Sequence[Part]) -> list[Plot]:
+    """Where the octets on the air go."""
+    total, plots = sum(part.octets for part in parts) or 1, []
+    caption = f"{total:,} octets in frames with good beacons; each kind of container with its header."
+    with easel.canvas("octets", "Octets by kind", caption, height=60 + 20 * len(parts)) as canvas:
+        axes = canvas.axes
+        largest = max((part.octets for part in parts), default=1)
+        for row, part in enumerate(parts):
+            axes.barh(row, part.octets, color=SERIES[row % len(SERIES)], height=0.62)
+            axes.text(part.octets + 0.015 * largest, row, f"{100 * part.octets / total:.2g} %", va="center", color=INK)
+        axes.set_yticks(range(len(parts)), [part.name for part in parts])
+        axes.set_ylim(len(parts) - 0.4, -0.6)
+        axes.set_xlim(0, 1.16 * largest)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.xaxis.set_major_formatter(lambda value, _: si(value))
+        axes.grid(visible=False, axis="y")
+        canvas.label("octets", "")
+        plots.append(canvas.plot(png=easel.png))
+    with easel.canvas("load", "Load over time", f"Mean over {seconds_text(easel.time.width)}, one kind upon the other.") as canvas:
+        below = np.zeros(len(easel.time.edges) - 1)
+        for row, part in enumerate(parts):
+            rate = part.over_time * 8 / easel.time.width
+            canvas.axes.fill_between(
+                easel.time.edges, *(np.append(each, each[-1]) for each in (below, below + rate)), step="post",
+                color=SERIES[row % len(SERIES)], linewidth=0, alpha=0.8,
+            )  # fmt: skip
+            below = below + rate
+        canvas.time_axis(easel.time.duration, "bit/s")
+        canvas.axes.yaxis.set_major_formatter(lambda value, _: si(value))
+        square = {"linestyle": "", "marker": "s", "markersize": 5}
+        canvas.legend([(part.name, {**square, "color": SERIES[row % len(SERIES)]}) for row, part in enumerate(parts)])
+        plots.append(canvas.plot(png=easel.png))
+    return plots
+
+
+def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
+    """When something was odd."""
+    caption = "Malformed frames, gaps in sequence numbers, restarts (numbers that jump) and repeated numbers."
+    with easel.canvas("anomalies", "When something was odd", caption, height=150) as canvas:
+        for row, kind in enumerate(KINDS):
+            at = thinned(np.sort(times[kind]), _DOTS // len(KINDS))
+            colour = BAD if kind in ("malformed", "gap") else ACCENT
+            canvas.axes.plot(at, np.full(at.size, row), "|", markersize=13, color=colour, mew=1)
+        canvas.time_axis(easel.time.duration, "")
+        canvas.axes.set_yticks(range(len(KINDS)), [f"{kind} ({times[kind].size:,})" for kind in KINDS])
+        canvas.axes.set_ylim(len(KINDS) - 0.4, -0.6)
+        return canvas.plot(png=easel.png)
