@@ -47,9 +47,11 @@ class Time:
         found: Column = (self.edges[:-1] + self.edges[1:]) / 2
         return found
 
-    def finer(self) -> Column:
-        """The ends of many more pieces, for ages."""
-        found: Column = np.linspace(0, float(self.edges[-1]), _FINE + 1)
+    def finer(self, shortest: float) -> Column:
+        """The ends of more pieces, none shorter than so many seconds, for ages."""
+        end = float(self.edges[-1])
+        many = min(_FINE, end / shortest) if shortest > 0 else _FINE
+        found: Column = np.linspace(0, end, max(1, int(many)) + 1)
         return found
 
 

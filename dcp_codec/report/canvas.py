@@ -7,6 +7,7 @@ two stand side by side on larger ones.
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +17,9 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
+
+from .series import si
 
 WIDTH, HEIGHT = 400.0, 236.0
 #: Points of one row of a legend, and characters that fit into one.
@@ -33,7 +36,7 @@ _DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1.2)))
 VARIABLES = {INK: "--ink", SOFT: "--soft", LINE: "--line", ACCENT: "--accent", BAD: "--fail"} | {
     colour: f"--s{number}" for number, colour in enumerate(SERIES)
 }
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.family": ["DejaVu Sans"],
     "font.size": 8.5,
@@ -115,6 +118,17 @@ class Canvas:
         self.label(f"time since the first frame ({unit})", y)
         self.axes.set_ylim(bottom=0)
 
+    def logarithmic(self) -> None:
+        """A logarithmic y axis that has 0."""
+        self.axes.set_yscale("symlog", linthresh=1)
+        # Room above: in a step the highest value lies on the edge.
+        top = 5 * self.axes.dataLim.ymax
+        self.axes.set_ylim(0, top)
+        step = 1 + int(math.log10(max(top, 1))) // 6
+        self.axes.set_yticks([0.0, *(10.0**power for power in range(0, int(math.log10(max(top, 1))) + 1, step))])
+        self.axes.yaxis.set_major_formatter(lambda value, _: si(value))
+        self.axes.yaxis.set_minor_locator(NullLocator())
+
     def whole(self) -> None:
         """Only whole numbers on the y axis."""
         self.axes.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -163,7 +177,7 @@ class _Multiples(MaxNLocator):
         self._unit = unit
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
-        return super().tick_values(vmin / self._unit, vmax / self._unit) * self._unit
+        return [self._unit * value for value in super().tick_values(vmin / self._unit, vmax / self._unit)]
 
 
 def _inline(svg: str, title: str) -> str:

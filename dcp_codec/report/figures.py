@@ -12,7 +12,7 @@ from matplotlib.patches import FancyArrowPatch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from . import analysis
-from .analysis import KINDS, Part, Sender, Steps, Time
+from .analysis import KINDS, Part, Steps, Time
 from .canvas import ACCENT, BAD, INK, SERIES, SOFT, Canvas, Plot, style_of
 from .recorded import Column, Recorded
 from .series import in_unit, ordinal, runs, seconds_text, si, stairs, thinned, usual_interval
@@ -22,6 +22,8 @@ from .variables import Hops, Values, numeric
 DRAWN = 20
 #: Points that are drawn of one series, and dots of one plot.
 _POINTS, _DOTS = 400, 2000
+#: Reports of each node that a piece of time should have, so that its greatest age is one.
+_REPORTS = 4
 #: Positions beyond this many units are not on this planet.
 _FAR = 1e8
 
@@ -104,11 +106,11 @@ def presence(easel: Easel) -> Plot:
     senders = [node for node in easel.nodes if (beacons["node"] == node).any()]
     caption = "Times without a beacon are blank."
     with easel.canvas("heard", "Who was heard when", caption, height=70 + 15 * len(senders)) as canvas:
-        ends = time.finer()
         # No finer than beacons come, or each interval would be a gap.
-        usual = max((usual_interval(time.seconds(beacons["time"][beacons["node"] == node])) for node in senders), default=0)
-        if usual:
-            ends = np.linspace(0, ends[-1], max(1, min(len(ends) - 1, int(ends[-1] / (3 * usual)))) + 1)
+        usual = max(
+            (usual_interval(time.seconds(beacons["time"][beacons["node"] == node])) for node in senders), default=0
+        )
+        ends = time.finer(3 * usual)
         for row, node in enumerate(senders):
             heard, _ = np.histogram(time.seconds(beacons["time"][beacons["node"] == node]), ends)
             bars = [(float(ends[a]), float(ends[b] - ends[a])) for a, b in runs(heard > 0)]
@@ -125,7 +127,8 @@ def ages(easel: Easel) -> list[Plot]:
     recorded, time = easel.recorded, easel.time
     reports = recorded.tables["srp"]
     nodes = [node for node in easel.nodes if (reports["node"] == node).any()]
-    ends = time.finer()
+    usual = max((usual_interval(time.seconds(reports["time"][reports["node"] == node])) for node in nodes), default=0)
+    ends = time.finer(_REPORTS * usual)
     plots = []
     caption = f"Since the last state report that was heard; the greatest age in each {seconds_text(ends[1] - ends[0])}."
     with easel.canvas("age", "Age of information", caption) as canvas:
@@ -155,7 +158,9 @@ def _pairs(easel: Easel, high: Column) -> Plot:
             cell = Rectangle((place - 0.48, row - 0.46), 0.96, 0.92, color=ACCENT, alpha=0.08 + 0.5 * value / top, lw=0)
             canvas.axes.add_patch(cell)
             if many <= 8:
-                canvas.axes.text(place, row, f"{value:.2g}" if value < 100 else f"{value:.0f}", ha="center", va="center")
+                canvas.axes.text(
+                    place, row, f"{value:.2g}" if value < 100 else f"{value:.0f}", ha="center", va="center"
+                )
         names = [easel.short[node] for node in easel.nodes]
         canvas.axes.set_xticks(range(many), names, rotation=0 if many <= 6 else 90)
         canvas.axes.set_yticks(range(many), names)
@@ -219,13 +224,15 @@ def positions(easel: Easel) -> list[Plot]:
         return []
     unit = easel.recorded.units
     plots = []
-    with easel.canvas("plan", "Positions in plan", "A ring is where a node was first, a dot where last.", height=280) as canvas:
+    with easel.canvas(
+        "plan", "Positions in plan", "A ring is where a node was first, a dot where last.", height=280
+    ) as canvas:
         for node, rows in place.items():
             rows = thinned(rows, _POINTS)
             x, y, style = reports["x"][rows], reports["y"][rows], easel.node_style(node)
             canvas.axes.plot(x, y, **style)
-            canvas.axes.plot(x[0], y[0], "o", color=style["color"], fillstyle="none", markersize=6)
-            canvas.axes.plot(x[-1], y[-1], "o", color=style["color"], markersize=4)
+            canvas.axes.plot(x[0], y[0], "o", color=INK, fillstyle="none", markersize=6, zorder=3)
+            canvas.axes.plot(x[-1], y[-1], "o", color=INK, markersize=3.5, zorder=3)
         canvas.axes.set_aspect("equal", "datalim")
         canvas.axes.margins(0.12)
         canvas.label(f"x{in_unit(unit.get('position.x'))}", f"y{in_unit(unit.get('position.y'))}")
@@ -272,7 +279,9 @@ def values(easel: Easel, found: Values) -> list[Plot]:
     numbers = [each for each in easel.variables if numeric(found, each)]
     if not numbers:
         return plots
-    caption = "Those whose values all have one length of at most 8 octets, read as unsigned, most significant octet first."
+    caption = (
+        "Those whose values all have one length of at most 8 octets, read as unsigned, most significant octet first."
+    )
     with easel.canvas("values", "Values of variables", caption) as canvas:
         for each in numbers:
             rows = thinned(np.flatnonzero(found.variable == each), _POINTS)
@@ -281,8 +290,7 @@ def values(easel: Easel, found: Values) -> list[Plot]:
             canvas.axes.plot(found.time[rows], found.number[rows], "o", color=style["color"], markersize=2.5)
         canvas.time_axis(time.duration, "value")
         if np.nanmax(found.number[np.isin(found.variable, numbers)]) >= 1e4:
-            canvas.axes.set_yscale("symlog", linthresh=1)
-            canvas.axes.set_ylim(bottom=0)
+            canvas.logarithmic()
             canvas.axes.set_ylabel("value (logarithmic)")
         canvas.legend([entry for entry, each in zip(legend, easel.variables, strict=True) if each in numbers])
         plots.append(canvas.plot(png=easel.png))
@@ -312,7 +320,7 @@ def delays(easel: Easel, hops: Hops) -> list[Plot]:
         plots.append(canvas.plot(png=easel.png))
     caption = "The share of values that were passed on by so many nodes after at most this delay."
     with easel.canvas("delay-hops", "Delay by hop", caption) as canvas:
-        ranks = [rank for rank in np.unique(hops.hop[counted]).tolist()][:DRAWN]
+        ranks = np.unique(hops.hop[counted]).tolist()[:DRAWN]
         for number, rank in enumerate(ranks):
             delay = np.sort(hops.delay[counted & (hops.hop == rank)])
             share = 100 * np.arange(1, delay.size + 1) / delay.size
@@ -346,14 +354,15 @@ def octets(easel: Easel, parts: Sequence[Part]) -> list[Plot]:
         axes.grid(visible=False, axis="y")
         canvas.label("octets", "")
         plots.append(canvas.plot(png=easel.png))
-    with easel.canvas("load", "Load over time", f"Mean over {seconds_text(easel.time.width)}, one kind upon the other.") as canvas:
+    with easel.canvas(
+        "load", "Load over time", f"Mean over {seconds_text(easel.time.width)}, one kind upon the other."
+    ) as canvas:
         below = np.zeros(len(easel.time.edges) - 1)
         for row, part in enumerate(parts):
             rate = part.over_time * 8 / easel.time.width
-            canvas.axes.fill_between(
-                easel.time.edges, *(np.append(each, each[-1]) for each in (below, below + rate)), step="post",
-                color=SERIES[row % len(SERIES)], linewidth=0, alpha=0.8,
-            )  # fmt: skip
+            bottom, top = np.append(below, below[-1]), np.append(below + rate, below[-1] + rate[-1])
+            colour = SERIES[row % len(SERIES)]
+            canvas.axes.fill_between(easel.time.edges, bottom, top, step="post", color=colour, linewidth=0, alpha=0.8)
             below = below + rate
         canvas.time_axis(easel.time.duration, "bit/s")
         canvas.axes.yaxis.set_major_formatter(lambda value, _: si(value))

@@ -187,7 +187,7 @@ def _senders(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Section:
         )
     if not easel.recorded.modulus:
         section.words.append("Beacons of this profile have no sequence numbers: what is lost cannot be seen.")
-    section.plots += [*figures.beacon_rate(easel, steps), figures.presence(easel)]
+    section.plots += figures.beacon_rate(easel, steps)
     return section
 
 
@@ -202,6 +202,8 @@ def _ages(easel: Easel) -> Section:
 
 def _neighbours(easel: Easel, hops: variables.Hops) -> Section:
     section = Section("neighbours", "Neighbours")
+    if easel.recorded.column("beacons", "node").size:
+        section.plots.append(figures.presence(easel))
     edges = variables.edges(hops)
     if edges:
         section.plots.append(figures.graph(easel, edges))

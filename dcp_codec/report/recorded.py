@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+from dcp_spec.profile import SafetyField
 
 from dcp_codec.codec import Codec
 from dcp_codec.table.decoding import Batch, ColumnDecoder
@@ -58,7 +58,8 @@ class Texts:
         indices = column.indices.fill_null(many).to_numpy(zero_copy_only=False).astype(np.int64)
         if known.size and (indices == many).any():
             known[many] = self.number(None)
-        return known[indices]
+        found: Column = known[indices]
+        return found
 
 
 @dataclass
@@ -110,7 +111,9 @@ class _Gatherer:
     requirements: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.roles = {each.role: each for each in self.codec.profile.srp.safety_data if each.role}
+        self.roles: dict[str, SafetyField] = {
+            each.role: each for each in self.codec.profile.srp.safety_data if each.role
+        }
         self.modulus = 0
 
     def add(self, batch: Batch) -> None:
@@ -160,9 +163,7 @@ class _Gatherer:
 
     def _lengths(self, table: str, rows: pa.RecordBatch, content: str, length: str) -> None:
         octets = _integers(rows[length])
-        self._keep(
-            table, time=_integers(rows["time"]), content=self.contents.numbers(rows[content]), octets=octets
-        )
+        self._keep(table, time=_integers(rows["time"]), content=self.contents.numbers(rows[content]), octets=octets)
 
     def _srp(self, rows: pa.RecordBatch) -> None:
         places = {}
@@ -246,9 +247,7 @@ def _last_rows(variable: Column) -> list[tuple[int, int]]:
     return [(int(each), len(variable) - 1 - int(row)) for each, row in zip(found, rows, strict=True)]
 
 
-def gather(
-    path: str, profile: str, ether_type: int | None, advance: Advance = lambda _octets: None
-) -> Recorded:
+def gather(path: str, profile: str, ether_type: int | None, advance: Advance = lambda _octets: None) -> Recorded:
     """Read a recording. ``advance`` is told how many octets of the file were read since it was last called.
 
     Memory grows with the recording, by about 200 octets for each beacon. Raises
@@ -284,5 +283,3 @@ def gather(
         units={role: member.unit for role, member in gatherer.roles.items()},
         modulus=gatherer.modulus,
     )
-
-

@@ -50,8 +50,8 @@ def ordinal(number: int) -> str:
 
 
 def si(value: float) -> str:
-    """A number with k, M or G, for ticks."""
-    for letter, factor in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
+    """A number with k, M, G and so on, for ticks."""
+    for letter, factor in (("E", 1e18), ("P", 1e15), ("T", 1e12), ("G", 1e9), ("M", 1e6), ("k", 1e3)):
         if abs(value) >= factor:
             return f"{value / factor:g}{letter}"
     return f"{value:g}"

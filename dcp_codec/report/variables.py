@@ -88,9 +88,7 @@ def dissemination(recorded: Recorded, time: Time) -> tuple[Values, Hops]:
 
 def _from_producer(recorded: Recorded, variable: Column, node: Column) -> Column:
     senders = set(np.unique(recorded.column("beacons", "node")).tolist())
-    producers = {
-        number: known.producer for number, known in recorded.variables.items() if known.producer in senders
-    }
+    producers = {number: known.producer for number, known in recorded.variables.items() if known.producer in senders}
     found = [producers.get(each, who) == who for each, who in zip(variable.tolist(), node.tolist(), strict=True)]
     return np.array(found, bool)
 
