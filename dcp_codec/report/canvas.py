@@ -83,6 +83,12 @@ def style_of(number: int) -> dict[str, Any]:
     return {"color": SERIES[number % len(SERIES)], "linestyle": dashes}
 
 
+def dots_of(number: int, size: float) -> dict[str, Any]:
+    """How the dots of a series look; those of the second ten are hollow."""
+    hollow = {"fillstyle": "none", "mew": 0.8} if number >= len(SERIES) else {"mew": 0}
+    return {"color": SERIES[number % len(SERIES)], "linestyle": "", "marker": "o", "markersize": size, **hollow}
+
+
 class Canvas:
     """A plot in the making: draw into ``axes`` inside of ``with``, then take ``plot()``."""
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from matplotlib.patches import FancyArrowPatch, Rectangle
+from matplotlib.patches import FancyArrowPatch
 from matplotlib.ticker import MaxNLocator
 
 from . import analysis
-from .analysis import KINDS, Part, Steps, Time
-from .canvas import ACCENT, BAD, INK, SERIES, SOFT, Canvas, Plot, style_of
-from .recorded import Column, Recorded
-from .series import in_unit, ordinal, runs, seconds_text, si, stairs, thinned, usual_interval
+from .analysis import KINDS, Part, Steps
+from .canvas import ACCENT, BAD, INK, SERIES, SOFT, Plot, dots_of, style_of
+from .easel import LINES, Easel, matrix, over_time
+from .recorded import Column
+from .series import in_unit, ordinal, runs, seconds_text, si, thinned, usual_interval
 from .variables import Hops, Values, numeric
 
 #: Nodes and variables that are drawn one by one.
@@ -28,75 +27,20 @@ _REPORTS = 4
 _FAR = 1e8
 
 
-@dataclass
-class Easel:
-    """What all plots of one recording share: time, who is drawn in which colour, whether PNGs are wanted."""
-
-    recorded: Recorded
-    time: Time
-    #: Numbers of the nodes that are drawn, in the order of their colours.
-    nodes: list[int]
-    variables: list[int]
-    png: bool = False
-    prefix: str = ""
-    short: dict[int, str] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.short = short_names({node: self.recorded.nodes[node] for node in self.nodes})
-
-    def canvas(self, name: str, title: str, caption: str, **size: float) -> Canvas:
-        """A new plot of this recording."""
-        return Canvas(f"{self.prefix}{name}", title, caption, **size)
-
-    def node_style(self, node: int) -> dict[str, Any]:
-        """How a node is drawn, everywhere."""
-        return style_of(self.nodes.index(node))
-
-    def node_legend(self, nodes: Sequence[int]) -> list[tuple[str, dict[str, Any]]]:
-        """Entries of a legend."""
-        return [(self.short[node], self.node_style(node)) for node in nodes]
-
-
-def short_names(names: dict[int, str]) -> dict[int, str]:
-    """The shortest ends of identifiers that tell them apart, two octets at least."""
-    for octets in range(2, 256):
-        found = {}
-        for node, name in names.items():
-            parts = name.split(":") if ":" in name else [name[at : at + 2] for at in range(0, len(name), 2)]
-            joined = (":" if ":" in name else "").join(parts[-octets:])
-            found[node] = joined if joined == name or name == "unknown" else f"…{joined}"
-        found = {node: names[node] if names[node] == "unknown" else text for node, text in found.items()}
-        if len(set(found.values())) == len(set(names.values())):
-            return found
-    return dict(names)
-
-
 def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
     """Beacons per second, and the share of them that is lost."""
     recorded, time = easel.recorded, easel.time
     senders = [node for node in easel.nodes if (recorded.column("beacons", "node") == node).any()]
-    plots = []
     found = {node: analysis.rates(recorded, time, steps, node) for node in senders}
+    rate = {node: each for node, (each, _) in found.items()}
     mean = f"Mean over {seconds_text(time.width)}."
-    with easel.canvas("beacon-rate", "Beacons heard", mean) as canvas:
-        for node, (rate, _) in found.items():
-            canvas.axes.plot(*stairs(time, rate), **easel.node_style(node))
-        canvas.time_axis(time.duration, "beacons per second")
-        canvas.legend(easel.node_legend(senders))
-        plots.append(canvas.plot(png=easel.png))
-    if not recorded.modulus:
-        return plots
-    caption = f"Sequence numbers that are missing, of all in {seconds_text(time.width)}."
-    with easel.canvas("loss", "Beacons lost", caption) as canvas:
-        for node, (_, loss) in found.items():
-            canvas.axes.plot(*stairs(time, 100 * loss), **easel.node_style(node))
-        canvas.time_axis(time.duration, "lost (%)")
-        highest = max((float(np.nanmax(loss)) for _, loss in found.values() if np.isfinite(loss).any()), default=0)
-        canvas.axes.set_ylim(0, 100 * highest * 1.08 if highest else 10)
-        if not highest:
-            canvas.axes.text(0.5, 0.5, "nothing lost", transform=canvas.axes.transAxes, ha="center", color=SOFT)
-        canvas.legend(easel.node_legend(senders))
-        plots.append(canvas.plot(png=easel.png))
+    plots = [
+        over_time(easel, "beacon-rate", "Beacons heard", mean, ("beacons per second", "per second"), time.edges, rate)
+    ]
+    if recorded.modulus:
+        loss = {node: 100 * each for node, (_, each) in found.items()}
+        caption = f"Sequence numbers that are missing, of all in {seconds_text(time.width)}."
+        plots.append(over_time(easel, "loss", "Beacons lost", caption, ("lost (%)", "%"), time.edges, loss))
     return plots
 
 
@@ -131,13 +75,12 @@ def ages(easel: Easel) -> list[Plot]:
     ends = time.finer(_REPORTS * usual)
     plots = []
     caption = f"Since the last state report that was heard; the greatest age in each {seconds_text(ends[1] - ends[0])}."
-    with easel.canvas("age", "Age of information", caption) as canvas:
-        for node in nodes:
-            found = analysis.age(np.sort(time.seconds(reports["time"][reports["node"] == node])), ends)
-            canvas.axes.plot((ends[:-1] + ends[1:]) / 2, found, **{**easel.node_style(node), "linewidth": 1.0})
-        canvas.time_axis(time.duration, "age of the last report (s)")
-        canvas.legend(easel.node_legend(nodes))
-        plots.append(canvas.plot(png=easel.png))
+    found = {
+        node: analysis.age(np.sort(time.seconds(reports["time"][reports["node"] == node])), ends) for node in nodes
+    }
+    plots.append(
+        over_time(easel, "age", "Age of information", caption, ("age of the last report (s)", "s"), ends, found)
+    )
     _, high = analysis.pair_ages(recorded, time, easel.nodes)
     if np.isfinite(high).any():
         plots.append(_pairs(easel, high))
@@ -145,37 +88,25 @@ def ages(easel: Easel) -> list[Plot]:
 
 
 def _pairs(easel: Easel, high: Column) -> Plot:
-    many = len(easel.nodes)
     caption = (
         "95th percentile of the age, in seconds, whenever the node of the row sends a beacon: at best it has heard "
         "what the recorder has."
     )
-    with easel.canvas("age-pairs", "Age per neighbour pair", caption, height=max(170, 90 + 15 * many)) as canvas:
-        canvas.axes.grid(visible=False)
-        top = float(np.nanmax(high)) or 1
-        for row, place in zip(*np.nonzero(np.isfinite(high)), strict=True):
-            value = float(high[row, place])
-            cell = Rectangle((place - 0.48, row - 0.46), 0.96, 0.92, color=ACCENT, alpha=0.08 + 0.5 * value / top, lw=0)
-            canvas.axes.add_patch(cell)
-            if many <= 8:
-                canvas.axes.text(
-                    place, row, f"{value:.2g}" if value < 100 else f"{value:.0f}", ha="center", va="center"
-                )
-        names = [easel.short[node] for node in easel.nodes]
-        canvas.axes.set_xticks(range(many), names, rotation=0 if many <= 6 else 90)
-        canvas.axes.set_yticks(range(many), names)
-        canvas.axes.set_xlim(-0.5, many - 0.5)
-        canvas.axes.set_ylim(many - 0.5, -0.5)
-        for side in ("left", "bottom"):
-            canvas.axes.spines[side].set_visible(False)
-        canvas.label("report about", "node")
-        return canvas.plot(png=easel.png)
+    return matrix(easel, "age-pairs", "Age per neighbour pair (s)", caption, high, ("report about", "node"))
 
 
 def graph(easel: Easel, edges: dict[tuple[int, int], int]) -> Plot:
-    """Who passes on what whom said: nodes on a circle, an arrow for each ordered pair."""
+    """Who passes on what whom said: nodes on a circle, an arrow for each ordered pair; of many, a matrix."""
     drawn = {pair: many for pair, many in edges.items() if pair[0] in easel.nodes and pair[1] in easel.nodes}
     nodes = [node for node in easel.nodes if any(node in pair for pair in drawn)]
+    if len(nodes) > LINES:
+        counts = np.full((len(easel.nodes), len(easel.nodes)), np.nan)
+        for (before, node), many in drawn.items():
+            counts[easel.nodes.index(node), easel.nodes.index(before)] = many
+        caption = (
+            "Values that the node of the row passed on when that of the column was the last one heard saying them."
+        )
+        return matrix(easel, "graph", "Who passes on whom", caption, counts, ("whom", "who"))
     caption = (
         "An arrow from A to B, and beside it at A's end the number of values that B passed on when A was the last one "
         "heard saying them. Who really was B's source only B knows."
@@ -267,14 +198,11 @@ def values(easel: Easel, found: Values) -> list[Plot]:
     with easel.canvas("seqno", "Sequence numbers of variables", "Each value when it was first heard.") as canvas:
         for number, each in enumerate(easel.variables):
             rows = thinned(np.flatnonzero(found.variable == each), _POINTS)
-            canvas.axes.plot(
-                found.time[rows], found.seqno[rows], "o", color=style_of(number)["color"],
-                markersize=2.4 if rows.size > 60 else 3.4, mew=0, fillstyle="full" if number < len(SERIES) else "left",
-            )  # fmt: skip
+            canvas.axes.plot(found.time[rows], found.seqno[rows], **dots_of(number, 2.4 if rows.size > 60 else 3.4))
         canvas.time_axis(time.duration, "sequence number")
         canvas.whole()
         canvas.axes.set_ylim(bottom=-0.04 * max(1, canvas.axes.get_ylim()[1]))
-        canvas.legend([(name, {**style, "linestyle": "", "marker": "o", "markersize": 4}) for name, style in legend])
+        canvas.legend([(name, dots_of(number, 4)) for number, (name, _) in enumerate(legend)])
         plots.append(canvas.plot(png=easel.png))
     numbers = [each for each in easel.variables if numeric(found, each)]
     if not numbers:
@@ -306,19 +234,13 @@ def delays(easel: Easel, hops: Hops) -> list[Plot]:
     with easel.canvas("delay", "Dissemination delay of each value", caption) as canvas:
         for node in nodes:
             rows = thinned(np.flatnonzero(counted & (hops.node == node)), _DOTS // len(nodes))
-            canvas.axes.plot(
-                hops.time[rows], hops.delay[rows], "o", color=easel.node_style(node)["color"], markersize=2.6, mew=0,
-                alpha=0.85,
-            )  # fmt: skip
+            canvas.axes.plot(hops.time[rows], hops.delay[rows], **dots_of(easel.nodes.index(node), 2.6), alpha=0.85)
         canvas.time_axis(easel.time.duration, "delay (s)")
-        canvas.legend(
-            [
-                (name, {**style, "linestyle": "", "marker": "o", "markersize": 4})
-                for name, style in easel.node_legend(nodes)
-            ]
-        )
+        canvas.legend([(easel.short[node], dots_of(easel.nodes.index(node), 4)) for node in nodes])
         plots.append(canvas.plot(png=easel.png))
-    caption = "The share of values that were passed on by so many nodes after at most this delay."
+    caption = (
+        "Of the values that a first, second, ... other node passed on: the share for which it had after this delay."
+    )
     with easel.canvas("delay-hops", "Delay by hop", caption) as canvas:
         ranks = np.unique(hops.hop[counted]).tolist()[:DRAWN]
         for number, rank in enumerate(ranks):

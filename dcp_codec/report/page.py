@@ -11,8 +11,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from . import analysis, figures, variables
 from .analysis import Sender, Steps, Time
-from .canvas import SERIES, Plot
-from .figures import DRAWN, Easel
+from .canvas import Plot
+from .easel import Easel
+from .figures import DRAWN
 from .recorded import Recorded
 from .series import seconds_text
 
@@ -121,7 +122,10 @@ def _nodes(senders: Sequence[Sender]) -> set[int]:
 
 def _facts(recorded: Recorded, time: Time) -> list[tuple[str, str]]:
     outcome = recorded.outcome
-    facts = [("recording", shown(outcome.path)), ("profile", shown(", ".join(outcome.notes) or outcome.profile))]
+    facts = [
+        ("recording", shown(outcome.path)),
+        ("profile", shown(", ".join(outcome.notes).removeprefix("profile ") or outcome.profile)),
+    ]
     if outcome.frames > outcome.other:
         facts.append(("from", stamp(time.first_ns)))
         facts.append(("to", stamp(time.last_ns)))
@@ -182,8 +186,8 @@ def _senders(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Section:
     if rest:
         beacons, lost = sum(each.beacons for each in rest), sum(each.lost for each in rest)
         section.words.append(
-            f"The {len(rows)} senders with most beacons are drawn; {len(rest)} more sent {beacons:,} beacons, of which "
-            f"{lost:,} are missing beside those."
+            f"The {len(rows)} senders with most beacons are drawn; {len(rest)} more sent {beacons:,} beacons that "
+            f"were heard and {lost:,} that are missing."
         )
     if not easel.recorded.modulus:
         section.words.append("Beacons of this profile have no sequence numbers: what is lost cannot be seen.")
@@ -338,7 +342,7 @@ def _number(text: str) -> Cell:
 
 
 def _series(easel: Easel, node: int) -> int | None:
-    return easel.nodes.index(node) % len(SERIES) if node in easel.nodes else None
+    return easel.nodes.index(node) if node in easel.nodes else None
 
 
 def stamp(time: int) -> str:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .analysis import Time
 from .recorded import Column
 
 
-def stairs(time: Time, values: Column) -> tuple[Column, Column]:
-    """A line that is level in each piece of time."""
-    return np.repeat(time.edges, 2)[1:-1], np.repeat(values, 2)
+def stairs(ends: Column, values: Column) -> tuple[Column, Column]:
+    """A line that is level in each piece of time that ``ends`` bound."""
+    return np.repeat(ends, 2)[1:-1], np.repeat(values, 2)
 
 
 def thinned(rows: Column, many: int) -> Column:
