@@ -114,26 +114,32 @@ class Sender:
 
 def senders_of(recorded: Recorded, time: Time, steps: Steps) -> list[Sender]:
     """All senders, by their names."""
-    table = recorded.tables["beacons"]
+    table, many = recorded.tables["beacons"], len(recorded.nodes)
+    node, seconds = table["node"], time.seconds(table["time"])
+    # Anybody can pretend to be many senders: no loop over beacons for each of them.
+    beacons = np.bincount(node, minlength=many)
+    lost = np.bincount(node, weights=steps.lost, minlength=many).astype(np.int64)
+    restarts = np.bincount(node[steps.restart], minlength=many)
+    reports = np.bincount(recorded.column("srp", "node"), minlength=many)
+    pairs = np.unique(np.stack([node, table["interface"]]), axis=1)[0]
+    links = np.bincount(pairs, minlength=many)
+    first, last = np.full(many, np.inf), np.full(many, -np.inf)
+    np.minimum.at(first, node, seconds)
+    np.maximum.at(last, node, seconds)
     found = []
-    reports = np.bincount(recorded.column("srp", "node"), minlength=len(recorded.nodes))
-    for node in np.unique(table["node"]).tolist():
-        own = table["node"] == node
-        seconds = time.seconds(table["time"][own])
-        beacons, lost = int(own.sum()), int(steps.lost[own].sum())
-        span = float(seconds.max() - seconds.min())
-        links = len(np.unique(table["interface"][own]))
+    for each in np.flatnonzero(beacons).tolist():
+        received, missing, span = int(beacons[each]), int(lost[each]), float(last[each] - first[each])
         found.append(
             Sender(
-                node=node,
-                beacons=beacons,
-                lost=lost,
-                loss=lost / (beacons + lost) if recorded.modulus else None,
-                rate=max(0, beacons - links) / span if span else 0.0,
-                restarts=int(steps.restart[own].sum()),
-                first=float(seconds.min()),
-                last=float(seconds.max()),
-                reports=int(reports[node]),
+                node=each,
+                beacons=received,
+                lost=missing,
+                loss=missing / (received + missing) if recorded.modulus else None,
+                rate=max(0, received - int(links[each])) / span if span else 0.0,
+                restarts=int(restarts[each]),
+                first=float(first[each]),
+                last=float(last[each]),
+                reports=int(reports[each]),
             )
         )
     return sorted(found, key=lambda sender: recorded.nodes[sender.node])

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from . import analysis, figures, variables
@@ -85,12 +86,13 @@ def chapter(recorded: Recorded, number: int = 0, *, png: bool = False) -> Chapte
     time, steps = analysis.time_of(recorded), analysis.steps_of(recorded)
     senders = analysis.senders_of(recorded, time, steps)
     values, hops = variables.dissemination(recorded, time)
-    lines = variables.lines(recorded, values, hops)
+    lines = variables.lines(recorded, values, hops, DRAWN)
     most = sorted(senders, key=lambda sender: -sender.beacons)[:DRAWN]
     # Nodes that only others talk about come last.
-    silent = [node for node in sorted(set(recorded.column("srp", "node").tolist())) if node not in _nodes(senders)]
+    known = {sender.node for sender in senders}
+    silent = [node for node in np.unique(recorded.column("srp", "node")).tolist() if node not in known]
     nodes = ([sender.node for sender in senders if sender in most] + silent)[:DRAWN]
-    easel = Easel(recorded, time, nodes, [line.number for line in lines[:DRAWN]], png=png, prefix=f"{number:02}-")
+    easel = Easel(recorded, time, nodes, [line.number for line in lines], png=png, prefix=f"{number:02}-")
     sections = []
     if outcome.frames > outcome.other:
         sections = [
@@ -113,10 +115,6 @@ def chapter(recorded: Recorded, number: int = 0, *, png: bool = False) -> Chapte
     )
 
 
-def _nodes(senders: Sequence[Sender]) -> set[int]:
-    return {sender.node for sender in senders}
-
-
 # -- the head of a chapter ----------------------------------------------------------------------------------------
 
 
@@ -135,7 +133,7 @@ def _facts(recorded: Recorded, time: Time) -> list[tuple[str, str]]:
 def _tiles(recorded: Recorded, time: Time, senders: Sequence[Sender], steps: Steps) -> list[tuple[str, str, str]]:
     beacons, lost = recorded.column("beacons", "node").size, int(steps.lost.sum())
     malformed = recorded.outcome.malformed
-    tiles = [(f"{beacons:,}", "beacons", ""), (str(len(senders)), "senders", "")]
+    tiles = [(f"{beacons:,}", "beacons", ""), (f"{len(senders):,}", "senders", "")]
     if recorded.modulus:
         share = 100 * lost / (beacons + lost) if beacons else 0
         tiles.append((f"{share:.2g} %", "lost", "fail" if lost else ""))
@@ -186,7 +184,7 @@ def _senders(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Section:
     if rest:
         beacons, lost = sum(each.beacons for each in rest), sum(each.lost for each in rest)
         section.words.append(
-            f"The {len(rows)} senders with most beacons are drawn; {len(rest)} more sent {beacons:,} beacons that "
+            f"The {len(rows)} senders with most beacons are drawn; {len(rest):,} more sent {beacons:,} beacons that "
             f"were heard and {lost:,} that are missing."
         )
     if not easel.recorded.modulus:
@@ -255,14 +253,13 @@ def _variables(
             _number("" if line.median is None else seconds_text(line.median)),
             _number("" if line.p95 is None else seconds_text(line.p95)),
         ]
-        for line in lines[:DRAWN]
+        for line in lines
     ]
     section.tables.append(_table(heads, rows))
-    if len(lines) > DRAWN:
-        more = sum(line.values for line in lines[DRAWN:])
-        section.words.append(
-            f"The {DRAWN} variables with most values are drawn; {len(lines) - DRAWN} more have {more:,} values."
-        )
+    rest = len(easel.recorded.variables) - len(lines)
+    if rest:
+        more = values.variable.size - sum(line.values for line in lines)
+        section.words.append(f"The {DRAWN} variables with most values are drawn; {rest:,} more have {more:,} values.")
     section.plots += figures.values(easel, values)
     if hops.counted.any():
         section.plots += figures.delays(easel, hops)

@@ -31,7 +31,6 @@ class Variable:
 
     producer: int = -1
     description: str = ""
-    creations: int = 0
     value: bytes = b""
 
 
@@ -202,7 +201,6 @@ class _Gatherer:
             text = rows["descr"][row].as_py()
             hexed = rows["descrHex"][row].as_py()
             known.description = text[:_DESCRIPTION] if text is not None else f"0x{(hexed or '')[:_DESCRIPTION]}"
-            known.creations += int(np.count_nonzero(variable == each))
 
     def _variable(self, number: int) -> Variable:
         return self.variables.setdefault(number, Variable())

@@ -113,27 +113,29 @@ class VariableLine:
     p95: float | None
 
 
-def lines(recorded: Recorded, values: Values, hops: Hops) -> list[VariableLine]:
-    """All variables, those with most values first."""
+def lines(recorded: Recorded, values: Values, hops: Hops, many: int) -> list[VariableLine]:
+    """The ``many`` variables with most values, those first."""
+    numbers, counts = np.unique(values.variable, return_counts=True)
     found = []
-    for number, known in recorded.variables.items():
-        own = values.variable == number
-        sizes = np.unique(values.size[own])
+    for row in np.lexsort((numbers, -counts))[:many].tolist():
+        number = int(numbers[row])
+        known = recorded.variables[number]
+        sizes = np.unique(values.size[values.variable == number])
         delays = hops.delay[(hops.variable == number) & hops.counted]
-        high, low = (int(sizes.max()), int(sizes.min())) if sizes.size else (0, 0)
+        high, low = int(sizes.max()), int(sizes.min())
         found.append(
             VariableLine(
                 number=number,
                 producer=known.producer,
                 description=known.description,
-                values=int(own.sum()),
+                values=int(counts[row]),
                 sizes=str(high) if high == low else f"{low} to {high}",
                 value=known.value,
                 median=float(np.quantile(delays, 0.5)) if delays.size else None,
                 p95=float(np.quantile(delays, 0.95)) if delays.size else None,
             )
         )
-    return sorted(found, key=lambda line: (-line.values, line.number))
+    return found
 
 
 def numeric(values: Values, variable: int) -> bool:
