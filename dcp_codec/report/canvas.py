@@ -122,7 +122,9 @@ class Canvas:
         self.axes.xaxis.set_major_locator(_Multiples(seconds))
         self.axes.xaxis.set_major_formatter(lambda value, _: f"{value / seconds:g}")
         self.label(f"time since the first frame ({unit})", y)
-        self.axes.set_ylim(bottom=0)
+        top = self.axes.get_ylim()[1]
+        # Where clocks went backwards all may be below 0.
+        self.axes.set_ylim(0, top if top > 0 else 1)
 
     def logarithmic(self) -> None:
         """A logarithmic y axis that has 0."""

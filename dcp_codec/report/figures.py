@@ -250,7 +250,8 @@ def delays(easel: Easel, hops: Hops) -> list[Plot]:
             x, y = np.concatenate([delay[:1], delay[kept]]), np.concatenate([[0.0], share[kept]])
             canvas.axes.plot(x, y, drawstyle="steps-post", **style_of(number))
         canvas.label("delay (s)", "values (%)")
-        canvas.axes.set_xlim(left=0)
+        longest = float(hops.delay[counted].max())
+        canvas.axes.set_xlim(0, 1.05 * longest if longest > 0 else 1)
         canvas.axes.set_ylim(0, 102)
         names = [f"{ordinal(rank)} node" for rank in ranks]
         canvas.legend([(name, style_of(number)) for number, name in enumerate(names)])
