@@ -36,7 +36,9 @@ class Easel:
     short: dict[int, str] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.short = short_names({node: self.recorded.nodes[node] for node in self.nodes})
+        # No font of a PNG has all characters that a name may have.
+        names = {node: self.recorded.nodes[node].encode("ascii", "backslashreplace") for node in self.nodes}
+        self.short = short_names({node: name.decode() for node, name in names.items()})
 
     def canvas(self, name: str, title: str, caption: str, **size: float) -> Canvas:
         """A new plot of this recording."""

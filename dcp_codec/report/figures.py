@@ -164,8 +164,10 @@ def positions(easel: Easel) -> list[Plot]:
             canvas.axes.plot(x, y, **style)
             canvas.axes.plot(x[0], y[0], "o", color=INK, fillstyle="none", markersize=6, zorder=3)
             canvas.axes.plot(x[-1], y[-1], "o", color=INK, markersize=3.5, zorder=3)
+        drawn = np.concatenate(list(place.values()))
+        canvas.axes.set_xlim(*_room(reports["x"][drawn]))
+        canvas.axes.set_ylim(*_room(reports["y"][drawn]))
         canvas.axes.set_aspect("equal", "datalim")
-        canvas.axes.margins(0.12)
         canvas.label(f"x{in_unit(unit.get('position.x'))}", f"y{in_unit(unit.get('position.y'))}")
         canvas.legend(easel.node_legend(list(place)))
         plots.append(canvas.plot(png=easel.png))
@@ -176,11 +178,18 @@ def positions(easel: Easel) -> list[Plot]:
             rows = thinned(rows, _POINTS)
             canvas.axes.plot(time.seconds(reports["time"][rows]), reports["z"][rows], **easel.node_style(node))
         canvas.time_axis(time.duration, f"z{in_unit(unit.get('position.z'))}")
-        canvas.axes.autoscale(axis="y")
-        canvas.axes.margins(y=0.12)
+        canvas.axes.set_ylim(*_room(reports["z"][np.concatenate(list(place.values()))]))
         canvas.legend(easel.node_legend(list(place)))
         plots.append(canvas.plot(png=easel.png))
     return plots
+
+
+def _room(values: Column) -> tuple[float, float]:
+    """Limits of an axis around values; never so narrow that they are one number."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    half = 0.56 * max(high - low, 1e-3, 1e-6 * abs(low), 1e-6 * abs(high))
+    return (low + high) / 2 - half, (low + high) / 2 + half
 
 
 def usable(reports: dict[str, Column]) -> Column:

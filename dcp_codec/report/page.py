@@ -16,7 +16,7 @@ from .canvas import Plot
 from .easel import Easel
 from .figures import DRAWN
 from .recorded import Recorded
-from .series import seconds_text
+from .series import seconds_text, shown
 
 #: Anomalies of each kind that are listed; octets of a value that are shown.
 _LISTED, _OCTETS = 10, 16
@@ -349,8 +349,3 @@ def stamp(time: int) -> str:
         return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}.{rest:09d} UTC"
     except OverflowError:
         return f"{time} ns since 1970"
-
-
-def shown(text: str) -> str:
-    """A text from elsewhere with what cannot be printed as an escape."""
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)

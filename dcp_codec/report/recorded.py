@@ -15,6 +15,8 @@ from dcp_codec.table.decoding import Batch, ColumnDecoder
 from dcp_codec.table.job import Advance, Outcome, others, resolve
 from dcp_codec.table.sources import Recording
 
+from .series import shown
+
 Column = npt.NDArray[Any]
 
 #: Longest value that is also read as a number.
@@ -273,7 +275,8 @@ def gather(path: str, profile: str, ether_type: int | None, advance: Advance = l
         outcome=outcome,
         codec=codec,
         tables={name: gatherer.table(name) for name in _KEPT},
-        nodes=gatherer.nodes.texts,
+        # Where identifiers are texts, anything may be in them.
+        nodes=[shown(text) for text in gatherer.nodes.texts],
         reasons=gatherer.reasons.texts,
         contents=gatherer.contents.texts,
         variables=gatherer.variables,

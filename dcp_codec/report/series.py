@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from .recorded import Column
+import numpy as np
+import numpy.typing as npt
+
+Column = npt.NDArray[Any]
 
 
 def stairs(ends: Column, values: Column) -> tuple[Column, Column]:
@@ -59,3 +62,8 @@ def si(value: float) -> str:
 def in_unit(unit: str | None) -> str:
     """ " (m)", or nothing for a unit that the profile does not know."""
     return f" ({unit})" if unit else ""
+
+
+def shown(text: str) -> str:
+    """A text from elsewhere with what cannot be printed as an escape."""
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)

@@ -305,6 +305,15 @@ def test_hostile_text_stays_text(tmp_path):
     assert "a<b>.pcap" in page.text
 
 
+def test_hostile_names_stay_text(tmp_path):
+    recorded = gathered(record(tmp_path / "a.pcap", steady(1, 2) + steady(2, 2)))
+    recorded.nodes[:] = ["</text><script>1</script>", '$\U00049610&"']
+    drawn = chapter(recorded)
+    page = self_contained(render([drawn]))
+    assert "</text><script>1</script>" in page.text
+    assert all("<script" not in plot.svg for plot in drawn.plots)
+
+
 def test_many_senders_and_variables_are_bounded(tmp_path):
     sent = [(n / 10, node, n, (report(node, n),)) for node in range(1, 24) for n in range(3 + node)]
     sent += [(node / 10, 1, 100 + node, (create(node, 1, b"12"),)) for node in range(1, 24)]
@@ -342,6 +351,11 @@ def test_positions_that_are_none(tmp_path):
     sent = [(n / 10, 1, n, (report(1, n, *place),)) for n, place in enumerate(odd)]
     page = Page(render([chapter(gathered(record(tmp_path / "a.pcap", sent)))]))
     assert "4 of 5 state reports have coordinates that are no numbers or beyond all bounds" in page.text
+
+
+def test_positions_that_hardly_differ(tmp_path):
+    sent = [(n / 10, 1, n, (report(1, n, 1e-111 * n, 9.9e7 + 1e-8 * n, 5e-324 * n),)) for n in range(3)]
+    assert self_contained(render([chapter(gathered(record(tmp_path / "a.pcap", sent)))]))
 
 
 def test_time_that_goes_backwards(tmp_path):
