@@ -281,6 +281,7 @@ def test_page_and_pictures(run, tmp_path):
     page, folder = tmp_path / "out" / "page.html", tmp_path / "png"
     done = run(CAPTURES / "c_latejoin.mcap", "-o", page, "--png", folder)
     assert done.status == 0, done.err
+    assert [line for line in done.err.splitlines() if not line.startswith("dcp-codec: ")] == []
     text = page.read_text("utf-8")
     found = self_contained(text)
     for section in SECTIONS:
