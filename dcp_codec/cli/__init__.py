@@ -12,6 +12,7 @@ main = CommandLine(
         "decode": "Show every beacon, state report and instruction of a recording.",
         "stats": "Count what is in recordings.",
         "table": "Turn recordings into tables: Parquet, CSV, DuckDB.",
+        "report": "Draw recordings: one page with rates, loss, ages, positions, variables, anomalies.",
         "guess": "Rank the wire profiles for a recording.",
         "convert": "Convert between MCAP, pcap and pcapng.",
         "encode": "Turn JSON into beacons: hex, or a recording.",

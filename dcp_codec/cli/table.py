@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.commandline import UNUSABLE, ExpectedError
+from dcp_codec.commandline import ExpectedError
 
-from .common import MALFORMED, load_codec, no_beacons_note, note, profile_options
+from .common import note, profile_options
+from .recordings import check_input, extras, octets_progress, tell
 
 if TYPE_CHECKING:
     from dcp_codec.table.archive import Order
@@ -95,8 +93,8 @@ def command(
     """
     if scheduler is not None and engine != "dask":
         raise click.UsageError("--scheduler is for --engine dask")
-    _check_input(files, profile)
-    with _extras():
+    check_input(files, profile)
+    with extras():
         from dcp_codec.table.archive import Order, TableError, find_recordings
 
         try:
@@ -115,33 +113,13 @@ def command(
             outcomes = _make(order)
         except TableError as error:
             raise ExpectedError(str(error)) from None
-    return max(_report(outcome) for outcome in outcomes)
-
-
-def _check_input(files: Sequence[str], profile: str) -> None:
-    if "-" in files and (len(files) > 1 or profile == "auto"):
-        raise ExpectedError("a pipe is read once and alone: give - as the only FILE, and name the --profile of it")
-    if profile != "auto":
-        # So that a wrong name is told once, and before anything is done.
-        load_codec(profile)
-
-
-@contextmanager
-def _extras() -> Iterator[None]:
-    """Say which extra to install where a package is missing."""
-    try:
-        yield
-    except ImportError as error:
-        extra = {"duckdb": "duckdb", "distributed": "dask"}.get((error.name or "").partition(".")[0], "table")
-        raise ExpectedError(
-            f"{error.name or error} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
-        ) from None
+    return max(tell(outcome) for outcome in outcomes)
 
 
 def _make(order: Order) -> list[Outcome]:
     from dcp_codec.table.archive import make
 
-    with _progress(order) as advance:
+    with octets_progress(order.recordings) as advance:
         outcomes = make(order, advance)
     if all(outcome.failure is not None for outcome in outcomes):
         raise ExpectedError("; ".join(str(outcome.failure) for outcome in outcomes[:5]))
@@ -152,40 +130,3 @@ def _make(order: Order) -> list[Outcome]:
     listed = ", ".join(f"{name} {rows}" for name, rows in total.items())
     note(f"{order.out}: {listed} rows")
     return outcomes
-
-
-def _report(outcome: Outcome) -> int:
-    """Tell what there is to be told of one recording; returns the exit status that it calls for."""
-    name, status = outcome.path, 0
-    if outcome.failure is not None:
-        note(outcome.failure)
-        return UNUSABLE
-    for text in outcome.notes:
-        note(f"{name}: {text}")
-    if outcome.malformed:
-        note(f"{name}: {outcome.malformed} of {outcome.frames - outcome.other} DCP frames are malformed")
-        status = MALFORMED
-    if outcome.link is not None:
-        no_beacons_note(name, outcome.others, outcome.link)
-    for text in outcome.problems:
-        note(f"{name}: {text}")
-        status = UNUSABLE
-    return status
-
-
-@contextmanager
-def _progress(order: Any) -> Iterator[Callable[[int], object]]:
-    """One bar over all recordings, on a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda _octets: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
-
-    from dcp_codec.capture.reader import counted
-
-    size = sum(Path(path).stat().st_size for path in order.recordings if Path(path).is_file())
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(counted(len(order.recordings), "recording"), total=size or None)
-        yield lambda octets: bar.advance(task, octets)

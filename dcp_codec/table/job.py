@@ -92,7 +92,7 @@ def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
             outcome.problems += [problem.message for problem in recording.problems]
         if outcome.other == outcome.frames:
             outcome.link = link
-            outcome.others = {} if job.path == "-" else _others(job.path, link)
+            outcome.others = {} if job.path == "-" else others(job.path, link)
     except CaptureError as error:
         outcome.failure = str(error)
     return outcome
@@ -133,7 +133,7 @@ def _path(job: Job, table: str) -> Path:
     return Path(job.folder) / table / f"{job.stem}{suffix}"
 
 
-def _others(path: str, link: Link) -> dict[str, int]:
+def others(path: str, link: Link) -> dict[str, int]:
     """What a recording without beacons has instead, by EtherType."""
     found: dict[str, int] = {}
     with open_capture(path) as reader:

@@ -1,0 +1,77 @@
+"""What the subcommands over many recordings share: ``table`` and ``report``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dcp_codec.commandline import UNUSABLE, ExpectedError
+
+from .common import MALFORMED, load_codec, no_beacons_note, note
+
+if TYPE_CHECKING:
+    from dcp_codec.table.job import Outcome
+
+#: Package that is missing -> extra that has it; else "table".
+_EXTRAS = {"duckdb": "duckdb", "distributed": "dask", "matplotlib": "report", "jinja2": "report"}
+
+
+def check_input(files: Sequence[str], profile: str) -> None:
+    """Refuse what no recording can make good: standard input among others or twice, an unknown profile."""
+    if "-" in files and (len(files) > 1 or profile == "auto"):
+        raise ExpectedError("a pipe is read once and alone: give - as the only FILE, and name the --profile of it")
+    if profile != "auto":
+        # So that a wrong name is told once, and before anything is done.
+        load_codec(profile)
+
+
+@contextmanager
+def extras() -> Iterator[None]:
+    """Say which extra to install where a package is missing."""
+    try:
+        yield
+    except ImportError as error:
+        extra = _EXTRAS.get((error.name or "").partition(".")[0], "table")
+        raise ExpectedError(
+            f"{error.name or error} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
+        ) from None
+
+
+def tell(outcome: Outcome) -> int:
+    """Tell what there is to be told of one recording; returns the exit status that it calls for."""
+    name, status = outcome.path, 0
+    if outcome.failure is not None:
+        note(outcome.failure)
+        return UNUSABLE
+    for text in outcome.notes:
+        note(f"{name}: {text}")
+    if outcome.malformed:
+        note(f"{name}: {outcome.malformed} of {outcome.frames - outcome.other} DCP frames are malformed")
+        status = MALFORMED
+    if outcome.link is not None:
+        no_beacons_note(name, outcome.others, outcome.link)
+    for text in outcome.problems:
+        note(f"{name}: {text}")
+        status = UNUSABLE
+    return status
+
+
+@contextmanager
+def octets_progress(recordings: Sequence[str]) -> Iterator[Callable[[int], object]]:
+    """One bar over all recordings, on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _octets: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    from dcp_codec.capture.reader import counted
+
+    size = sum(Path(path).stat().st_size for path in recordings if Path(path).is_file())
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(counted(len(recordings), "recording"), total=size or None)
+        yield lambda octets: bar.advance(task, octets)

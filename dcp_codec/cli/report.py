@@ -1,0 +1,137 @@
+"""``dcp-codec report``: the plots that people look at first, as one HTML page and as PNG."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dcp_codec.capture import CaptureError
+from dcp_codec.commandline import ExpectedError
+
+from .common import note, profile_options
+from .recordings import check_input, extras, octets_progress, tell
+
+if TYPE_CHECKING:
+    from dcp_codec.report.page import Chapter
+    from dcp_codec.table.job import Outcome
+
+#: Recordings that one page holds.
+_MANY = 20
+
+
+@click.command(
+    "report",
+    epilog="FILE is an MCAP, pcap or pcapng recording, a folder with some, or a pattern in quotes; - is standard "
+    "input. What the plots show: docs/report.md. Exit status: 0 all good, 1 malformed DCP frames were seen, 2 wrong "
+    "usage or input that could not be read to its end (what could be read is on the page).",
+)
+@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.html",
+    help="The page. [default: the name of the recording with .html, here; report.html for several]",
+)
+@click.option(
+    "--png",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Put every plot into this folder as well, as PNG.",
+)
+@profile_options
+@click.option("--force", is_flag=True, help="Replace what is at --out.")
+def command(
+    files: tuple[str, ...], out: Path | None, png: Path | None, profile: str, ether_type: int | None, force: bool
+) -> int:
+    """Draw recordings: beacons and loss, age of information, neighbours, positions, variables, overhead, anomalies.
+
+    The page is one file that needs no other and no network, in light and dark. Each recording is a chapter.
+    """
+    check_input(files, profile)
+    with extras():
+        from dcp_codec.table.archive import TableError, find_recordings
+
+        try:
+            recordings = find_recordings(files)
+        except TableError as error:
+            raise ExpectedError(str(error)) from None
+        if len(recordings) > _MANY:
+            raise ExpectedError(f"a page holds {_MANY} recordings, and these are {len(recordings)}: name fewer")
+        page = out or _default(recordings)
+        if page.exists() and not force:
+            raise ExpectedError(f"{page}: is there already; --force replaces it")
+        from dcp_codec.report.page import render
+
+        with octets_progress(recordings) as advance:
+            chapters, outcomes = _chapters(recordings, profile, ether_type, advance, png=png is not None)
+        if not chapters:
+            raise ExpectedError("; ".join(str(outcome.failure) for outcome in outcomes[:5]))
+        pictures = [plot for chapter in chapters for plot in chapter.plots]
+        try:
+            _write(page, render(chapters).encode("utf-8", "backslashreplace"))
+            for plot in pictures if png is not None else []:
+                assert png is not None
+                assert plot.png is not None
+                png.mkdir(parents=True, exist_ok=True)
+                _write(png / f"{plot.name}.png", plot.png)
+        except OSError as error:
+            raise ExpectedError(f"{error.filename or page}: {error.strerror or error}") from None
+    note(f"{page}: {len(pictures)} plots")
+    return max(tell(outcome) for outcome in outcomes)
+
+
+def _default(recordings: Sequence[str]) -> Path:
+    if len(recordings) > 1 or recordings[0] == "-":
+        return Path("report.html")
+    return Path(Path(recordings[0]).stem + ".html")
+
+
+def _chapters(
+    recordings: Sequence[str],
+    profile: str,
+    ether_type: int | None,
+    advance: Callable[[int], object],
+    *,
+    png: bool,
+) -> tuple[list[Chapter], list[Outcome]]:
+    from dcp_codec.report.page import chapter
+    from dcp_codec.report.recorded import gather
+    from dcp_codec.table.job import Outcome
+
+    chapters, outcomes = [], []
+    for number, path in enumerate(recordings, start=1):
+        try:
+            recorded = gather(path, profile, ether_type, advance)
+        except CaptureError as error:
+            outcomes.append(Outcome(path, failure=str(error)))
+            continue
+        chapters.append(chapter(recorded, number, png=png))
+        outcomes.append(recorded.outcome)
+    return chapters, outcomes
+
+
+def _write(path: Path, octets: bytes) -> None:
+    """All of a file or nothing of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(octets)
+        # mkstemp is for secrets; this is a file as any other.
+        Path(name).chmod(0o666 & ~_umask())
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask

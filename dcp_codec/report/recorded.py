@@ -1,0 +1,286 @@
+"""What a report needs of the tables of one recording, in compact columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+from dcp_spec.profile import SafetyField
+
+from dcp_codec.codec import Codec
+from dcp_codec.table.decoding import Batch, ColumnDecoder
+from dcp_codec.table.job import Advance, Outcome, others, resolve
+from dcp_codec.table.sources import Recording
+
+from .series import shown
+
+Column = npt.NDArray[Any]
+
+#: Longest value that is also read as a number.
+NUMBER_OCTETS = 8
+#: What stands for a sender that cannot be known.
+NOBODY = "unknown"
+#: Characters of a description that are kept.
+_DESCRIPTION = 120
+
+
+@dataclass
+class Variable:
+    """The last that was said about a variable. ``producer`` is a number of ``Recorded.nodes``, -1 if not heard."""
+
+    producer: int = -1
+    description: str = ""
+    value: bytes = b""
+
+
+class Texts:
+    """Numbers for texts, in the order in which they were met."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self._numbers: dict[str, int] = {}
+
+    def number(self, text: str | None) -> int:
+        """The number of a text, a new one if it was never met."""
+        known = NOBODY if text is None else text
+        if known not in self._numbers:
+            self._numbers[known] = len(self.texts)
+            self.texts.append(known)
+        return self._numbers[known]
+
+    def numbers(self, column: pa.Array) -> Column:
+        """Numbers for a column of text in a dictionary."""
+        many = len(column.dictionary)
+        # The last place is for null.
+        known = np.array([self.number(text) for text in column.dictionary.to_pylist()] + [-1], np.int32)
+        indices = column.indices.fill_null(many).to_numpy(zero_copy_only=False).astype(np.int64)
+        if known.size and (indices == many).any():
+            known[many] = self.number(None)
+        found: Column = known[indices]
+        return found
+
+
+@dataclass
+class Recorded:
+    """The compact columns of a recording. Times are ns since 1970, nodes are numbers of ``nodes``."""
+
+    outcome: Outcome
+    codec: Codec
+    nodes: list[str]
+    reasons: list[str]
+    contents: list[str]
+    #: Columns by table: beacons, payloads, containers, srp, said, errors.
+    tables: dict[str, dict[str, Column]]
+    variables: dict[int, Variable]
+    requirements: dict[str, str]
+    #: Units of x, y, z by role, for a profile whose safety data names them.
+    units: dict[str, str]
+    #: The number of different sequence numbers of beacons; 0 for a profile without.
+    modulus: int
+
+    def column(self, table: str, name: str) -> Column:
+        """One column; empty if the profile has no such table."""
+        return self.tables[table][name]
+
+
+#: Columns that are kept of each table, and their types.
+_KEPT: dict[str, dict[str, Any]] = {
+    "beacons": {"frame": np.int64, "time": np.int64, "node": np.int32, "interface": np.int64, "seqno": np.int64}
+    | {"octets": np.int64, "around": np.int64},
+    "payloads": {"time": np.int64, "content": np.int32, "octets": np.int64},
+    "containers": {"time": np.int64, "content": np.int32, "octets": np.int64},
+    "srp": {"time": np.int64, "node": np.int32, "x": np.float64, "y": np.float64, "z": np.float64},
+    "said": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64}
+    | {"size": np.int64, "number": np.float64},
+    "errors": {"frame": np.int64, "time": np.int64, "node": np.int32, "reason": np.int32},
+}
+
+
+@dataclass
+class _Gatherer:
+    codec: Codec
+    nodes: Texts = field(default_factory=Texts)
+    reasons: Texts = field(default_factory=Texts)
+    contents: Texts = field(default_factory=Texts)
+    pieces: dict[str, dict[str, list[Column]]] = field(
+        default_factory=lambda: {table: {name: [] for name in columns} for table, columns in _KEPT.items()}
+    )
+    variables: dict[int, Variable] = field(default_factory=dict)
+    requirements: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.roles: dict[str, SafetyField] = {
+            each.role: each for each in self.codec.profile.srp.safety_data if each.role
+        }
+        self.modulus = 0
+
+    def add(self, batch: Batch) -> None:
+        tables = batch.tables
+        self._beacons(tables["beacons"])
+        self._lengths("payloads", tables["payloads"], "content", "length")
+        self._errors(tables["errors"])
+        # Not every profile has these.
+        if "containers" in tables:
+            self._lengths("containers", tables["containers"], "icName", "octets")
+        if "srp" in tables:
+            self._srp(tables["srp"])
+        for name in ("creates", "updates"):
+            if name in tables and tables[name].num_rows:
+                self._said(tables[name])
+        if "creates" in tables:
+            self._creations(tables["creates"])
+
+    def table(self, name: str) -> dict[str, Column]:
+        pieces = self.pieces[name]
+        return {
+            column: np.concatenate(pieces[column]).astype(kind) if pieces[column] else np.empty(0, kind)
+            for column, kind in _KEPT[name].items()
+        }
+
+    def _keep(self, table: str, **columns: Column) -> None:
+        for name, values in columns.items():
+            # A copy: the memory of a batch is used again when nobody refers to it.
+            self.pieces[table][name].append(np.array(values, _KEPT[table][name]))
+
+    def _beacons(self, rows: pa.RecordBatch) -> None:
+        has_seqno = "seqno" in rows.schema.names
+        if has_seqno:
+            self.modulus = 1 << rows.schema.field("seqno").type.bit_width
+        seqno = _integers(rows["seqno"]) if has_seqno else np.zeros(rows.num_rows, np.int64)
+        octets, frames = _integers(rows["octets"]), _integers(rows["frameLength"])
+        self._keep(
+            "beacons",
+            frame=_integers(rows["frame"]),
+            time=_integers(rows["time"]),
+            node=self.nodes.numbers(rows["sender"]),
+            interface=_integers(rows["interface"]),
+            seqno=seqno,
+            octets=octets,
+            around=np.maximum(frames - octets, 0),
+        )
+
+    def _lengths(self, table: str, rows: pa.RecordBatch, content: str, length: str) -> None:
+        octets = _integers(rows[length])
+        self._keep(table, time=_integers(rows["time"]), content=self.contents.numbers(rows[content]), octets=octets)
+
+    def _srp(self, rows: pa.RecordBatch) -> None:
+        places = {}
+        for axis in "xyz":
+            member = self.roles.get(f"position.{axis}")
+            known = member is not None and member.name in rows.schema.names
+            places[axis] = (
+                rows[member.name].to_numpy(zero_copy_only=False)
+                if member is not None and known
+                else np.full(rows.num_rows, np.nan)
+            )
+        self._keep("srp", time=_integers(rows["time"]), node=self.nodes.numbers(rows["nodeId"]), **places)
+
+    def _said(self, rows: pa.RecordBatch) -> None:
+        variable = _integers(rows["varId"])
+        size, number = _numbers(rows["value"])
+        self._keep(
+            "said",
+            frame=_integers(rows["frame"]),
+            time=_integers(rows["time"]),
+            node=self.nodes.numbers(rows["sender"]),
+            variable=variable,
+            seqno=_integers(rows["seqno"]),
+            size=size,
+            number=number,
+        )
+        for each, row in _last_rows(variable):
+            self._variable(each).value = rows["value"][row].as_py() or b""
+
+    def _creations(self, rows: pa.RecordBatch) -> None:
+        producers = self.nodes.numbers(rows["prodId"])
+        variable = _integers(rows["varId"])
+        for each, row in _last_rows(variable):
+            known = self._variable(each)
+            known.producer = int(producers[row])
+            text = rows["descr"][row].as_py()
+            hexed = rows["descrHex"][row].as_py()
+            known.description = text[:_DESCRIPTION] if text is not None else f"0x{(hexed or '')[:_DESCRIPTION]}"
+
+    def _variable(self, number: int) -> Variable:
+        return self.variables.setdefault(number, Variable())
+
+    def _errors(self, rows: pa.RecordBatch) -> None:
+        self._keep(
+            "errors",
+            frame=_integers(rows["frame"]),
+            time=_integers(rows["time"]),
+            node=self.nodes.numbers(rows["sender"]),
+            reason=self.reasons.numbers(rows["reason"]),
+        )
+        for reason, requirement in zip(rows["reason"].to_pylist(), rows["requirement"].to_pylist(), strict=True):
+            self.requirements.setdefault(reason or NOBODY, requirement or "")
+
+
+def _integers(column: pa.Array) -> Column:
+    if pa.types.is_timestamp(column.type):
+        column = column.cast(pa.int64())
+    found: Column = column.to_numpy(zero_copy_only=False)
+    return found
+
+
+def _numbers(column: pa.Array) -> tuple[Column, Column]:
+    """The length of each value, and those of 1 to 8 octets as unsigned numbers, most significant octet first."""
+    _, offsets, data = column.buffers()
+    ends = np.frombuffer(offsets, np.int32)[column.offset : column.offset + len(column) + 1].astype(np.int64)
+    octets = np.frombuffer(data, np.uint8) if data is not None and data.size else np.zeros(1, np.uint8)
+    starts, size = ends[:-1], np.diff(ends)
+    number = np.zeros(len(size), np.uint64)
+    for place in range(NUMBER_OCTETS):
+        there = place < size
+        octet = octets[np.minimum(starts + place, len(octets) - 1)].astype(np.uint64)
+        number = np.where(there, number << np.uint64(8) | octet, number)
+    fits = (size >= 1) & (size <= NUMBER_OCTETS)
+    return size, np.where(fits, number.astype(np.float64), np.nan)
+
+
+def _last_rows(variable: Column) -> list[tuple[int, int]]:
+    """Each variable of a batch and the last row that is about it."""
+    found, rows = np.unique(variable[::-1], return_index=True)
+    return [(int(each), len(variable) - 1 - int(row)) for each, row in zip(found, rows, strict=True)]
+
+
+def gather(path: str, profile: str, ether_type: int | None, advance: Advance = lambda _octets: None) -> Recorded:
+    """Read a recording. ``advance`` is told how many octets of the file were read since it was last called.
+
+    Memory grows with the recording, by about 200 octets for each beacon. Raises
+    :class:`~dcp_codec.capture.CaptureError` where nothing can be read; what is wrong further on is in ``outcome``.
+    """
+    codec, link, note = resolve(path, profile, ether_type)
+    outcome = Outcome(path, codec.profile.name, [note] if note else [])
+    gatherer = _Gatherer(codec)
+    decoder = ColumnDecoder(codec, link)
+    with Recording(path) as recording:
+        position = 0
+        for block in recording.blocks():
+            for batch in decoder.batches(block):
+                outcome.frames += batch.frames
+                outcome.malformed += batch.malformed
+                outcome.other += batch.other
+                gatherer.add(batch)
+            advance(block.position - position)
+            position = block.position
+        outcome.problems += [problem.message for problem in recording.problems]
+    if outcome.other == outcome.frames:
+        outcome.link = link
+        outcome.others = {} if path == "-" else others(path, link)
+    return Recorded(
+        outcome=outcome,
+        codec=codec,
+        tables={name: gatherer.table(name) for name in _KEPT},
+        # Where identifiers are texts, anything may be in them.
+        nodes=[shown(text) for text in gatherer.nodes.texts],
+        reasons=gatherer.reasons.texts,
+        contents=gatherer.contents.texts,
+        variables=gatherer.variables,
+        requirements=gatherer.requirements,
+        units={role: member.unit for role, member in gatherer.roles.items()},
+        modulus=gatherer.modulus,
+    )
