@@ -352,7 +352,7 @@ def _b_hears_a(air: Script) -> None:
 def answers_update_requests(air: Script, wrong: bool) -> Outcome:
     _b_hears_a(air)
     asked = []
-    for _ in range(6):
+    for _ in range(16):
         asked.append(air.say(A, VarSumm(7, 0), VarReqUpdate(7, 0)))
         air.say(B, VarSumm(7, 3), *([] if wrong else [VarUpdate(7, 3, b"x")]))
         air.idle(10, (VarSumm(100, 0),), (VarSumm(7, 3),))
@@ -365,7 +365,7 @@ def answers_create_requests(air: Script, wrong: bool) -> Outcome:
     _b_hears_a(air)
     air.say(B, VarSumm(7, 3))
     asked = []
-    for _ in range(6):
+    for _ in range(16):
         asked.append(air.say(A, VarReqCreate(7)))
         air.say(B, *([] if wrong else [air.create(7, B, seqno=3)]), VarSumm(7, 3))
         air.idle(10, (VarSumm(100, 0),), (VarSumm(7, 3),))
@@ -377,12 +377,26 @@ def answers_create_requests(air: Script, wrong: bool) -> Outcome:
 def takes_updates(air: Script, wrong: bool) -> Outcome:
     _b_hears_a(air)
     told = []
-    for number in range(1, 7):
+    for number in range(1, 17):
         told.append(air.say(A, VarSumm(100, number), VarUpdate(100, number, b"x")))
         has = 0 if wrong else number
         air.idle(10, (VarSumm(100, number),), (VarSumm(100, has),))
     air.idle(30)
     return Outcome(("VD-PU-07", "VD-RX-04"), tuple(told[:3]))
+
+
+@script("CK_VD_TAKES_UPDATE", variant="asks")
+def takes_few_updates_and_asks(air: Script, wrong: bool) -> Outcome:
+    """Four updates are few, for a radio; but it asks after every summary, so it hears all."""
+    _b_hears_a(air)
+    told = []
+    for number in range(1, 5):
+        told.append(air.say(A, VarSumm(100, number), VarUpdate(100, number, b"x")))
+        for _ in range(10):
+            air.say(B, *((VarSumm(100, 0), VarReqUpdate(100, 0)) if wrong else (VarSumm(100, number),)))
+            air.say(A, VarSumm(100, number))
+    air.idle(30)
+    return Outcome(("VD-PU-07", "VD-RX-04"), tuple(told[:3]), also=("CK_VD_ANSWER_UPDATE",))
 
 
 class TestEveryInvariant:
@@ -435,14 +449,14 @@ class TestNetworksThatFollowTheSpecification:
     @pytest.mark.parametrize("profile", PROFILES)
     @pytest.mark.parametrize("shape", TOPOLOGIES)
     def test_nothing_is_found(self, profile: str, shape: str):
-        for seed, count in ((1, 3), (2, 6), (3, 10)):
-            frames = simulated(profile, count, seed=seed, topology=TOPOLOGIES[shape], busy=1 if count > 6 else 4)
+        for seed, count, busy in ((1, 3, 6), (2, 5, 3), (3, 10, 0.5)):
+            frames = simulated(profile, count, seed=seed, topology=TOPOLOGIES[shape], busy=busy, seconds=10)
             assert findings(judged(frames, profile)) == []
 
     @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.0"])
     @pytest.mark.parametrize("shape", TOPOLOGIES)
     def test_nothing_is_found_where_nodes_are_restarted_and_frames_are_lost(self, profile: str, shape: str):
-        for seed in range(3):
+        for seed in (1, 2):
             frames = simulated(
                 profile, 5, seed=seed, topology=TOPOLOGIES[shape], restarts=True, quality=Quality(loss=0.2), busy=2
             )
@@ -451,8 +465,8 @@ class TestNetworksThatFollowTheSpecification:
     @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3"])
     @pytest.mark.parametrize("share", [0.1, 0.2, 0.6])
     def test_nothing_is_found_where_the_recorder_misses_frames(self, profile: str, share: float):
-        for seed in range(3):
-            frames = simulated(profile, 5, seed=seed, restarts=seed == 2, busy=3)
+        for seed in (1, 2):
+            frames = simulated(profile, 4, seed=seed, restarts=seed == 2, busy=3)
             assert findings(judged(thinned(frames, share, seed), profile)) == []
 
     @pytest.mark.parametrize(("profile", "seed", "count"), [("dcp-2.0", 101, 3), ("dcp-1.3", 103, 5)])
@@ -627,23 +641,22 @@ def test_forged_senders_and_variables_do_not_use_up_memory():
     air = Script()
     everything = [VarSumm(var_id, 3) for var_id in range(0, 250, 2)]
 
-    def flood(begin: int, end: int) -> int:
-        """Bytes that so many frames have left behind, in all objects that Python knows of."""
-        tracemalloc.start()
+    def flood(begin: int, end: int) -> None:
         for number in range(begin, end):
             air.frames.clear()
             air.seqno.clear()
             sender = number.to_bytes(4, "big")
             air.say(A, *everything, patch=lambda octets, sender=sender: octets[:5] + sender + octets[9:])
             judge.feed(air.frames[0])
-        left, _ = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return left
 
     # 125 variables of each of 550 senders: more pairs than are followed.
     flood(0, 550)
+    tracemalloc.start()
+    flood(550, 600)
+    left, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
     # A frame, and what is known of its sender: not of its variables.
-    assert flood(550, 650) < 100 * 8000
+    assert left < 50 * 8000
     assert judge.result().cases
 
 

@@ -7,6 +7,7 @@ of many times.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,92 +17,20 @@ from dcp_spec.constants import ICType
 from dcp_conformance.circular import Circle
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
+from .hearing import BELIEF, GAP_SHOWS, Hearing
 from .rules_vardis import SENT, seqno_of
 from .said import Said
 
 MS = 1_000_000
-#: For how long after it was shown that Y hears X this is believed, in ns.
-_BELIEF = 20_000 * MS
-#: A gap in the recording shows within so many ns, or never.
-_GAP_SHOWS = 2_000 * MS
-#: Of the times at which it did, so many are remembered of each pair.
-_REMEMBERED = 64
 #: Of so many occasions this part must be missed for a verdict; of fewer, down to the second number, every one.
 _OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4
+#: What a radio may lose, and what it loses where a node has reacted so often; less likely findings are no accident.
+_LOSS, _LITTLE, _ENOUGH, _CHANCE = 0.5, 0.1, 20, 1.5e-4
 #: Beacons that a node must have sent in the window.
 _CHANCES = 3
 _PENDING = 10_000
-
-
-class _Shown(NamedTuple):
-    """It looks as if one node heard another."""
-
-    begin: int
-    end: int
-    listener: bytes
-    speaker: bytes
-
-
-class Hearing:
-    """Who is known to hear whom.
-
-    A node that comes to a number of a variable, of which one other node alone has sent the value, hears that one, if no
-    third has sent it that the recorder missed: that is waited for. Only variables with a single life count; of others
-    several nodes may come up with the same.
-    """
-
-    def __init__(self, context: Context) -> None:
-        self._context = context
-        self._half = 1 << (8 * context.profile.types.var_seqno.width - 1)
-        self._numbers: dict[tuple[bytes, int], int] = {}
-        """(node, variable) -> the number that it sent last."""
-        self._origins: dict[tuple[int, int], tuple[int, set[bytes]]] = {}
-        """(variable, number) -> since when, and who has sent its value."""
-        self._open: deque[_Shown] = deque()
-        self._heard: dict[tuple[bytes, bytes], deque[int]] = {}
-
-    def feed(self, instruction: Said, sender: bytes, time: int) -> None:
-        """Take an instruction."""
-        while self._open and self._open[0].end + _GAP_SHOWS < time:
-            self._believe(self._open.popleft())
-        if instruction.kind not in SENT:
-            return
-        var_id, number = instruction.var_id, seqno_of(instruction)
-        had = self._numbers.get((sender, var_id))
-        if had is not None or len(self._numbers) < MOST_VARIABLES:
-            self._numbers[sender, var_id] = number
-        if instruction.kind is ICType.SUMMARIES:
-            return
-        lives = self._context.lives
-        if lives.born(var_id) is None:
-            self._origins.pop((var_id, number), None)
-            return
-        # The numbers come round again: half a circle ahead is half a circle back.
-        self._origins.pop((var_id, (number + self._half) % (2 * self._half)), None)
-        begin, senders = self._origins.get((var_id, number), (time, set()))
-        if not senders:
-            if len(self._origins) >= MOST_VARIABLES:
-                self._origins.clear()
-            self._origins[var_id, number] = (time, {sender})
-        elif sender not in senders:
-            new = had != number and lives.producer(var_id) != sender
-            if new and len(senders) == 1 and time - begin < _BELIEF and len(self._open) < _PENDING:
-                self._open.append(_Shown(begin, time, sender, next(iter(senders))))
-            senders.add(sender)
-
-    def _believe(self, shown: _Shown) -> None:
-        if self._context.senders.complete(shown.begin, shown.end) and len(self._heard) < MOST_VARIABLES:
-            self._heard.setdefault((shown.listener, shown.speaker), deque(maxlen=_REMEMBERED)).append(shown.end)
-
-    def finish(self) -> None:
-        """No gap will show any more."""
-        while self._open:
-            self._believe(self._open.popleft())
-
-    def hears(self, listener: bytes, speaker: bytes, time: int) -> bool:
-        """Whether it was shown, not long before or after, that ``listener`` hears ``speaker``."""
-        shown = self._heard.get((listener, speaker), ())
-        return any(abs(time - each) <= _BELIEF for each in shown)
+#: Nodes with a variable that are followed: others would say the same of it.
+_HOLDERS = 64
 
 
 class _Due(NamedTuple):
@@ -140,9 +69,18 @@ class Counter:
 
     @property
     def convincing(self) -> bool:
+        """Whether it is the rule and no exception."""
         if self.occasions < _OCCASIONS:
             return self.missed == self.occasions >= _FEWEST
         return self.missed >= _MISSED * self.occasions
+
+    def unlikely(self, loss: float) -> bool:
+        """Whether so much is not missed by chance where this part of all beacons is lost on the way."""
+        rest = range(self.missed, self.occasions + 1)
+        tail = math.fsum(
+            math.comb(self.occasions, each) * loss**each * (1 - loss) ** (self.occasions - each) for each in rest
+        )
+        return tail <= _CHANCE
 
 
 class _Dialogue(Invariant):
@@ -156,7 +94,7 @@ class _Dialogue(Invariant):
         """(node, variable) -> number that it was last heard to have, and when."""
         self._creations: dict[tuple[bytes, int], tuple[Any, ...]] = {}
         """(node, variable) -> producer and creation time, as the node has said."""
-        self._holders: dict[int, set[bytes]] = {}
+        self._holders: dict[int, dict[bytes, None]] = {}
         """Who was ever heard to have a variable."""
         self._due: deque[_Due] = deque()
         self._outcomes: deque[_Outcome] = deque()
@@ -197,7 +135,12 @@ class _Dialogue(Invariant):
             self._known.pop(key, None)
         elif each.kind in SENT and (key in self._known or len(self._known) < MOST_VARIABLES):
             self._known[key] = (seqno_of(each), seen.time)
-            self._holders.setdefault(each.var_id, set()).add(seen.sender)
+            self._hold(each.var_id, seen.sender)
+
+    def _hold(self, var_id: int, node: bytes) -> None:
+        holders = self._holders.setdefault(var_id, {})
+        if len(holders) < _HOLDERS:
+            holders[node] = None
 
     def others(self, instruction: Said, seen: Seen) -> list[bytes]:
         """Who else was ever heard to have the variable; whether they hear the sender is seen later."""
@@ -261,7 +204,7 @@ class _Dialogue(Invariant):
 
     def _outcome(self, due: _Due, *, missed: bool) -> None:
         if len(self._outcomes) < _PENDING:
-            self._outcomes.append(_Outcome(due.cause.time + _BELIEF + _GAP_SHOWS, due, missed))
+            self._outcomes.append(_Outcome(due.cause.time + BELIEF + GAP_SHOWS, due, missed))
 
     def _count(self, outcome: _Outcome) -> None:
         due = outcome.due
@@ -278,9 +221,13 @@ class _Dialogue(Invariant):
             self._count(self._outcomes.popleft())
         for (node, var_id), counter in self._counters.items():
             self.exercised()
-            if counter.convincing:
+            if counter.convincing and counter.unlikely(self.loss(node, counter.examples[0].sender)):
                 text = f"{name(node)}, variable {var_id}: missed {counter.missed} of {counter.occasions} times"
                 self.violated(f"{text}{self.example(counter)}", counter.examples)
+
+    def loss(self, node: bytes, speaker: bytes) -> float:  # noqa: ARG002 - for those that know better
+        """The part of the beacons of ``speaker`` that ``node`` may have missed: nobody knows it."""
+        return _LOSS
 
     def example(self, counter: Counter) -> str:
         """More about what was missed."""
@@ -337,13 +284,50 @@ class AnswersCreateRequests(_Dialogue):
 
 
 class TakesUpdates(_Dialogue):
-    """Updates are taken."""
+    """Updates are taken.
+
+    How well a node hears another shows where it asks: every request for an update answers a summary. A node that asks
+    again and again after every summary, and never takes the updates, has heard them.
+    """
 
     id = "CK_VD_TAKES_UPDATE"
     section = "dcp-vardis.md: Processing UPDATES"
     purpose = "Who hears a newer value of a variable has it from then on"
     requirements = ("VD-PU-07", "VD-RX-04")
     expect = "the newer number in the summaries and updates of a node that hears the update"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._told: dict[tuple[bytes, int], set[bytes]] = {}
+        """(node, variable) -> who has told it of a newer number since its last beacon but one."""
+        self._asked: dict[tuple[bytes, bytes], list[int]] = {}
+        """(node, speaker) -> beacons in which it could ask because of that one alone, and in which it did."""
+
+    def feed(self, seen: Seen) -> None:
+        """Also count who asks whom."""
+        super().feed(seen)
+        asks = {each.var_id for each in seen.said if each.kind is ICType.REQUEST_VARUPDATES}
+        for each in seen.said:
+            if each.kind is ICType.SUMMARIES:
+                self._count_request(seen.sender, each.var_id, asked=each.var_id in asks)
+                for node in self.others(each, seen):
+                    has = self.number(node, each.var_id)
+                    if has is not None and self.circle.newer(seqno_of(each), has):
+                        self._told.setdefault((node, each.var_id), set()).add(seen.sender)
+
+    def _count_request(self, node: bytes, var_id: int, *, asked: bool) -> None:
+        speakers = self._told.pop((node, var_id), set())
+        if len(speakers) == 1:
+            (speaker,) = speakers
+            if (node, speaker) in self._asked or len(self._asked) < MOST_VARIABLES:
+                counts = self._asked.setdefault((node, speaker), [0, 0])
+                counts[0] += 1
+                counts[1] += asked
+
+    def loss(self, node: bytes, speaker: bytes) -> float:
+        """Little, where it has asked after nearly every summary."""
+        could, did = self._asked.get((node, speaker), (0, 0))
+        return _LITTLE if could >= _ENOUGH and did >= 0.9 * could else _LOSS
 
     def met(self, instruction: Said, seen: Seen) -> None:
         """Whatever carries the number, or a newer one, shows that it was taken."""
