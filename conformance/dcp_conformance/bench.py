@@ -8,7 +8,6 @@ looks for its own: frames that the kernel dropped and beacons that were not hear
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NoReturn, TypeVar
 
@@ -649,12 +648,20 @@ class Bench:
 
     def gaps(self) -> str:
         """Where sequence numbers are missing between the beacons that were heard, in words; empty if none are."""
-        numbers = [heard.seqno for heard in self.heard if heard.seqno is not None]
-        for before, after in itertools.pairwise(numbers):
-            missing = (after - before - 1) % BP_SEQNO_MODULUS
-            # Back to the start is a restart; a large jump is the implementation's own.
-            if 0 < missing <= 5:
-                return f"sequence number {after} follows {before}"
+        before: int | None = None
+        unreadable = 0
+        for heard in self.heard:
+            after = heard.seqno
+            if after is None:
+                # It was heard; that it is no beacon is the implementation's doing.
+                unreadable += 1
+                continue
+            if before is not None:
+                missing = (after - before - 1) % BP_SEQNO_MODULUS
+                # Back to the start is a restart; a large jump is the implementation's own.
+                if unreadable < missing <= 5:
+                    return f"sequence number {after} follows {before}"
+            before, unreadable = after, 0
         return ""
 
     def fail_numbers(
