@@ -71,6 +71,7 @@ class ProcessControl:
         self._process: subprocess.Popen[bytes] | None = None
         self._launched = False
         self._output: IO[bytes] | None = None
+        self._cut_off = ""
         self._watched: tuple[int, int] | None = None
         self._why = ""
         if pid is not None:
@@ -95,9 +96,9 @@ class ProcessControl:
             return True
         if self._process is None or self._launched:
             return None
-        self._trim()
         status = self._process.poll()
         if status is None:
+            self._trim()
             return True
         self._why = self._why or f"it ended with {ending(status)}{self._last_words()}"
         return False
@@ -142,6 +143,7 @@ class ProcessControl:
         if self._output is None:
             self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         self._output.truncate(0)
+        self._cut_off = ""
         # At its end, wherever that is after it was cut.
         appending = os.open(f"/proc/self/fd/{self._output.fileno()}", os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
         try:
@@ -221,10 +223,15 @@ class ProcessControl:
             time.sleep(0.02)
 
     def _last_words(self) -> str:
-        return "" if self._output is None else _end_of(self._output)
+        if self._output is None:
+            return ""
+        # What was cut off may be all that it had to say.
+        silent = os.fstat(self._output.fileno()).st_size == 0
+        return self._cut_off if silent and self._cut_off else _end_of(self._output)
 
     def _trim(self) -> None:
         if self._output is not None and os.fstat(self._output.fileno()).st_size > _MOST_OUTPUT:
+            self._cut_off = _end_of(self._output)
             self._output.truncate(0)
 
 

@@ -252,17 +252,20 @@ class Echoing(Around):
         return effects
 
 
-class Deaf(Around):
-    """Hears only the first container of each payload."""
+class Stubborn(Around):
+    """Takes no updates."""
 
     def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
         codec = codec_of(self.inner.config.profile.name)
         beacon = codec.decode(octets)
-        payloads = tuple(
-            each if each.vardis is None else Payload(each.protocol_id, codec.encode_containers(each.vardis[:1]))
-            for each in beacon.payloads
-        )
-        self.inner.handle_frame(codec.encode_envelope(Beacon(beacon.bp, payloads)), now=now, wall=wall)
+        updates = codec.profile.vardis.container_types.updates
+        kept = []
+        for payload in beacon.payloads:
+            containers = tuple(each for each in payload.vardis or () if each.ic_type != updates)
+            if containers:
+                kept.append(Payload(payload.protocol_id, codec.encode_containers(containers)))
+        if kept:
+            self.inner.handle_frame(codec.encode_envelope(Beacon(beacon.bp, tuple(kept))), now=now, wall=wall)
 
 
 @pytest.mark.parametrize(
@@ -283,7 +286,7 @@ class Deaf(Around):
         (EveryOther, "TC_VD_PAY_BV_06-creates", "VD-PAY-06"),
         (Echoing, "TC_NET_HOP_BI_01-request-for-update", "VD-SCP-01"),
         (Echoing, "TC_NET_HOP_BV_02", "VD-SCP-03"),
-        (Deaf, "TC_NET_PART_BV_04", "VD-PU-07"),
+        (Stubborn, "TC_NET_PART_BV_04", "VD-PU-07"),
     ],
 )
 def test_wrong_nodes_fail(make, case_id, requirement):

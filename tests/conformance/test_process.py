@@ -102,6 +102,17 @@ def test_last_words_are_bounded(tmp_path, control):
     assert len(it.why_dead()) < 6000
 
 
+def test_last_words_that_were_cut_off_are_kept(tmp_path, control):
+    """Whoever looks while a lot was said and nothing comes after it must not find silence."""
+    it = control(start=program(tmp_path, "time.sleep(60)"), settle=0)
+    it.start()
+    assert it._output is not None
+    os.write(it._output.fileno(), b"x" * 101 + b"\n" + b"line\n" * 2_000_000 + b"the last line\n")
+    assert it.alive() is True
+    assert os.fstat(it._output.fileno()).st_size == 0
+    assert "the last line" in it._last_words()
+
+
 def test_much_output_does_not_fill_the_disk(tmp_path, control):
     code = "block = 'y' * 65535 + chr(10)\nwhile True: print(block, flush=True); time.sleep(0.001)"
     it = control(start=program(tmp_path, code), settle=0)
