@@ -30,8 +30,6 @@ SAMPLE = 400
 #: Among profiles that explain a recording equally well the first of these is chosen.
 _PREFERENCE = ("cpp-2.0", "dcp-2.0", "cpp-1.3", "dcp-1.3", "dcp-1.2", "cpp-1.2", "dcp-1.1", "dcp-1.0", "sim-1.0")
 _MAGIC = BP_MAGIC_NO.to_bytes(2, "big")
-_UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}
-_GPS_EPOCH = 315_964_800
 _YEAR = 365 * 86_400
 _EARLIEST = 946_684_800  # 2000: a recording stamped earlier has no clock
 _ERA = 1_735_689_600  # 2025: about when the known implementations were in use, for octets without a recording time
@@ -210,11 +208,10 @@ def _create_evidence(profile: Profile, create: VarCreate, time_ns: int) -> Itera
 def _time_weight(profile: Profile, stamp: int, time_ns: int) -> float:
     """How plausible a time stamp is: 1 within a day of the recording, less with distance, 0 beyond ten years."""
     layout = profile.types.timestamp
-    seconds = stamp / _UNITS[layout.unit]
-    if layout.epoch in ("simulation", "boot"):
+    seconds = stamp / layout.per_second
+    if layout.epoch_ns is None:
         return float(0 <= seconds < _YEAR)
-    if layout.epoch == "gps":
-        seconds += _GPS_EPOCH
+    seconds += layout.epoch_ns / 1e9
     recorded = time_ns / 1e9
     days = abs(seconds - (recorded if recorded > _EARLIEST else _ERA)) / 86_400
     if days > 3650:

@@ -12,15 +12,14 @@ from dcp_codec.jsonform import node_id_text
 from dcp_codec.plan import Fill, Group, Many, Rest, Scalar, Text
 
 PROTOCOLS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
-_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
-_EPOCHS = {"unix": datetime(1970, 1, 1, tzinfo=UTC), "gps": datetime(1980, 1, 6, tzinfo=UTC)}
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def utc(time_ns: int) -> str:
     """``2026-11-21 07:25:51.682044000`` (UTC), or the bare number where the calendar ends."""
     seconds, ns = divmod(time_ns, 10**9)
     try:
-        return f"{_EPOCHS['unix'] + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}.{ns:09d}"
+        return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}.{ns:09d}"
     except OverflowError:
         return f"{time_ns} ns"
 
@@ -28,11 +27,9 @@ def utc(time_ns: int) -> str:
 def stamp_text(profile: Profile, stamp: int) -> str:
     """A time stamp of the protocol with its calendar time, where its epoch has one."""
     layout = profile.types.timestamp
-    epoch = _EPOCHS.get(layout.epoch)
-    if epoch is None or layout.unit == "ps":
+    if layout.epoch_ns is None or layout.unit == "ps":
         return f"{stamp} {layout.unit}"
-    offset = int((epoch - _EPOCHS["unix"]).total_seconds()) * 10**9
-    return f"{stamp} {layout.unit} ({utc(stamp * _NS[layout.unit] + offset)})"
+    return f"{stamp} {layout.unit} ({utc(layout.epoch_ns + layout.nanoseconds(stamp))})"
 
 
 def octets_text(octets: bytes, limit: int = 32) -> str:

@@ -11,9 +11,8 @@ from typing import Final
 
 from dcp_spec.profile import TimestampType
 
-_PS_PER_UNIT: Final = {"s": 10**12, "ms": 10**9, "us": 10**6, "ns": 10**3, "ps": 1}
+_PS_PER_SECOND: Final = 10**12
 _PS_PER_NS: Final = 1_000
-_GPS_EPOCH_NS: Final = 315_964_800 * 10**9
 
 
 class StampClock:
@@ -26,9 +25,9 @@ class StampClock:
 
     def __init__(self, layout: TimestampType, *, origin: int = 0) -> None:
         self.layout = layout
-        self.comparable = layout.epoch in ("unix", "gps")
-        self._origin = {"unix": 0, "gps": _GPS_EPOCH_NS}.get(layout.epoch, origin)
-        self._unit = _PS_PER_UNIT[layout.unit]
+        self.comparable = layout.epoch_ns is not None
+        self._origin = origin if layout.epoch_ns is None else layout.epoch_ns
+        self._unit = _PS_PER_SECOND // layout.per_second
         self._modulus = 1 << (8 * layout.width)
         self._lowest = -(self._modulus >> 1) if layout.signed else 0
 

@@ -240,11 +240,8 @@ class Bench:
     def creation_time(self) -> int:
         """A time stamp as on the air: now, and later than any that was handed out before."""
         stamp = self.profile.types.timestamp
-        per_second = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000, "ps": 1_000_000_000_000}[stamp.unit]
-        wall = self.lower.wall() if stamp.epoch in ("unix", "gps") else self.lower.now()
-        if stamp.epoch == "gps":
-            wall -= 315_964_800 * 1_000_000_000
-        ticks = wall * per_second // 1_000_000_000
+        since = self.lower.now() if stamp.epoch_ns is None else self.lower.wall() - stamp.epoch_ns
+        ticks = since * stamp.per_second // 1_000_000_000
         self.session.creation_time = max(self.session.creation_time + 1, ticks)
         return self.session.creation_time
 

@@ -275,8 +275,7 @@ def until_report(bench: Bench, values: dict[str, Any], periods: float | None = N
 
 def nanoseconds(bench: Bench, ticks: int) -> int:
     """A time stamp or a difference of two, as on the air, in ns."""
-    unit = {"s": 10**12, "ms": 10**9, "us": 10**6, "ns": 10**3, "ps": 1}[bench.profile.types.timestamp.unit]
-    return ticks * unit // 1000
+    return bench.profile.types.timestamp.nanoseconds(ticks)
 
 
 def neighbours(bench: Bench) -> dict[bytes, list[dict[str, Any]]]:

@@ -25,7 +25,6 @@ from dcp_codec.values import (
 
 #: 2023-11-14T22:13:20Z
 _NOW_S = 1_700_000_000
-_UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}
 _OCTETS_A_LINE = 8
 
 
@@ -54,9 +53,9 @@ def _sized(node: bytes, codec: Codec) -> bytes:
 
 def _now(codec: Codec) -> int:
     stamp = codec.profile.types.timestamp
-    since = _NOW_S if stamp.epoch in ("unix", "gps") else 12
+    since = _NOW_S if stamp.epoch_ns is not None else 12
     bits = 8 * stamp.width - stamp.signed
-    return since * _UNITS[stamp.unit] % (1 << bits)
+    return since * stamp.per_second % (1 << bits)
 
 
 def _report(codec: Codec, node_id: bytes) -> ExtendedSafetyData:

@@ -25,7 +25,7 @@ import re
 from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
-from dcp_spec.profile import Profile
+from dcp_spec.profile import TICKS_PER_SECOND, Profile
 from dcp_spec.reasons import REASONS, WARNINGS
 from dcp_spec.version import __version__
 
@@ -35,7 +35,6 @@ from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar,
 
 from .lua_text import literal
 
-_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}
 _PROTOCOLS = {BP_PROTID_SRP: "SRP", BP_PROTID_VARDIS: "VarDis"}
 
 
@@ -198,7 +197,7 @@ class _Layout:
             values=dict(values) if values else None,
             doc=node.doc or None,
         )
-        dated = node.role == "timestamp" and self.counts_from_1970 and node.unit in _PER_SECOND
+        dated = node.role == "timestamp" and self.counts_from_1970 and node.unit in TICKS_PER_SECOND
         return {
             "kind": "scalar",
             "name": node.name,
@@ -211,7 +210,7 @@ class _Layout:
             "requirement": node.requirement,
             "rule": {"value": node.rule.value, **_blame(node.rule)} if node.rule else None,
             "date": self.field(f"{path}.date", "ABSOLUTE_TIME", "UTC") if dated else None,
-            "per_second": _PER_SECOND[node.unit or "s"] if dated else None,
+            "per_second": TICKS_PER_SECOND[node.unit or "s"] if dated else None,
         }
 
     def wireshark_type(self, node: Scalar) -> tuple[str, str | None]:

@@ -8,6 +8,8 @@ immutable and are what the schemas (:mod:`dcp_spec.schema`) are built from.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, Literal
 
 import msgspec
@@ -18,6 +20,10 @@ ByteOrder = Literal["big", "little"]
 Width = Annotated[int, msgspec.Meta(ge=1, le=8)]
 U8 = Annotated[int, msgspec.Meta(ge=0, le=0xFF)]
 Positive = Annotated[int, msgspec.Meta(ge=1)]
+#: Units of time stamps in a second.
+TICKS_PER_SECOND: Mapping[str, int] = MappingProxyType({"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12})
+#: Epochs that are calendar dates (1980-01-06 for GPS), in ns since 1970.
+_EPOCHS_NS: Mapping[str, int] = MappingProxyType({"unix": 0, "gps": 315_964_800 * 10**9})
 #: Octets of a part: nothing in a beacon is larger than a datagram.
 Size = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
 
@@ -53,6 +59,20 @@ class TimestampType(_Part, frozen=True):
     signed: bool = False
     unit: Literal["s", "ms", "us", "ns", "ps"] = "ns"
     epoch: Literal["unix", "gps", "simulation", "boot"] = "unix"
+
+    @property
+    def per_second(self) -> int:
+        """How many units make a second."""
+        return TICKS_PER_SECOND[self.unit]
+
+    @property
+    def epoch_ns(self) -> int | None:
+        """When stamps begin, in ns since 1970; None for an epoch that is no calendar date. No leap seconds."""
+        return _EPOCHS_NS.get(self.epoch)
+
+    def nanoseconds(self, ticks: int) -> int:
+        """So many units in ns, rounded down: since the epoch for a stamp, a duration for the difference of two."""
+        return ticks * 10**9 // self.per_second
 
     def as_int(self) -> IntType:
         """The integer that carries the time stamp."""

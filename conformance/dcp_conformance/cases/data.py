@@ -26,7 +26,7 @@ from dcp_conformance.clients import header_octets, some_beacons, talking, unused
 from dcp_conformance.forge import Block
 from dcp_conformance.heard import Heard
 from dcp_conformance.peers import Peer
-from dcp_conformance.services import create_request, longest_description, nanoseconds, safety_data
+from dcp_conformance.services import create_request, longest_description, safety_data
 
 V1_1, V2_0 = SpecVersion.V1_1, SpecVersion.V2_0
 CREATE = "RTDB-Create"
@@ -160,12 +160,11 @@ def own_time_stamp(bench: Bench) -> None:
 def check_time(bench: Bench, stamp: int, wall: int, name: str) -> None:
     """Check a time stamp that was taken at a wall time in ns; one without a known epoch is only reported."""
     layout = bench.profile.types.timestamp
-    if layout.epoch not in ("unix", "gps"):
+    if layout.epoch_ns is None:
         bench.info(f"Where does the clock of {name} begin?", f"{layout.epoch}: it says {stamp}", "DATA-05")
         return
-    epoch = 315_964_800 * 10**9 if layout.epoch == "gps" else 0
-    told = nanoseconds(bench, stamp) + epoch
-    turned = nanoseconds(bench, swapped(stamp % (1 << (8 * layout.width)), layout.width)) + epoch
+    told = layout.epoch_ns + layout.nanoseconds(stamp)
+    turned = layout.epoch_ns + layout.nanoseconds(swapped(stamp % (1 << (8 * layout.width)), layout.width))
     day = 86_400 * 10**9
     if abs(told - wall) > day:
         what = "only the swapped octets are a time of today" if abs(turned - wall) <= day else "no time of today"

@@ -146,8 +146,7 @@ def taken_over(bench: Bench) -> None:
 def clock_ahead(bench: Bench) -> None:
     # The name cannot be used for an hour: one that no other case gets.
     wrong, right, name = bench.peer(), bench.peer(), bench.unknown_id()
-    stamp = bench.profile.types.timestamp
-    ticks = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000, "ps": 1_000_000_000_000}[stamp.unit]
+    ticks = bench.profile.types.timestamp.per_second
     ahead = wrong.create(name, value=b"ahead", creation_time=bench.creation_time() + 3600 * ticks)
     bench.learn(wrong, ahead)
     right.send(right.create(name, value=b"right"))

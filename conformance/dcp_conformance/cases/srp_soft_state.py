@@ -38,7 +38,7 @@ def _lifetime(bench: Bench, peers: list[Peer], begun: int, timeout: int) -> None
 def _offsets(bench: Bench) -> dict[str, int]:
     """Time stamps by what is special about them, in ticks of the profile."""
     now = bench.creation_time()
-    second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}[bench.profile.types.timestamp.unit]
+    second = bench.profile.types.timestamp.per_second
     return {"now": now, "old": max(0, now - 3600 * second), "future": now + 3600 * second}
 
 

@@ -14,8 +14,6 @@ from dcp_conformance.results import Mark
 from .base import Context, Invariant, Seen, name
 
 DAY = 86_400
-_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9, "ps": 10**12}
-_GPS_EPOCH = 315_964_800
 
 
 class ByteOrder(Invariant):
@@ -55,7 +53,7 @@ class ByteOrder(Invariant):
                 self.violated(text, [mark], once=(seen.sender, _last(field)))
 
     def _near(self, ticks: int, wall: int) -> bool:
-        seconds = ticks / _PER_SECOND[self._stamp.unit] + (_GPS_EPOCH if self._stamp.epoch == "gps" else 0)
+        seconds = ticks / self._stamp.per_second + (self._stamp.epoch_ns or 0) / 1e9
         return abs(seconds - wall / 1e9) < 30 * DAY
 
 

@@ -159,7 +159,7 @@ class ReportTime(Invariant):
         report = seen.heard.report
         if report is None:
             return
-        made = report.t_stamp * {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}[self._stamp.unit]
+        made = self._stamp.nanoseconds(report.t_stamp)
         ahead = made - seen.time
         self.exercised()
         if ahead > self._tolerance:
