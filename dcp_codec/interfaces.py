@@ -11,7 +11,7 @@ import socket
 import struct
 
 # Of <linux/sockios.h> and <linux/if.h>; the socket module has none of them.
-_SIOCGIFFLAGS, _SIOCGIFMTU, _SIOCGIFHWADDR = 0x8913, 0x8921, 0x8927
+_SIOCGIFFLAGS, _SIOCGIFADDR, _SIOCGIFMTU, _SIOCGIFHWADDR = 0x8913, 0x8915, 0x8921, 0x8927
 _IFF_UP = 0x1
 _LONGEST_NAME = 15
 
@@ -34,6 +34,11 @@ def mtu(interface: str) -> int:
     """The longest payload of a frame in octets; raises ``OSError`` if there is no such interface."""
     found: int = struct.unpack("i", _ask(interface, _SIOCGIFMTU, 4))[0]
     return found
+
+
+def ipv4_address(interface: str) -> bytes:
+    """The first IPv4 address, 4 octets; raises ``OSError`` if there is none, or no such interface."""
+    return _ask(interface, _SIOCGIFADDR, 8)[4:]
 
 
 def hardware_address(interface: str) -> tuple[int, bytes]:

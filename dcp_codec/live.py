@@ -1,7 +1,5 @@
 """Frames as they come in on a network interface, in the shape of a capture reader.
 
-Scapy's layer-2 socket does the opening (raw socket, promiscuous mode, stamps of the kernel); the octets are then read
-from it directly, because scapy's own way of receiving turns nanoseconds into a float and takes every frame apart.
 Frames that this host sends are seen, too. Linux only.
 """
 
@@ -10,31 +8,22 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-import os
 import select
 import socket
 import struct
-import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from dcp_spec.profile import Link
 
-from . import interfaces
+from . import sockets
 from .capture.frame import MAX_FRAME_LENGTH, CaptureProblem, Frame
 
-# Of <linux/if_packet.h>, <linux/if_ether.h>, <asm-generic/socket.h> and <linux/if_arp.h>; the socket module
-# has none of them in Python 3.11.
-_SOL_PACKET, _PACKET_STATISTICS, _PACKET_AUXDATA = 263, 6, 8
-_TP_STATUS_VLAN_VALID, _TP_STATUS_VLAN_TPID_VALID = 1 << 4, 1 << 6
-_ETH_P_ALL, _ETH_P_8021Q = 0x0003, 0x8100
-_SO_ATTACH_FILTER, _SO_RCVBUFFORCE = 26, 33
-_SO_TIMESTAMPNS = (35, 64)
-_ARPHRD_ETHER, _ARPHRD_LOOPBACK = 1, 772
-_PACKET_OUTGOING = 4
+# Of <asm-generic/socket.h>; the socket module does not have it in Python 3.11.
+_SO_ATTACH_FILTER = 26
 
 # Of <linux/filter.h>: load the 16 bits at k; skip jt or jf instructions; end with k octets of the frame.
 _LOAD_16, _JUMP_IF_EQUAL, _RETURN = 0x28, 0x15, 0x06
@@ -42,10 +31,6 @@ _VLAN_TAGS = (0x8100, 0x88A8)
 _IP = (0x0800, 0x86DD)
 _Program = list[tuple[int, int, int, int]]
 
-#: Octets that may wait in the kernel: some thousand beacons.
-_BUFFER = 4 * 1024 * 1024
-#: The longest frame that an interface gives out, in octets: an IP packet and what may stand in front of it.
-_LONGEST = 65_535 + 64
 #: Seconds between looks at whether the interface has become another one.
 _LOOK = 0.5
 #: What a socket says of an interface that is down, or gone.
@@ -64,13 +49,6 @@ def open_live(interface: str, link: Link | None, *, promiscuous: bool = True) ->
 
     Raises :class:`LiveError`: no such interface, one that is down or no Ethernet, no privilege, no scapy.
     """
-    if not hasattr(socket, "AF_PACKET"):
-        raise LiveError(f"{interface}: live capture needs the packet sockets of Linux, and this is {sys.platform}")
-    if interface not in interfaces.names():
-        there_are = ", ".join(interfaces.names())
-        raise LiveError(f"{interface}: there is no such interface; there are {there_are}")
-    if not interfaces.is_up(interface):
-        raise LiveError(f"{interface}: this interface is down; bring it up first: ip link set {interface} up")
     return LiveReader(interface, link, promiscuous=promiscuous)
 
 
@@ -96,7 +74,7 @@ class LiveReader:
         self._reading = False
         self._released = threading.Lock()
         self._index = 0
-        self._socket: Any = None
+        self._socket: sockets.EthernetSocket | None = None
         self._open()
         self._wake, self._waker = socket.socketpair()
         self._waker.setblocking(False)
@@ -157,53 +135,45 @@ class LiveReader:
 
     def _wait(self) -> Frame | None:
         """The next frame, or None when there was none for a while, or the reader was closed."""
-        waiting = [self._wake] if self._socket is None else [self._wake, self._socket.ins]
+        current = self._socket
+        waiting = [self._wake] if current is None else [self._wake, current.raw]
         ready = select.select(waiting, [], [], _LOOK)[0]
         if self._wake in ready:
             return None
-        if not ready:
+        if current is None or not ready:
             self._look_for_interface()
             return None
         try:
-            return self._receive()
+            return self._receive(current)
         except OSError as error:
             if error.errno not in (*_AWAY, errno.EINTR, errno.EAGAIN):
                 raise
             self._look_for_interface()
             return None
 
-    def _receive(self) -> Frame | None:
-        octets, ancillary, _, address = self._socket.ins.recvmsg(_LONGEST, 256)
+    def _receive(self, source: sockets.EthernetSocket) -> Frame | None:
+        octets, ancillary, _, (_, _, kind, _, _) = source.raw.recvmsg(sockets.LONGEST, sockets.ANCILLARY)
         # What goes out on the loopback interface comes in there right away: once is enough.
-        if address[2] == _PACKET_OUTGOING and address[3] == _ARPHRD_LOOPBACK:
+        if kind == sockets.OUTGOING and source.loops:
             return None
-        time_ns, length = 0, len(octets)
-        for level, kind, data in ancillary:
-            if level == socket.SOL_SOCKET and kind in _SO_TIMESTAMPNS and len(data) == 16:
-                seconds, nanoseconds = struct.unpack("qq", data)
-                time_ns = seconds * 1_000_000_000 + nanoseconds
-            elif level == _SOL_PACKET and kind == _PACKET_AUXDATA and len(data) >= 20:
-                status, length, _, _, _, tag, tag_type = struct.unpack("IIIHHHH", data[:20])
-                # The kernel takes a VLAN tag out of the frame; it belongs to what was on the air.
-                if tag or status & _TP_STATUS_VLAN_VALID:
-                    tag_type = tag_type if status & _TP_STATUS_VLAN_TPID_VALID else _ETH_P_8021Q
-                    octets = octets[:12] + struct.pack(">HH", tag_type, tag) + octets[12:]
-                    length += 4
+        tag, length = sockets.tag_of(ancillary)
+        # The kernel took it out; it belongs to what was on the air.
+        octets = octets[:12] + tag + octets[12:] if tag else octets
         self.frames_read += 1
-        return Frame(self.frames_read, time_ns or time.time_ns(), octets, max(length, len(octets)))
+        time_ns = sockets.stamp_of(ancillary) or time.time_ns()
+        return Frame(self.frames_read, time_ns, octets, max(length + len(tag), len(octets)))
 
     def _count_dropped(self) -> None:
-        """Take over the kernel's counter, which starts again from zero whenever it is read."""
-        current = self._socket
-        if current is not None:
+        if self._socket is not None:
             with contextlib.suppress(OSError):
-                _, drops = struct.unpack("II", current.ins.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8))
-                self._dropped += drops
+                self._dropped += self._socket.lost()
 
     # -- the interface ----------------------------------------------------------------------------------------------
 
     def _open(self) -> None:
-        self._index = socket.if_nametoindex(self.name)
+        # If there is none, opening says so.
+        with contextlib.suppress(OSError):
+            self._index = socket.if_nametoindex(self.name)
         self._socket = _listen(self.name, self._filter, promiscuous=self._promiscuous)
 
     def _look_for_interface(self) -> None:
@@ -236,41 +206,25 @@ class LiveReader:
 # -- opening ------------------------------------------------------------------------------------------------------
 
 
-def _listen(interface: str, program: _Program, *, promiscuous: bool) -> Any:
-    """Scapy's listening socket on ``interface``, with a filter, a large buffer, and nothing in it."""
+def _listen(interface: str, program: _Program, *, promiscuous: bool) -> sockets.EthernetSocket:
+    """A listening socket with a filter, and nothing in it."""
     try:
-        from scapy.arch.linux import L2ListenSocket
-        from scapy.config import conf
-    except ImportError:
-        raise LiveError(f"{interface}: live capture needs scapy: pip install 'dcp-conformance-kit[scapy]'") from None
-    # Scapy remembers the interfaces there were when it was imported, with their numbers.
-    conf.ifaces.reload()
-    try:
-        opened = L2ListenSocket(iface=interface, type=_ETH_P_ALL, promisc=promiscuous, nofilter=1)
-    except PermissionError:
-        python = os.path.realpath(sys.executable)
-        raise LiveError(
-            f"{interface}: listening needs the right to open raw sockets: run as root, "
-            f"or give it to this Python: setcap cap_net_raw+ep {python}"
-        ) from None
+        opened = sockets.open_ethernet(interface, sockets.EVERY_ETHER_TYPE, promiscuous=promiscuous)
+    except sockets.OpeningError as error:
+        raise LiveError(f"{interface}: {error}") from None
     except OSError as error:
         raise LiveError(f"{interface}: this interface cannot be listened on ({error.strerror or error})") from None
-    hardware = opened.ins.getsockname()[3]
-    if hardware not in (_ARPHRD_ETHER, _ARPHRD_LOOPBACK):
+    try:
+        # Nothing passes until what came in before the filter was there is thrown away.
+        _attach(opened.raw, [(_RETURN, 0, 0, 0)])
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                opened.raw.recv(1)
+        opened.lost()
+        _attach(opened.raw, program)
+    except OSError as error:
         opened.close()
-        raise LiveError(
-            f"{interface}: frames there are not Ethernet (hardware type {hardware}); choose another interface"
-        )
-    # Nothing passes until what came in before the filter was there is thrown away.
-    _attach(opened.ins, [(_RETURN, 0, 0, 0)])
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            opened.ins.recv(1, socket.MSG_DONTWAIT)
-    for option in (socket.SO_RCVBUF, _SO_RCVBUFFORCE):
-        # Only root may have more than the system's limit.
-        with contextlib.suppress(OSError):
-            opened.ins.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
-    _attach(opened.ins, program)
+        raise LiveError(f"{interface}: this interface cannot be listened on ({error.strerror or error})") from None
     return opened
 
 

@@ -1,8 +1,4 @@
-"""Ethernet frames of one EtherType on an interface, through scapy's layer-2 sockets.
-
-Scapy opens the socket. Octets go through it directly: scapy's own way of receiving builds a packet from each (65 us a
-frame where this takes 4) and turns the kernel's nanoseconds into a float, its way of sending expects one. Linux only.
-"""
+"""Ethernet frames of one EtherType on an interface, through a socket that scapy opens. Linux only."""
 
 from __future__ import annotations
 
@@ -10,20 +6,14 @@ import errno
 import os
 import socket
 import struct
-import sys
-from typing import Any
+import time
 
-from dcp_codec import interfaces
+from dcp_codec import interfaces, sockets
+from dcp_codec.sockets import ANCILLARY, CUT_OFF, ETHERNET_HEADER, LONGEST, OTHERHOST, OUTGOING, stamp_of
 from dcp_stack.links.base import LinkError, Reception
-from dcp_stack.links.sockets import ANCILLARY, LONGEST, PORTION, SocketLink, arrival, enlarge_receive_buffer
+from dcp_stack.links.sockets import PORTION, SocketLink
 
 BROADCAST = b"\xff" * 6
-HEADER = 14
-
-# Of <linux/if_packet.h>, <linux/socket.h> and <linux/if_arp.h>.
-_SOL_PACKET, _PACKET_STATISTICS, _PACKET_AUXDATA = 263, 6, 8
-_PACKET_OTHERHOST, _PACKET_OUTGOING = 3, 4
-_ARPHRD_ETHER, _ARPHRD_LOOPBACK = 1, 772
 
 
 def open_ethernet(
@@ -31,10 +21,10 @@ def open_ethernet(
 ) -> EthernetLink:
     """Open a link for frames with ``ether_type`` on ``interface``.
 
-    The kernel passes only these; among them those for other stations, those behind a VLAN tag and those from our own
-    address are ignored (counted). ``source`` is the address frames are sent from (6 octets), by default that of the
-    interface, or on one that has none (``lo``) a random one. ``max_packet_size`` is the longest bearer payload in
-    octets, by default the interface's MTU.
+    The kernel passes only these; among them those for other stations, those of a VLAN, those from our own address and
+    those that are longer than any beacon are ignored (counted). ``source`` is the address frames are sent from
+    (6 octets), by default that of the interface, or on one that has none (``lo``) a random one. ``max_packet_size`` is
+    the longest bearer payload in octets, by default the interface's MTU.
 
     Raises :class:`LinkError`: no such interface, one that is down or not Ethernet, no privilege, no scapy, not Linux.
     """
@@ -43,8 +33,6 @@ def open_ethernet(
     if not 0x0600 <= ether_type <= 0xFFFF:
         raise ValueError(f"EtherType {ether_type:#06x} is not within 0x0600..0xffff")
     name = f"eth:{interface}"
-    if not hasattr(socket, "AF_PACKET"):
-        raise LinkError(f"{name}: needs the packet sockets of Linux, and this is {sys.platform}; use udp instead")
     try:
         return EthernetLink(interface, ether_type, source, max_packet_size)
     except OSError as error:
@@ -63,8 +51,8 @@ class EthernetLink(SocketLink):
         self._header = b""
         self._max_packet_size = max_packet_size
         self._mtu = 0
-        # Any, since scapy has no types.
-        self._layer2: Any = None
+        self._foreign = b""
+        self._ethernet: sockets.EthernetSocket | None = None
         super().__init__(f"eth:{interface}")
 
     @property
@@ -78,103 +66,73 @@ class EthernetLink(SocketLink):
         return self._max_packet_size or self._mtu
 
     def _open(self) -> socket.socket:
-        interface = self._interface
-        there_are = interfaces.names()
-        if interface not in there_are:
-            raise LinkError(f"{self._name}: there is no such interface; there are {', '.join(there_are)}")
-        if not interfaces.is_up(interface):
-            raise LinkError(f"{self._name}: the interface is down; bring it up first: ip link set {interface} up")
-        kind, address = interfaces.hardware_address(interface)
-        if kind not in (_ARPHRD_ETHER, _ARPHRD_LOOPBACK):
-            raise LinkError(
-                f"{self._name}: frames there are not Ethernet (hardware type {kind}); choose another interface"
-            )
-        self._mtu = interfaces.mtu(interface)
+        try:
+            opened = sockets.open_ethernet(self._interface, self._ether_type, instead="udp")
+        except sockets.OpeningError as error:
+            raise LinkError(f"{self._name}: {error}") from None
+        try:
+            self._mtu = interfaces.mtu(self._interface)
+            self._find_address()
+        except OSError:
+            opened.close()
+            raise
+        self._ethernet = opened
+        return opened.raw
+
+    def _find_address(self) -> None:
+        """The source of frames; an interface may come back with another address than before. Raises ``OSError``."""
+        _, address = interfaces.hardware_address(self._interface)
         self._source = self._given_source or _usable(address) or self._source or _random_address()
+        # What comes for it the kernel takes for that of another station.
+        self._foreign = b"" if self._source == address else self._source
         ##= UWB-01
         ##= UWB-02
         self._header = BROADCAST + self._source + struct.pack(">H", self._ether_type)
-        self._layer2 = _layer2_socket(self._name, interface, self._ether_type)
-        opened: socket.socket = self._layer2.ins
-        opened.setblocking(False)
-        # VLAN tags as ancillary data with each frame are of no use here: tagged frames are ignored.
-        opened.setsockopt(_SOL_PACKET, _PACKET_AUXDATA, 0)
-        enlarge_receive_buffer(opened)
-        return opened
 
     def _release(self, old: socket.socket) -> None:
-        self._layer2, layer2 = None, self._layer2
-        if layer2 is not None:
-            layer2.close()
-        else:
-            old.close()
+        old.close()
+        ethernet, self._ethernet = self._ethernet, None
+        if ethernet is not None:
+            ethernet.close()
 
     def _drain(self, source: socket.socket, receptions: list[Reception]) -> None:
         receive, own = source.recvmsg, self._source
         for _ in range(PORTION):
-            frame, ancillary, _, (_, _, kind, _, sender) = receive(LONGEST, ANCILLARY)
+            frame, ancillary, flags, (_, _, kind, _, sender) = receive(LONGEST, ANCILLARY)
             # Frames that go out on this interface are not shown to sockets of one EtherType, but they come in again
             # on loopback interfaces and in networks that reflect. The kernel takes what has a VLAN tag for that of
-            # another host.
+            # another station, unless the tag has a priority only.
             if (
-                kind == _PACKET_OUTGOING
+                kind == OUTGOING
                 or sender == own
-                or len(frame) < HEADER
-                or (kind == _PACKET_OTHERHOST and frame[:6] != own)
+                or len(frame) < ETHERNET_HEADER
+                or flags & CUT_OFF
+                or (kind == OTHERHOST and frame[:6] != self._foreign)
             ):
                 self._counters.ignored += 1
                 continue
-            receptions.append(Reception(frame[HEADER:], arrival(ancillary), sender))
+            receptions.append(Reception(frame[ETHERNET_HEADER:], stamp_of(ancillary) or time.time_ns(), sender))
 
     def _transmit(self, octets: bytes) -> None:
-        frame = self._header + octets
-        try:
-            self._layer2.outs.send(frame)
-        except OSError as error:
-            if error.errno != errno.EINVAL:
-                raise
-            # Some drivers refuse short frames; scapy pads them.
-            self._layer2.send(frame)
+        if self._ethernet is None:
+            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        self._ethernet.send(self._header + octets)
 
-    def _lost_by_kernel(self, source: socket.socket) -> int:
-        # Reading it sets it back to zero.
-        drops: int = struct.unpack("II", source.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8))[1]
-        return drops
+    def _lost_by_kernel(self) -> int:
+        return 0 if self._ethernet is None else self._ethernet.lost()
 
-    def _attached(self, source: socket.socket) -> bool:
-        # A socket whose interface was removed is bound to none, also if there is another one of that name.
-        bound: str = source.getsockname()[0]
-        return bound == self._interface
+    def _attached(self, source: socket.socket) -> bool:  # noqa: ARG002
+        return self._ethernet is not None and self._ethernet.interface == self._interface
 
     def _resume(self, source: socket.socket) -> bool:
         if not self._attached(source):
             return False
         if not interfaces.is_up(self._interface):
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        self._find_address()
         # What it has to say of the time it was down is known.
         source.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         return True
-
-
-def _layer2_socket(name: str, interface: str, ether_type: int) -> Any:
-    """Scapy's socket on the interface: the kernel passes what comes in with this EtherType and stamps it."""
-    try:
-        # For its table of hardware types, without which the socket warns that it does not know Ethernet.
-        import scapy.layers.l2  # noqa: F401
-        from scapy.arch.linux import L2Socket
-    except ImportError:
-        raise LinkError(f"{name}: needs scapy: pip install 'dcp-conformance-kit[scapy]'") from None
-    try:
-        return L2Socket(iface=interface, type=ether_type, promisc=False, nofilter=1)
-    except PermissionError:
-        python = os.path.realpath(sys.executable)
-        raise LinkError(
-            f"{name}: needs the right to open raw sockets: run as root, or give it to this Python: "
-            f"sudo setcap cap_net_raw+ep {python}; udp needs no privilege"
-        ) from None
-    except ValueError as error:
-        # Scapy does not find the interface: it went away since we looked.
-        raise OSError(errno.ENODEV, str(error)) from None
 
 
 def _usable(address: bytes) -> bytes | None:

@@ -6,7 +6,6 @@ import errno
 import logging
 import selectors
 import socket
-import struct
 import time
 
 from dcp_stack.links.base import LinkCounters, LinkError, Reception
@@ -16,17 +15,6 @@ log = logging.getLogger(__name__)
 
 #: Receptions handed out in one call at the most, so that a flood does not keep the node from its timers.
 PORTION = 512
-#: The longest datagram or frame that is read, in octets.
-LONGEST = 65_600
-#: Octets that may wait in the kernel: some thousand beacons, and more where the system allows it.
-RECEIVE_BUFFER = 16 * 1024 * 1024
-#: Room for the ancillary data of one datagram: a time stamp, with much to spare.
-ANCILLARY = 128
-
-# Of <asm-generic/socket.h>; the socket module has neither in Python 3.11.
-SO_TIMESTAMPNS = 35
-_SO_RCVBUFFORCE = 33
-_TIMESPEC = struct.Struct("@ll")
 
 #: ns between attempts to come back, when the system does not tell that something changed.
 _FIRST_RETRY, _LAST_RETRY = 100_000_000, 2_000_000_000
@@ -67,6 +55,7 @@ class SocketLink:
         self._retry_at = 0
         self._backoff = _FIRST_RETRY
         self._look_at = 0
+        self._said = ""
         self._watch: InterfaceWatch | None = None
         self._selector = selectors.DefaultSelector()
         try:
@@ -99,8 +88,8 @@ class SocketLink:
         """Send; raises ``OSError``."""
         raise NotImplementedError
 
-    def _lost_by_kernel(self, source: socket.socket) -> int:
-        """Datagrams that the kernel dropped since the last call."""
+    def _lost_by_kernel(self) -> int:
+        """Datagrams that the kernel dropped since the last call; raises ``OSError``."""
         raise NotImplementedError
 
     def _attached(self, source: socket.socket) -> bool:
@@ -223,12 +212,20 @@ class SocketLink:
         try:
             self._reopen()
         except (OSError, LinkError) as error:
-            log.debug("%s: still down: %s", self._name, error)
+            self._say_why(error)
             self._retry_at = now + self._backoff
             self._backoff = min(2 * self._backoff, _LAST_RETRY)
             return
         self._down = False
+        self._said = ""
         log.warning("%s: is back", self._name)
+
+    def _say_why(self, error: Exception) -> None:
+        """Tell people once what is in the way; it may be more than an interface that is away."""
+        new = isinstance(error, LinkError) and str(error) != self._said
+        log.log(logging.WARNING if new else logging.DEBUG, "still down: %s", error)
+        if new:
+            self._said = str(error)
 
     def _reopen(self) -> None:
         if self._socket is None or not self._resume(self._socket):
@@ -246,25 +243,6 @@ class SocketLink:
         if self._socket is None or self._closed:
             return
         try:
-            self._counters.kernel_drops += self._lost_by_kernel(self._socket)
+            self._counters.kernel_drops += self._lost_by_kernel()
         except OSError as error:
             log.debug("%s: the kernel does not say what it dropped: %s", self._name, error)
-
-
-def enlarge_receive_buffer(source: socket.socket, octets: int = RECEIVE_BUFFER) -> None:
-    """Let as much wait in the kernel as ``octets``, or as the system allows (net.core.rmem_max)."""
-    for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
-        try:
-            source.setsockopt(socket.SOL_SOCKET, option, octets)
-        except OSError:
-            continue
-        return
-
-
-def arrival(ancillary: list[tuple[int, int, bytes]]) -> int:
-    """When the kernel received a datagram, in ns since 1970; the time of now if it does not say."""
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
-            seconds, nanoseconds = _TIMESPEC.unpack(data)
-            return int(seconds * 1_000_000_000 + nanoseconds)
-    return time.time_ns()

@@ -131,11 +131,21 @@ def test_frames_for_others_tagged_frames_and_reflections_are_ignored(ear, raw, i
     inside.ip("link", "set", "near", "promisc", "on")
     raw(frame(b"for another", to=b"\x02\0\0\0\0\x77"))
     raw(frame(struct.pack(">HH", 5, ETHER_TYPE) + b"tagged", ether_type=0x8100))
+    raw(frame(struct.pack(">HH", 5, ETHER_TYPE) + b"tagged", ether_type=0x8100, to=b"\x33\x33\0\0\0\x01"))
     raw(b"\xff" * 6 + near.link.source + b"\x49\x53" + b"reflected")
     raw(frame(b"for us", to=near.link.source))
     raw(frame(b"multicast", to=b"\x33\x33\0\0\0\x01"))
     raw(frame(b"for all"))
     assert near.hear(3) == [b"for us", b"multicast", b"for all"]
+    assert near.link.counters.ignored == 4
+
+
+def test_a_tag_may_give_a_priority_but_no_vlan(ear, raw, inside):
+    near = ear("near")
+    for destination in (b"\xff" * 6, b"\x33\x33\0\0\0\x01", near.link.source):
+        raw(frame(struct.pack(">HH", 5, ETHER_TYPE) + b"of a VLAN", ether_type=0x8100, to=destination))
+    raw(frame(struct.pack(">HH", 0xA000, ETHER_TYPE) + b"urgent", ether_type=0x8100))
+    assert near.hear() == [b"urgent"]
     assert near.link.counters.ignored == 3
 
 
@@ -178,6 +188,34 @@ def test_what_does_not_fit_is_counted_and_not_sent(ear, inside):
     assert large.link.counters.outages == 0
 
 
+def test_what_is_longer_than_can_be_read_is_ignored(ear, inside):
+    inside.ip("link", "set", "lo", "up", "mtu", "100000")
+    one, two = ear("lo"), ear("lo")
+    assert one.link.send(bytes(90_000))
+    assert one.link.send(bytes(65_535))
+    assert [len(octets) for octets in two.hear()] == [65_535]
+    assert (two.link.counters.received, two.link.counters.ignored) == (1, 1)
+
+
+def test_a_full_queue_of_the_interface_loses_frames_but_not_the_link(ear, inside):
+    narrow(inside, "near")
+    near, far = ear("near"), ear("far")
+    sent = sum(near.link.send(bytes(1000)) for _ in range(100))
+    counters = near.link.counters
+    assert 0 < sent < 100
+    assert (counters.sent, counters.send_errors, counters.outages) == (sent, 100 - sent, 0)
+    assert len(far.hear(sent)) == sent
+
+
+def narrow(inside, interface: str) -> None:
+    """Let few frames wait before the interface, and pass slowly."""
+    queue = ["tbf", "rate", "400kbit", "burst", "2000", "limit", "4000"]
+    command = ["tc", "-n", inside.name, "qdisc", "add", "dev", interface, "root", *queue]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        pytest.skip(f"no queue can be made here: {done.stderr.strip()}")
+
+
 def settled(far: Ear, outages: int) -> bool:
     """Whether the link is back; it is woken by its descriptor alone."""
     far.wait_until(lambda _: far.link.counters.outages == outages and not far.link._down)
@@ -201,6 +239,53 @@ def test_an_interface_that_goes_down_and_up_again_is_heard_again(ear, inside):
         assert near.hear() == [b"back"]
     counters = far.link.counters
     assert (counters.outages, counters.send_errors, far.link.fileno()) == (2, 2, descriptor)
+
+
+def test_an_interface_may_come_up_again_with_another_address(ear, inside):
+    near, far = ear("near"), ear("far")
+    inside.ip("link", "set", "far", "down")
+    far.wait_until(lambda _: far.link.counters.outages == 1)
+    inside.ip("link", "set", "far", "address", "02:00:00:00:00:aa")
+    inside.ip("link", "set", "far", "up")
+    assert settled(far, 1)
+    inside.wait_for_carrier()
+    assert far.link.send(b"back")
+    (heard,) = near.wait_until(lambda heard: len(heard) > 0)
+    assert heard.source == far.link.source == bytes.fromhex("0200000000aa")
+
+
+def test_it_says_once_that_it_lacks_the_privilege_to_come_back(inside):
+    code = """
+import logging, os, sys
+from dcp_stack.links.ethernet import open_ethernet
+logging.basicConfig(stream=sys.stdout, format="%(message)s")
+link = open_ethernet("far", 0x4953)
+os.setresgid(65534, 65534, 65534)
+os.setresuid(65534, 65534, 65534)
+print("ready")
+for line in sys.stdin:
+    link.receive()
+    print("looked")
+"""
+    process = inside.python(code)
+    assert process.line() == "ready"
+
+    def look() -> list[str]:
+        process.say("look")
+        return list(iter(process.line, "looked"))
+
+    inside.ip("link", "delete", "far")
+    said = look()
+    inside.cable()
+    deadline = time.monotonic() + PATIENCE
+    while not any("sudo setcap cap_net_raw+ep" in line for line in said) and time.monotonic() < deadline:
+        said += look()
+    for _ in range(20):
+        time.sleep(0.05)
+        said += look()
+    assert said[0].startswith("eth:far: went down")
+    assert sum("this needs the right to open raw sockets" in line for line in said) == 1
+    assert len(said) == 3
 
 
 def test_an_interface_that_is_removed_and_made_again_is_heard_again(ear, inside):

@@ -201,7 +201,7 @@ def test_what_is_not_read_in_time_is_counted(namespace: Any) -> None:
     listener.process.popen.send_signal(signal.SIGSTOP)
     sent = 0
     try:
-        for _ in range(20):
+        for _ in range(50):
             far.send(*[frame(0x4953, bytes(1400))] * 500)
             sent += 500
     finally:
@@ -325,20 +325,20 @@ def test_no_such_interface(namespace: Any) -> None:
 
 def test_an_interface_that_is_down(namespace: Any) -> None:
     namespace.ip("link", "set", "near", "down")
-    assert failure(namespace, "near") == ("near: this interface is down; bring it up first: ip link set near up")
+    assert failure(namespace, "near") == ("near: the interface is down; bring it up first: ip link set near up")
 
 
 def test_no_privilege(namespace: Any) -> None:
     # What is imported later may lie where only root can read.
     before = "import json, os, signal, sys, threading, dcp_codec.live, dcp_spec.profile, scapy.arch.linux\n"
     message = failure(namespace, "near", before + "os.setgroups([]); os.setuid(65534)\n")
-    assert message.startswith("near: listening needs the right to open raw sockets: run as root, or ")
-    assert "setcap cap_net_raw+ep /" in message
+    assert message.startswith("near: this needs the right to open raw sockets: run as root, or ")
+    assert "sudo setcap cap_net_raw+ep /" in message
 
 
 def test_no_scapy(namespace: Any) -> None:
     message = failure(namespace, "near", "import sys; sys.modules['scapy'] = None\n")
-    assert message == "near: live capture needs scapy: pip install 'dcp-conformance-kit[scapy]'"
+    assert message == "near: this needs scapy: pip install 'dcp-conformance-kit[scapy]'"
 
 
 def test_frames_that_are_not_ethernet(namespace: Any) -> None:

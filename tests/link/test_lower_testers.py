@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pwd
 import select
@@ -99,6 +100,33 @@ class TestEthernet:
         near.send_frame(PEERS[1] + PEERS[0] + b"\x49\x53" + b"!")
         assert [each.frame[:6] for each in hear(far, 2)] == [BROADCAST, PEERS[1]]
         assert far.receive(far.now() + 20 * MS) is None
+
+    def test_a_tag_may_give_a_priority_but_no_vlan(self, ends):
+        near, far = ends(), ends(SUT_INTERFACE)
+        for destination in (BROADCAST, b"\x33\x33\0\0\0\x01", b"\x02\0\0\0\0\x01"):
+            near.send_frame(destination + PEERS[0] + bytes.fromhex("810000054953") + b"of a VLAN")
+        near.send_frame(BROADCAST + PEERS[0] + bytes.fromhex("8100a0004953") + b"urgent")
+        assert [each.octets for each in hear(far, 2, 100 * MS)] == [b"urgent"]
+
+    def test_what_is_longer_than_can_be_read_is_a_loss(self, ends, cable):
+        ip(cable, "link", "set", "lo", "up", "mtu", "100000")
+        near, far = ends("lo"), ends("lo")
+        near.send(bytes(90_000), PEERS[0])
+        near.send(b"short", PEERS[0])
+        assert [each.octets for each in hear(far)] == [b"short"]
+        assert far.health().dropped == 1
+
+    def test_a_full_queue_of_the_interface_is_waited_for(self, ends, cable):
+        command = ["tc", "qdisc", "add", "dev", TESTER_INTERFACE, "root", "tbf"]
+        with cable.entered():
+            queue = [*command, "rate", "400kbit", "burst", "2000", "limit", "4000"]
+            made = subprocess.run(queue, capture_output=True, text=True, check=False)
+        if made.returncode != 0:
+            pytest.skip(f"no queue can be made here: {made.stderr.strip()}")
+        near, far = ends(), ends(SUT_INTERFACE)
+        for number in range(20):
+            near.send(number.to_bytes(2, "big") + bytes(1000), PEERS[0])
+        assert [int.from_bytes(each.octets[:2], "big") for each in hear(far, 20)] == list(range(20))
 
     def test_another_type(self, ends):
         near, far = ends(ether_type=0x88B5), ends(SUT_INTERFACE, ether_type=0x88B5)
@@ -229,7 +257,7 @@ class TestEthernet:
         )
         with cable.entered():
             done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-        assert "LowerTesterError eth:dcp-tester: needs the right to open raw sockets: run as root" in done.stdout
+        assert "LowerTesterError eth:dcp-tester: this needs the right to open raw sockets: run as root" in done.stdout
 
     def test_no_scapy(self, cable):
         code = (
@@ -240,7 +268,7 @@ class TestEthernet:
         )
         with cable.entered():
             done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-        assert done.stdout.startswith("LowerTesterError eth:dcp-tester: needs scapy: pip install")
+        assert done.stdout.startswith("LowerTesterError eth:dcp-tester: this needs scapy: pip install")
 
 
 @pytest.fixture
@@ -316,12 +344,49 @@ def test_drops_of_udp(udp):
         near.send(bytes(66_000), PEERS[0])
 
 
+@pytest.mark.tool("ip")
+def test_udp_over_an_interface_that_vanishes_and_comes_back(cable):
+    def unplug() -> None:
+        subprocess.run(["ip", "link", "delete", TESTER_INTERFACE], check=True)
+
+    def plug_in() -> None:
+        for command in (
+            f"link add {TESTER_INTERFACE} up type veth peer name other-end",
+            "link set other-end up",
+            f"address add 192.0.2.1/24 dev {TESTER_INTERFACE}",
+        ):
+            subprocess.run(["ip", *command.split()], check=True)
+
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(cable.entered())
+        unplug()
+        plug_in()
+        one, other = (stack.enter_context(open_udp(interface=TESTER_INTERFACE)) for _ in range(2))
+        one.send(b"before", PEERS[0])
+        assert hear(other)[0].octets == b"before"
+        assert other.receive(0) is None
+        unplug()
+        with pytest.raises(LowerTesterError, match=r"192\.0\.2\.1 does not reach 239"):
+            one.send(b"to nobody", PEERS[0])
+        plug_in()
+        # Who only listens says as well that there may have been something to hear.
+        with pytest.raises(LowerTesterError, match="it was away for a while"):
+            other.receive(0)
+        assert other.receive(0) is None
+        one.send(b"again", PEERS[0])
+        assert hear(other)[0].octets == b"again"
+        unplug()
+        for _ in range(2):
+            with pytest.raises(LowerTesterError, match=r"no interface has the address 192\.0\.2\.1"):
+                other.receive(0)
+
+
 def test_addresses_that_make_no_sense(udp):
     for group, port, interface, message in (
         ("multicast", 1, None, "not an IPv4 address"),
         ("", 0, None, "not within 1..65535"),
         ("", 70_000, None, "not within 1..65535"),
-        ("", 5000, "nope0", "there is no interface nope0; there are"),
+        ("", 5000, "nope0", "interface=nope0: there is no such interface; there are"),
     ):
         with pytest.raises(UsageError, match=message):
             udp(group, port, interface=interface)

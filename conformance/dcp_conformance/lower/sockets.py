@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import select
 import socket
-import struct
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Self
 
 from dcp_conformance.errors import LowerTesterError
 
 from .base import Arrival, LinkHealth
 
-#: Octets that may wait in the kernel: some thousand beacons, and more where the system allows it.
-RECEIVE_BUFFER = 16 * 1024 * 1024
-#: The longest datagram or frame that is read, in octets.
-LONGEST = 65_600
-#: Room for the ancillary data of one datagram.
-ANCILLARY = 256
 #: ns that a send may wait for room in the interface's queue.
 _PATIENCE = 1_000_000_000
-
-# Of <asm-generic/socket.h>; the socket module has neither in Python 3.11.
-_SO_TIMESTAMPNS = (35, 64)
-_SO_RCVBUFFORCE = 33
-_TIMESPEC = struct.Struct("qq")
-
-Raw = tuple[bytes, list[tuple[int, int, bytes]], int, tuple[object, ...]]
+#: ms until a full queue of an interface, which nothing tells to have room again, is tried anew.
+_PAUSE = 5
 
 
 class SocketLowerTester:
@@ -62,9 +51,12 @@ class SocketLowerTester:
         """
         raise NotImplementedError
 
-    def _kernel_drops(self, source: socket.socket) -> int:
+    def _kernel_drops(self) -> int:
         """What the kernel dropped since the last call. Raises ``OSError``."""
         raise NotImplementedError
+
+    def _attached(self, source: socket.socket) -> None:
+        """Raises ``OSError`` if the socket no longer hears what it was opened for, and does not say so when read."""
 
     def _gone(self, error: OSError) -> LowerTesterError:
         """What it means that the socket cannot be used."""
@@ -92,6 +84,7 @@ class SocketLowerTester:
                 return arrival
             left = until - time.monotonic_ns()
             if left <= 0:
+                self._make_sure(source)
                 return None
             waiting = select.poll()
             for descriptor in (source.fileno(), *also):
@@ -128,6 +121,14 @@ class SocketLowerTester:
             self._socket = self._open()
         return self._socket
 
+    def _make_sure(self, source: socket.socket) -> None:
+        """Silence must not be that of a deaf tester. Raises ``LowerTesterError``."""
+        try:
+            self._attached(source)
+        except OSError as error:
+            self._discard()
+            raise self._gone(error) from None
+
     def _next(self, source: socket.socket) -> Arrival | None:
         """The next frame that has arrived already."""
         while True:
@@ -150,28 +151,28 @@ class SocketLowerTester:
                 self._late = max(self._late, now - when)
                 return Arrival(when, wall_of_arrival, octets, frame, sender)
 
-    def _push(self, to: socket.socket, octets: bytes, address: tuple[str, int] | None = None) -> None:
-        """Send, and wait a little for room. Raises ``OSError``."""
+    def _push(self, to: socket.socket, send: Callable[[], object]) -> None:
+        """Send by ``to``, and wait a little for room. Raises ``OSError``."""
         deadline = time.monotonic_ns() + _PATIENCE
         while True:
+            waiting = select.poll()
             try:
-                if address is None:
-                    to.send(octets)
-                else:
-                    to.sendto(octets, address)
-            except BlockingIOError:
-                if time.monotonic_ns() > deadline:
+                send()
+            except OSError as error:
+                if error.errno not in (errno.EAGAIN, errno.ENOBUFS) or time.monotonic_ns() > deadline:
                     raise
-                waiting = select.poll()
-                waiting.register(to.fileno(), select.POLLOUT)
-                waiting.poll(100)
+                if error.errno == errno.ENOBUFS:
+                    waiting.poll(_PAUSE)
+                else:
+                    waiting.register(to.fileno(), select.POLLOUT)
+                    waiting.poll(100)
             else:
                 return
 
     def _count_drops(self) -> None:
         if self._socket is not None:
             try:
-                self._dropped += self._kernel_drops(self._socket)
+                self._dropped += self._kernel_drops()
             except OSError:
                 # The interface is going away; the next attempt to use it says so.
                 return
@@ -220,25 +221,3 @@ class Echoes:
         self._count[octets] -= 1
         if self._count[octets] <= 0:
             del self._count[octets]
-
-
-def stamp_of(ancillary: list[tuple[int, int, bytes]]) -> int:
-    """The kernel's time stamp in ns since 1970; 0 if there is none."""
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind in _SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
-            seconds, nanoseconds = _TIMESPEC.unpack(data)
-            return int(seconds * 1_000_000_000 + nanoseconds)
-    return 0
-
-
-def prepare(receiver: socket.socket) -> None:
-    """Make a socket non-blocking, with the kernel's stamps and as large a buffer as the system allows."""
-    receiver.setblocking(False)
-    receiver.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS[0], 1)
-    for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
-        try:
-            receiver.setsockopt(socket.SOL_SOCKET, option, RECEIVE_BUFFER)
-        except OSError:
-            # Only root may have more than the system's limit.
-            continue
-        return

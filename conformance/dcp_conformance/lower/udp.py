@@ -12,24 +12,20 @@ import errno
 import ipaddress
 import re
 import socket
-import struct
-import sys
 
 from dcp_spec.profile import Link
 
-from dcp_codec import interfaces
+from dcp_codec import interfaces, sockets
 from dcp_codec.envelope import Envelope
 from dcp_codec.framing import Framing, locate
+from dcp_codec.sockets import ANCILLARY, LONGEST, stamp_of
 from dcp_conformance.errors import LowerTesterError, UsageError
 
-from .sockets import ANCILLARY, LONGEST, Echoes, SocketLowerTester, prepare, stamp_of
+from .sockets import Echoes, SocketLowerTester
 
 #: Group and port of ``dcp-node run --link udp``.
 DEFAULT_GROUP = "239.73.126.1"
 DEFAULT_PORT = 0x4953
-
-# Of <linux/in.h>, <asm-generic/socket.h> and <linux/sockios.h>.
-_IP_MULTICAST_ALL, _SO_MEMINFO, _MEMINFO_DROPS, _SIOCGIFADDR = 49, 55, 8, 0x8915
 
 
 def open_udp(
@@ -81,7 +77,7 @@ class UDPLowerTester(SocketLowerTester):
         self._sender: socket.socket | None = None
         self._own: tuple[str, int] = ("", 0)
         self._echoes = Echoes()
-        self._drops = 0
+        self._losses: sockets.UDPLosses | None = None
         super().__init__(f"udp:{group}:{port}")
 
     def send(self, octets: bytes, source: bytes) -> bytes:
@@ -98,11 +94,12 @@ class UDPLowerTester(SocketLowerTester):
 
     def _transmit(self, octets: bytes) -> None:
         self._ready()
-        assert self._sender is not None
+        sender, to = self._sender, (str(self._group), self._port)
+        assert sender is not None
         if self._fixed:
             self._echoes.sent(octets, self.now())
         try:
-            self._push(self._sender, octets, (str(self._group), self._port))
+            self._push(sender, lambda: sender.sendto(octets, to))
         except OSError as error:
             if error.errno == errno.EMSGSIZE:
                 raise LowerTesterError(f"{self.name}: {len(octets)} octets do not fit into a datagram") from None
@@ -113,16 +110,23 @@ class UDPLowerTester(SocketLowerTester):
             raise self._gone(error) from None
 
     def _open(self) -> socket.socket:
+        multicast = self._group.is_multicast
         with contextlib.ExitStack() as failed:
             try:
-                receiver = failed.enter_context(self._open_receiver())
+                to_many = multicast or self._is_broadcast()
+                own_address = self._group if to_many else self._interface
+                receiver = failed.enter_context(sockets.open_udp_receiver(own_address, self._port))
+                if multicast:
+                    sockets.join(receiver, self._group, self._interface)
                 sender = receiver
-                if self._group.is_multicast or self._is_broadcast():
-                    sender = failed.enter_context(self._open_sender())
+                if to_many:
+                    port = self._port if self._fixed else 0
+                    sender = failed.enter_context(sockets.open_udp_sender(self._interface, ttl=self._ttl, port=port))
+                self._own = sender.getsockname()
             except OSError as error:
                 raise self._gone(error) from None
             failed.pop_all()
-        self._sender, self._own, self._drops = sender, sender.getsockname(), 0
+        self._sender, self._losses = sender, sockets.UDPLosses(receiver)
         return receiver
 
     def _is_broadcast(self) -> bool:
@@ -137,44 +141,6 @@ class UDPLowerTester(SocketLowerTester):
                 return self._group == ipaddress.IPv4Address("255.255.255.255")
         return False
 
-    def _open_sender(self) -> socket.socket:
-        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            sender.setblocking(False)
-            sender.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, self._ttl)
-            # For implementations on this host.
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
-            sender.bind((str(self._interface), self._port if self._fixed else 0))
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, self._interface.packed)
-        except OSError:
-            sender.close()
-            raise
-        return sender
-
-    def _open_receiver(self) -> socket.socket:
-        receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            prepare(receiver)
-            receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            if self._group.is_multicast:
-                if sys.platform == "linux":
-                    # Only on the interface that was asked for, whatever else on this host joined the group elsewhere.
-                    receiver.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-                # Bound to the group, so that nothing else to this port comes in.
-                receiver.bind((str(self._group), self._port))
-                membership = self._group.packed + self._interface.packed
-                receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-            elif self._is_broadcast():
-                receiver.bind((str(self._group), self._port))
-            else:
-                receiver.bind((str(self._interface), self._port))
-        except OSError:
-            receiver.close()
-            raise
-        return receiver
-
     def _read(self, source: socket.socket) -> tuple[bytes, bytes, bytes, int] | None:
         try:
             octets, ancillary, _, sender = source.recvmsg(LONGEST, ANCILLARY)
@@ -186,26 +152,25 @@ class UDPLowerTester(SocketLowerTester):
         address = socket.inet_aton(sender[0]) + sender[1].to_bytes(2, "big")
         return octets, self._envelope.frame(octets, address), address, stamp_of(ancillary)
 
-    def _kernel_drops(self, source: socket.socket) -> int:
-        if sys.platform != "linux":
-            return 0
-        # A total since the socket was opened.
-        octets = source.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * (_MEMINFO_DROPS + 1))
-        total: int = struct.unpack_from("I", octets, 4 * _MEMINFO_DROPS)[0]
-        new, self._drops = (total - self._drops) & 0xFFFF_FFFF, total
-        return new
+    def _kernel_drops(self) -> int:
+        return 0 if self._losses is None else self._losses.new()
+
+    def _attached(self, source: socket.socket) -> None:
+        # A membership goes with its interface and does not come back with it. Joining again tells which it is.
+        if self._group.is_multicast:
+            try:
+                sockets.join(source, self._group, self._interface)
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    return
+                raise
+            raise OSError(errno.ENETDOWN, "it was away for a while")
 
     def _gone(self, error: OSError) -> LowerTesterError:
-        what = error.strerror or str(error)
-        if error.errno in (errno.EADDRNOTAVAIL, errno.ENODEV):
-            what = f"no interface has the address {self._interface}; see: ip -brief address"
-        elif error.errno in (errno.ENETUNREACH, errno.ENETDOWN, errno.EHOSTUNREACH):
-            what = f"the interface with the address {self._interface} does not reach {self._group} ({what})"
-        elif error.errno == errno.EADDRINUSE:
-            what = "another program has this port for itself; choose another one"
-        elif error.errno in (errno.EACCES, errno.EPERM):
-            what = f"the system does not permit it ({what}); ports below 1024 are for root"
-        return LowerTesterError(f"{self.name}: {what}")
+        station = not self._group.is_multicast and not self._is_broadcast()
+        return LowerTesterError(
+            f"{self.name}: {sockets.udp_problem(error, self._group, self._interface, station=station)}"
+        )
 
     def _release(self, old: socket.socket) -> None:
         old.close()
@@ -220,16 +185,12 @@ def _address_of(name: str, interface: str | None) -> ipaddress.IPv4Address:
         return ipaddress.IPv4Address("127.0.0.1")
     with contextlib.suppress(ValueError):
         return ipaddress.IPv4Address(interface)
-    names = interfaces.names()
-    if interface not in names:
-        raise UsageError(f"{name}: there is no interface {interface}; there are {', '.join(names)}")
-    import fcntl  # not on every system
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        try:
-            answer = fcntl.ioctl(asking, _SIOCGIFADDR, struct.pack("16s24x", interface.encode()))
-        except OSError:
-            raise UsageError(
-                f"{name}: the interface {interface} has no IPv4 address; see: ip -brief address show {interface}"
-            ) from None
-    return ipaddress.IPv4Address(answer[20:24])
+    try:
+        sockets.require_interface(interface)
+        return ipaddress.IPv4Address(interfaces.ipv4_address(interface))
+    except sockets.OpeningError as error:
+        raise UsageError(f"{name},interface={interface}: {error}") from None
+    except OSError:
+        raise UsageError(
+            f"{name}: the interface {interface} has no IPv4 address; see: ip -brief address show {interface}"
+        ) from None
