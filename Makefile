@@ -30,6 +30,7 @@ $(KAITAI): package.json
 bench: $(STAMP)
 	$(BIN)/python benchmarks/codec.py
 	$(BIN)/python benchmarks/stack.py
+	$(BIN)/python benchmarks/links.py
 
 # Columnar decoding beside construct, scapy, struct, tshark and a plain copy, side by side in one run.
 bench-columns: $(STAMP)
