@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import socket
@@ -14,6 +15,8 @@ from dcp_stack.links.base import LinkError, Reception
 from dcp_stack.links.sockets import PORTION, SocketLink
 
 BROADCAST = b"\xff" * 6
+#: More frames than fit into the receive buffer.
+_MOST_WAITING = 100_000
 
 
 def open_ethernet(
@@ -130,8 +133,12 @@ class EthernetLink(SocketLink):
         if not interfaces.is_up(self._interface):
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
         self._find_address()
-        # What it has to say of the time it was down is known.
+        # What it has to say of the time it was down is known, and frames that wait there since before are no news.
         source.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_MOST_WAITING):
+                source.recv(1)
+                self._counters.ignored += 1
         return True
 
 

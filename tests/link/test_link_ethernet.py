@@ -216,6 +216,16 @@ def narrow(inside, interface: str) -> None:
         pytest.skip(f"no queue can be made here: {done.stderr.strip()}")
 
 
+def test_jumbo_frames(ear, inside):
+    for interface in ("near", "far"):
+        inside.ip("link", "set", interface, "mtu", "9000")
+    near, far = ear("near"), ear("far")
+    assert near.link.max_packet_size == 9000
+    assert near.link.send(bytes(9000))
+    assert not near.link.send(bytes(9001))
+    assert [len(octets) for octets in far.hear()] == [9000]
+
+
 def settled(far: Ear, outages: int) -> bool:
     """Whether the link is back; it is woken by its descriptor alone."""
     far.wait_until(lambda _: far.link.counters.outages == outages and not far.link._down)
@@ -252,6 +262,23 @@ def test_an_interface_may_come_up_again_with_another_address(ear, inside):
     assert far.link.send(b"back")
     (heard,) = near.wait_until(lambda heard: len(heard) > 0)
     assert heard.source == far.link.source == bytes.fromhex("0200000000aa")
+
+
+def test_what_waited_when_the_interface_went_down_is_not_news_when_it_is_back(ear, inside):
+    near, far = ear("near"), ear("far")
+    for times, notice in enumerate((far.link.receive, lambda: far.link.send(b"to nobody") or []), start=1):
+        assert near.link.send(b"before")
+        inside.ip("link", "set", "far", "down")
+        before = [each.octets for each in notice()]
+        assert far.link.counters.outages == times
+        assert before in ([], [b"before"])
+        inside.ip("link", "set", "far", "up")
+        heard = far.wait_until(lambda _: not far.link._down)
+        inside.wait_for_carrier()
+        assert near.link.send(b"after")
+        heard += far.wait_until(lambda heard: any(each.octets == b"after" for each in heard))
+        assert [each.octets for each in heard] == [b"after"]
+    assert (far.link.counters.received, far.link.counters.ignored) == (2, 2)
 
 
 def test_it_says_once_that_it_lacks_the_privilege_to_come_back(inside):

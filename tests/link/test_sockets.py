@@ -157,6 +157,41 @@ class TestEthernet:
         opened.close()
 
 
+class Driver:
+    """What scapy's socket is on a driver that takes no short frames."""
+
+    def __init__(self, refusal: int) -> None:
+        self.ins = self.outs = self
+        self.refusal = refusal
+        self.taken: list[bytes] = []
+
+    def send(self, octets: bytes) -> None:
+        if len(octets) < 60:
+            raise OSError(self.refusal, os.strerror(self.refusal))
+        self.taken.append(octets)
+
+
+class Scapy:
+    """Scapy's socket above it, which pads."""
+
+    def __init__(self, driver: Driver) -> None:
+        self.ins = self.outs = driver
+
+    def send(self, octets: bytes) -> None:
+        self.outs.send(octets.ljust(60, b"\0"))
+
+
+def test_short_frames_are_padded_only_where_the_driver_wants_it():
+    driver = Driver(errno.EINVAL)
+    opened = sockets.EthernetSocket(Scapy(driver), bytes(6), loops=False)
+    opened.send(frame(b"short"))
+    opened.send(frame(bytes(60)))
+    assert driver.taken == [frame(b"short").ljust(60, b"\0"), frame(bytes(60))]
+    driver.refusal = errno.ENOBUFS
+    with pytest.raises(OSError, match="No buffer space available"):
+        opened.send(frame(b"short"))
+
+
 def test_other_systems_are_told_what_to_use(monkeypatch):
     monkeypatch.delattr(socket, "AF_PACKET")
     with pytest.raises(
