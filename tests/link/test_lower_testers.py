@@ -361,6 +361,10 @@ def test_udp_over_an_interface_that_vanishes_and_comes_back(cable):
         stack.enter_context(cable.entered())
         unplug()
         plug_in()
+        with pytest.raises(
+            UsageError, match="the interface other-end has no IPv4 address; see: ip -brief address show"
+        ):
+            open_udp(interface="other-end")
         one, other = (stack.enter_context(open_udp(interface=TESTER_INTERFACE)) for _ in range(2))
         one.send(b"before", PEERS[0])
         assert hear(other)[0].octets == b"before"

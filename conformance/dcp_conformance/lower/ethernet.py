@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import socket
 import struct
 
@@ -81,7 +82,7 @@ class EthernetLowerTester(SocketLowerTester):
                 self.interface, int.from_bytes(self._type), promiscuous=True, instead="--link udp"
             )
         except sockets.NoSuchInterfaceError:
-            raise self._gone(OSError(errno.ENODEV, "")) from None
+            raise self._gone(OSError(errno.ENODEV, os.strerror(errno.ENODEV))) from None
         except sockets.OpeningError as error:
             raise LowerTesterError(f"{self.name}: {error}") from None
         except OSError as error:
@@ -93,10 +94,11 @@ class EthernetLowerTester(SocketLowerTester):
 
     def _read(self, source: socket.socket) -> tuple[bytes, bytes, bytes, int] | None:
         frame, ancillary, flags, (_, _, kind, _, sender) = source.recvmsg(LONGEST, ANCILLARY)
+        if kind == OUTGOING or len(frame) < ETHERNET_HEADER:
+            return None
         # The kernel takes the tag of a VLAN out of a frame and the frame for that of another station, which such a
         # destination is not. Of a frame to another station nothing tells.
-        tagged = kind == OTHERHOST and (frame[0] & 1 or frame[:6] == self._address)
-        if kind == OUTGOING or tagged or len(frame) < ETHERNET_HEADER:
+        if kind == OTHERHOST and (frame[0] & 1 or frame[:6] == self._address):
             return None
         if flags & CUT_OFF:
             # Nothing can be said of what was not read.
