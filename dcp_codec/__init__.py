@@ -19,8 +19,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from .codec import Codec, get_codec
-from .dissect import Dissection, Field
 from .errors import CodecError, DecodeError, EncodeError, Problem
+from .fields import Dissection, Field
 from .values import (
     Beacon,
     BPHeader,

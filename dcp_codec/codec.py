@@ -10,11 +10,12 @@ from dcp_spec.profile_loading import load_profile
 from dcp_spec.schema import Schema, build_schema
 
 from .decoder import Decode, generate_decoder
-from .dissect import Dissection, dissect
+from .dissector import Dissect, generate_dissector
 from .encoder import Encode, generate_encoder
 from .errors import DecodeError, Problem
+from .fields import Dissection
 from .layout import ValueTypes
-from .lint import warnings
+from .lint import DOUBTS, warnings
 from .plan import Node, lower
 from .values import Beacon, Container, ExtendedSafetyData, SafetyData
 
@@ -95,6 +96,10 @@ class Codec:
     def _encode_report(self) -> Encode:
         return generate_encoder(self._needed_report_plan(), self.types, f"{self.profile.name} state report")
 
+    @functools.cached_property
+    def _dissect_beacon(self) -> Dissect:
+        return generate_dissector(self.beacon_plan, f"{self.profile.name} beacon", DOUBTS)
+
     def _needed_report_plan(self) -> Node:
         if self.report_plan is None:
             raise ValueError(f"profile {self.profile.name} has no octets for a state report (srp.record is empty)")
@@ -138,8 +143,9 @@ class Codec:
 
         ``base`` is what the offset of its first octet is called: 14 to count from the start of an Ethernet frame.
         """
-        found = dissect(self.beacon_plan, bytes(octets), start=start, base=base)
-        found.problems.extend(warnings(found))
+        found = self._dissect_beacon(bytes(octets), start, base)
+        if found.doubtful:
+            found.problems.extend(warnings(found))
         return found
 
     # -- client payloads --------------------------------------------------------------------------------------

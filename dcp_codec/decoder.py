@@ -12,7 +12,7 @@ from itertools import starmap
 from typing import Any, NoReturn
 
 from .errors import DecodeError, Problem
-from .layout import ValueTypes, joins, packing, read_scalar, references, scalars_of, walk
+from .layout import ValueTypes, broken, joins, packing, read_run, read_scalar, references, scalars_of, walk
 from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from .source import Source
 
@@ -59,11 +59,6 @@ def _resolve(scope: _Scope, reference: str) -> _Ref:
     return found
 
 
-def _broken(scalar: Scalar, value: Any) -> bool:
-    rule = scalar.rule
-    return rule is not None and (value == 0 if rule.value is None else value != rule.value)
-
-
 def short_run(
     run: tuple[tuple[Scalar, str], ...], b: bytes, o: int, e: int, args: tuple[int, ...], partial: Any
 ) -> NoReturn:
@@ -72,7 +67,7 @@ def short_run(
         if o + scalar.size > e:
             raise DecodeError(Problem("truncated", template % args, o, scalar.size, e - o, scalar.requirement), partial)
         value = read_scalar(scalar, b[o : o + scalar.size])
-        if _broken(scalar, value):
+        if broken(scalar, value):
             rule = scalar.rule
             assert rule is not None
             needed = 1 if rule.value is None else rule.value
@@ -104,7 +99,7 @@ class _Generator:
             for prefix in node.prefixes
         }
         self.source = Source("decode(b, o, e)")
-        self.source.namespace.update(starmap=starmap, from_bytes=int.from_bytes, short_run=short_run)
+        self.source.namespace.update(starmap=starmap, short_run=short_run)
         # What to hand over with an error: the outermost list built so far (see DecodeError.partial).
         self.partial = "None"
         self.partial_root: Callable[[str], str] | None = None
@@ -139,17 +134,7 @@ class _Generator:
             source.add(f"{base} = o")
         scalars = [scalar for scalar, *_ in run]
         variables = [variable for _, _, variable, _ in run]
-        if len(run) <= 3 and all(s.size == 1 and s.kind == "int" and not s.signed for s in scalars):
-            for index, variable in enumerate(variables):
-                source.add(f"{variable} = b[o + {index}]" if index else f"{variable} = b[o]")
-        else:
-            packed = packing(scalars)
-            unpack = source.constant("unpack", packed.struct.unpack_from, packed.struct.format)
-            source.add(f"{', '.join(variables)}, = {unpack}(b, o)")
-            for scalar, variable, swapped in zip(scalars, variables, packed.swapped, strict=True):
-                if swapped:
-                    signed = ", signed=True" if scalar.signed else ""
-                    source.add(f"{variable} = from_bytes({variable}, {scalar.order!r}{signed})")
+        read_run(source, scalars, variables)
         relative = 0
         for scalar, path, variable, scope in run:
             offset = f"o + {relative}" if relative else "o"

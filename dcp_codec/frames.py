@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -9,7 +10,7 @@ from dcp_spec.profile import Link
 
 from .capture import Frame
 from .codec import Codec
-from .dissect import Dissection, Field
+from .fields import Dissection, Field
 from .framing import Framing, OtherTraffic, bare, locate, mac
 from .jsonform import beacon_json, problem_json
 
@@ -43,10 +44,10 @@ class DissectedFrame:
         return None
 
     @property
-    def payloads(self) -> list[Field]:
+    def payloads(self) -> Sequence[Field]:
         """The payload blocks."""
         payloads = self.dissection.root.child("payloads")
-        return payloads.children if payloads is not None else []
+        return payloads.children if payloads is not None else ()
 
     def as_json(self) -> dict[str, Any]:
         """The object that ``dcp-codec decode --format jsonl`` prints for this frame."""

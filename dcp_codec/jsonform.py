@@ -13,8 +13,8 @@ import re
 from typing import Any
 
 from .codec import Codec
-from .dissect import Field
 from .errors import EncodeError, Problem
+from .fields import Field
 from .layout import ValueTypes
 from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from .values import Beacon

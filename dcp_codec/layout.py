@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import msgspec
 from dcp_spec.profile import Profile
 
 from .plan import Fill, Group, Many, Node, Region, Scalar, Select, Text, snake
+from .source import Source
 from .values import VALUE_CLASSES, SafetyData
 
 
@@ -24,7 +25,7 @@ class Packing(NamedTuple):
     swapped: tuple[bool, ...]
 
 
-def order_of(scalars: list[Scalar]) -> str | None:
+def order_of(scalars: Sequence[Scalar]) -> str | None:
     """The byte order of a run: that of its first number of more than one octet."""
     for scalar in scalars:
         if scalar.size > 1 and scalar.code and scalar.kind != "bytes":
@@ -32,7 +33,7 @@ def order_of(scalars: list[Scalar]) -> str | None:
     return None
 
 
-def joins(run: list[Scalar], scalar: Scalar) -> bool:
+def joins(run: Sequence[Scalar], scalar: Scalar) -> bool:
     """Whether ``scalar`` can be packed in one ``struct`` format with ``run`` (a float cannot be swapped afterwards)."""
     order = order_of(run)
     if scalar.kind == "float":
@@ -40,7 +41,7 @@ def joins(run: list[Scalar], scalar: Scalar) -> bool:
     return True
 
 
-def packing(run: list[Scalar]) -> Packing:
+def packing(run: Sequence[Scalar]) -> Packing:
     """The struct format of a run of scalars."""
     order = order_of(run) or "big"
     codes, swapped = [], []
@@ -58,6 +59,28 @@ def read_scalar(scalar: Scalar, octets: bytes) -> Any:
     if scalar.kind == "float":
         return struct.unpack((">" if scalar.order == "big" else "<") + scalar.code, octets)[0]
     return int.from_bytes(octets, scalar.order, signed=scalar.signed)
+
+
+def broken(scalar: Scalar, value: Any) -> bool:
+    """Whether the value of a scalar breaks its rule."""
+    rule = scalar.rule
+    return rule is not None and (value == 0 if rule.value is None else value != rule.value)
+
+
+def read_run(source: Source, run: Sequence[Scalar], variables: Sequence[str]) -> None:
+    """Generate the reading of neighbouring scalars, which are there, from ``b[o:]`` into their variables."""
+    if len(run) <= 3 and all(each.size == 1 and each.kind == "int" and not each.signed for each in run):
+        for index, variable in enumerate(variables):
+            source.add(f"{variable} = b[o + {index}]" if index else f"{variable} = b[o]")
+        return
+    packed = packing(run)
+    unpack = source.constant("unpack", packed.struct.unpack_from, packed.struct.format)
+    source.namespace["from_bytes"] = int.from_bytes
+    source.add(f"{', '.join(variables)}, = {unpack}(b, o)")
+    for scalar, variable, swapped in zip(run, variables, packed.swapped, strict=True):
+        if swapped:
+            signed = ", signed=True" if scalar.signed else ""
+            source.add(f"{variable} = from_bytes({variable}, {scalar.order!r}{signed})")
 
 
 def scalars_of(group: Group) -> list[Scalar] | None:

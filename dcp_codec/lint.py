@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from .dissect import Dissection, Field
+from .dissector import Doubt
 from .errors import Problem
+from .fields import Dissection, Field
 from .plan import Group, Text
 
 
@@ -57,15 +58,29 @@ def _var_create(record: Field) -> Iterator[Problem]:
 
 def _container(record: Field) -> Iterator[Problem]:
     records = record.child("records")
+    if records is None:
+        return
     seen: set[object] = set()
-    for element in records.children if records is not None else ():
+    where = ""
+    for index, element in enumerate(records.children):
         spec = element.child("spec")
         var_id = (spec or element).child("varId")
         if var_id is None or var_id.value is None:
             continue
         if var_id.value in seen:
-            yield _warning(var_id, "duplicate-variable", "VD-PAY-03", None, var_id.value)
+            # There can be hundreds, and the path of the list is the same for all.
+            where = where or records.path
+            path = f"{where}[{index}].spec.varId" if spec else f"{where}[{index}].varId"
+            yield Problem("duplicate-variable", path, var_id.offset, None, var_id.value, "VD-PAY-03", "warning")
         seen.add(var_id.value)
+
+
+def _report(record: Field, sender: object) -> Iterator[Problem]:
+    node = record.child("nodeId")
+    if sender is None or node is None or isinstance(node.layout, Text):
+        return
+    if node.value not in (None, sender):
+        yield _warning(node, "foreign-node-id", "SRP-TYP-04")
 
 
 _RULES: dict[str, Callable[[Field], Iterator[Problem]]] = {
@@ -76,24 +91,27 @@ _RULES: dict[str, Callable[[Field], Iterator[Problem]]] = {
     "Container": _container,
 }
 
+#: Which records are worth a look, by type: what most of them say breaks no rule.
+DOUBTS: dict[str, Doubt] = {
+    "Payload": Doubt(("length",), lambda length: not length),
+    "VarUpdate": Doubt(("value",), lambda value: not value),
+    "VarSpec": Doubt(("repCnt", "descr"), lambda count, descr: not (count and descr and descr.isascii())),
+    "VarCreate": Doubt(("spec.varId", "upd.varId"), lambda first, second: first != second),
+    "Container": Doubt(("icNumRecords",), lambda count: count > 1),
+    "ExtendedSafetyData": Doubt((), lambda: True),
+}
+
 
 def warnings(dissection: Dissection) -> list[Problem]:
-    """Every warning about a dissected message, in wire order."""
+    """Every warning about a message that was taken apart with :data:`DOUBTS`, in wire order."""
     found: list[Problem] = []
     header = dissection.root.child("bp")
     sender = _value_of(header, "senderId") if header is not None else None
-    waiting = [dissection.root]
-    while waiting:
-        field = waiting.pop()
-        # What has no parts breaks no rule, and most of a message is such.
-        waiting.extend([part for part in reversed(field.children) if part.children])
-        if type(field.layout) is not Group:
-            continue
-        rule = _RULES.get(field.layout.type_name)
-        if rule is not None:
-            found.extend(rule(field))
-        elif field.layout.type_name == "ExtendedSafetyData" and sender is not None:
-            node = field.child("nodeId")
-            if node is not None and node.value not in (None, sender) and not isinstance(node.layout, Text):
-                found.append(_warning(node, "foreign-node-id", "SRP-TYP-04"))
+    # A record is listed behind those inside of it, which may start where it does.
+    records = dissection.doubtful[::-1]
+    records.sort(key=lambda each: each.offset)
+    for record in records:
+        assert isinstance(record.layout, Group)
+        rule = _RULES.get(record.layout.type_name)
+        found.extend(_report(record, sender) if rule is None else rule(record))
     return found

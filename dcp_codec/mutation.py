@@ -21,7 +21,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 from .codec import Codec
-from .dissect import Field, dissect
+from .dissector import generate_dissector
+from .fields import Field
 from .layout import references, walk
 from .plan import Many, Node, Scalar, Select
 
@@ -84,8 +85,8 @@ class Mutator:
         """
         layout = codec.beacon_plan if plan is None else plan
         self._rng = rng
-        self._layout = layout
-        self.sources = [_taken_apart(dissect(layout, each).root, each) for each in pool if each]
+        self._dissect = generate_dissector(layout, "of a pool")
+        self.sources = [_taken_apart(self._dissect(each, 0, 0).root, each) for each in pool if each]
         if not self.sources:
             raise ValueError("there is nothing to mutate: the pool is empty")
         self.reached: Counter[Touch] = Counter()
@@ -119,7 +120,7 @@ class Mutator:
         """Mutate this, too, from now on; what was added last takes the place of others when there are too many."""
         if not octets:
             return
-        source = _taken_apart(dissect(self._layout, octets).root, octets)
+        source = _taken_apart(self._dissect(octets, 0, 0).root, octets)
         if len(self.sources) < _MOST_SOURCES:
             self.sources.append(source)
         else:

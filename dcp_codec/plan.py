@@ -15,7 +15,7 @@ in ``dcp_spec``. Node types:
 ``Select``   one of several contents, chosen by a field
 
 ``requirement`` is what octets break that do not fit the node; ``field_requirement`` is what speaks of a member of that
-form, where it is not the same: a record has one of its own wherever it stands.
+form, where it is not the same: a record has one of its own wherever it stands. A node is equal to itself only.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Derived:
     of: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Scalar:
     """``size`` octets. ``code`` is the struct code without byte order ("" if there is none for this width)."""
 
@@ -71,7 +71,7 @@ class Scalar:
         return self.derived is None and (self.rule is None or self.rule.value is None)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Text:
     """Octets of varying number; ``human`` when they are text."""
 
@@ -85,7 +85,7 @@ class Text:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rest:
     """All octets that are left in the region."""
 
@@ -94,7 +94,7 @@ class Rest:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Fill:
     """``total`` octets less those that the field ``used`` counts."""
 
@@ -107,7 +107,7 @@ class Fill:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Group:
     """A record. ``type_name`` is the name of its value class, ``size`` its octets when they are always the same."""
 
@@ -120,7 +120,7 @@ class Group:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Many:
     """A list of ``element``. ``count`` names the counting field (None: up to the end of the region);
     ``agrees`` names a field that must equal the number of elements. ``nonempty``: up to the end of the region, but
@@ -137,7 +137,7 @@ class Many:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Region:
     """``content`` in exactly as many octets as the field ``length`` says."""
 
@@ -150,7 +150,7 @@ class Region:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Exact:
     """``content`` must be as long as the region around it."""
 
@@ -163,7 +163,7 @@ class Exact:
     doc: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Select:
     """The content that belongs to the value of the field ``key``; the name of a case is its label."""
 

@@ -13,7 +13,7 @@ from typing import Any
 from scapy.fields import ConditionalField, Field, PacketField, PacketListField, RawVal
 from scapy.volatile import RandBin, RandFloat, RandNum, VolatileValue
 
-from .dissect import Field as Found
+from .fields import Field as Found
 from .jsonform import node_id_octets, node_id_text
 from .plan import Fill, Node, Rest, Scalar, Text
 

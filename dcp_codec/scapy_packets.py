@@ -16,8 +16,8 @@ from scapy.fields import ConditionalField, RawVal
 from scapy.packet import Packet, Raw
 from scapy.volatile import VolatileValue
 
-from .dissect import Field as Found
 from .dissect import dissect
+from .fields import Field as Found
 from .plan import Group, Many, Node, Rest, Select, Text
 from .scapy_fields import Octets
 from .scapy_shape import Following, Member, Shape, content_of

@@ -1,7 +1,8 @@
 """Generated functions: collecting source lines and turning them into code.
 
-The decoder and encoder of a profile are Python source that is generated when the profile is loaded, the way
-``dataclasses`` and construct's own compiler do it: a plan interpreted field by field would be ten times slower.
+The decoder, encoder and dissector of a profile are Python source that is generated when they are first used, the way
+``dataclasses`` and construct's own compiler do it: a plan interpreted field by field would be ten times slower
+(dissecting, which makes a field of everything: three times).
 Nothing from outside gets into the source: names are numbered by us, and whatever else the code needs is an object
 in its namespace.
 """

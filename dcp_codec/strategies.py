@@ -24,7 +24,7 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from .codec import Codec
-from .dissect import Dissection, Field
+from .fields import Dissection, Field
 from .layout import ValueTypes
 from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from .values import Beacon, Container, ExtendedSafetyData, Payload, VardisRecord

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 from dcp_spec.profile import Profile
 
-from dcp_codec.dissect import Field
+from dcp_codec.fields import Field
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.plan import Fill, Group, Many, Rest, Scalar, Text
 

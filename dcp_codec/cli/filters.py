@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from dcp_codec.capture import Frame
-from dcp_codec.dissect import Field
+from dcp_codec.fields import Field
 from dcp_codec.frames import DissectedFrame
 
 _PROTOCOLS = {"srp": 1, "vardis": 2}

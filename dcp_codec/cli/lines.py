@@ -11,8 +11,8 @@ from typing import Any
 import click
 
 from dcp_codec.codec import Codec
-from dcp_codec.dissect import Field
 from dcp_codec.errors import Problem
+from dcp_codec.fields import Field
 from dcp_codec.frames import DissectedFrame
 from dcp_codec.jsonform import members_json
 from dcp_codec.texts import payload_line, utc

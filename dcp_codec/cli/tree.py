@@ -9,8 +9,8 @@ import click
 from dcp_spec.reasons import REASONS, WARNINGS, quantity
 from dcp_spec.requirements import requirement
 
-from dcp_codec.dissect import Dissection, Field
 from dcp_codec.errors import Problem
+from dcp_codec.fields import Dissection, Field
 from dcp_codec.frames import DissectedFrame
 from dcp_codec.framing import mac
 from dcp_codec.plan import Group, Many, Text
@@ -39,10 +39,10 @@ class TreeRenderer:
     def _lines(self, frame: DissectedFrame) -> Iterator[str]:
         yield from self._heading(frame)
         rows = list(_rows(frame.dissection.root, 0))
-        names = min(max((2 * depth + len(field.name) for field, depth in rows), default=0) + 1, 30)
+        names = min(max((2 * depth + len(name) for name, _, depth in rows), default=0) + 1, 30)
         problems = _by_path(frame.dissection.problems)
-        for field, depth in rows:
-            yield self._row(frame, field, depth, names)
+        for name, field, depth in rows:
+            yield self._row(frame, "  " * depth + name, field, names)
             for problem in problems.pop(field.path, []):
                 yield from self._problem(problem)
         # A problem of a field of which nothing is there has no row.
@@ -73,8 +73,7 @@ class TreeRenderer:
         parts.append(size)
         yield from (self.style(line, bold=True) for line in textwrap.wrap("  ".join(parts), self.width))
 
-    def _row(self, frame: DissectedFrame, field: Field, depth: int, names: int) -> str:
-        name = "  " * depth + field.name
+    def _row(self, frame: DissectedFrame, name: str, field: Field, names: int) -> str:
         value = value_text(frame.codec.profile, field)
         if isinstance(field.layout, Group) and field.layout.type_name == "Payload":
             value = payload_name(field)
@@ -132,16 +131,15 @@ class TreeRenderer:
                 yield f"        {' '.join(marks)}".rstrip()
 
 
-def _rows(field: Field, depth: int) -> Iterator[tuple[Field, int]]:
-    """The fields to show with their depth; the root and the halves of a string have no row of their own."""
+def _rows(field: Field, depth: int) -> Iterator[tuple[str, Field, int]]:
+    """The fields to show with name and depth; the root and the halves of a string have no row of their own."""
     for child in field.children:
         if isinstance(child.layout, Many):
             for index, element in enumerate(child.children):
-                element.name = f"{child.name}[{index}]"
-                yield element, depth
+                yield f"{child.name}[{index}]", element, depth
                 yield from _rows(element, depth + 1)
             continue
-        yield child, depth
+        yield child.name, child, depth
         if not isinstance(child.layout, Text):
             yield from _rows(child, depth + 1)
 

@@ -8,7 +8,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from dcp_codec.codec import Codec
-from dcp_codec.dissect import Field
+from dcp_codec.fields import Field
 from dcp_codec.jsonform import scalar_json
 from dcp_codec.plan import Fill, Rest, Scalar
 from dcp_codec.values import (

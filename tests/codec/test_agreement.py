@@ -21,6 +21,8 @@ from hypothesis import strategies as st
 
 from dcp_codec import Codec, DecodeError, Dissection, EncodeError, Problem, VarSumm, strategies
 from dcp_codec.dissect import dissect
+from dcp_codec.dissector import Doubt, generate_dissector
+from dcp_codec.lint import DOUBTS, warnings
 from dcp_codec.plan import Exact, Group, Many, Node, Region, Select
 
 PARTS = ("beacon", "envelope", "containers", "report")
@@ -269,6 +271,19 @@ def test_lint_only_warns(codec: Codec) -> None:
         assert {warning.reason for warning in found.warnings} <= set(WARNINGS)
         assert all(warning.requirement in requirements() and str(warning) for warning in found.warnings)
         assert all(repr(field) for field in found.root.walk())
+
+    check()
+
+
+def test_every_record_that_breaks_a_rule_is_doubtful(codec: Codec) -> None:
+    """Looking at all records finds no more warnings than looking at the doubtful ones."""
+    every = {name: Doubt((), lambda: True) for name in DOUBTS}
+    dissect_all = generate_dissector(codec.beacon_plan, "with every record in doubt", every)
+
+    @settings(max_examples=25)
+    @given(strategies.mutations(strategies.beacons(codec).map(codec.encode), codec.dissect))
+    def check(octets: bytes) -> None:
+        assert codec.dissect(octets).warnings == warnings(dissect_all(octets, 0, 0))
 
     check()
 

@@ -227,7 +227,7 @@ def test_a_string_without_its_end_is_shown_whole() -> None:
 def test_text_with_its_end() -> None:
     found = dissect(get_codec("dcp-1.0").containers_plan, bytes.fromhex("0501 07 020000000001 02 706f7300 07 03 00"))
     descr = field(found, "[0].records[0].spec.descr")
-    assert (descr.value, descr.raw, descr.children) == (b"pos", b"pos\0", [])
+    assert (descr.value, descr.raw, descr.children) == (b"pos", b"pos\0", ())
 
 
 def test_an_area_that_is_too_small_ends_the_walk() -> None:
