@@ -25,35 +25,40 @@ _PACKING_ERRORS = (struct.error, TypeError, ValueError, AttributeError, Overflow
 
 
 class _Out:
-    """Where octets go: expressions to be joined, or a list in the generated function that they are appended to."""
+    """Where octets go: expressions to be joined, or a ``bytearray`` in the generated function that grows."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
         self.pieces: list[str] = []
-        self.parts = ""
-        self.append = ""
+        self.packed = False
+        self.grown = ""
 
-    def add(self, expression: str) -> None:
-        """The octets that come next."""
-        if self.append:
-            self.source.add(f"{self.append}({expression})")
-        else:
-            self.pieces.append(expression)
+    def add(self, expression: str, *, packed: bool = False) -> None:
+        """The octets that come next; ``packed`` are ``bytes``, others may be a ``bytearray``."""
+        if self.grown:
+            self.source.add(f"{self.grown} += {expression}")
+            return
+        self.packed = self.packed if self.pieces else packed
+        self.pieces.append(expression)
+
+    def add_octet(self, expression: str) -> None:
+        """The one octet of this number, which comes next; only when open."""
+        self.source.add(f"{self.grown}.append({expression})")
 
     def open(self) -> None:
-        """Append from here on: what follows is in a loop or a branch, where no expression can be kept for later."""
-        if not self.append:
-            self.parts, self.append = self.source.fresh("q"), self.source.fresh("a")
-            self.source.add(f"{self.parts} = [{', '.join(self.pieces)}]")
-            self.source.add(f"{self.append} = {self.parts}.append")
+        """Grow from here on: what follows is in a loop or a branch, where no expression can be kept for later."""
+        if not self.grown:
+            self.grown = self.source.fresh("q")
+            self.source.add(f"{self.grown} = bytearray({' + '.join(self.pieces)})")
 
     def expression(self) -> str:
-        """All octets."""
-        if self.append:
-            return f"join({self.parts})"
-        if len(self.pieces) == 1:
-            return self.pieces[0]
-        return f"join(({', '.join(self.pieces)}))" if self.pieces else "b''"
+        """All octets, as ``bytes`` or ``bytearray``."""
+        return self.grown or " + ".join(self.pieces) or "b''"
+
+    def octets(self) -> str:
+        """All octets, as ``bytes``."""
+        # What is added to bytes becomes bytes, and packing makes them.
+        return self.expression() if self.packed and not self.grown else f"bytes({self.expression()})"
 
 
 class _Member:
@@ -86,7 +91,7 @@ class _Generator:
     def __init__(self, plan: Node, types: ValueTypes) -> None:
         self.types = types
         self.source = Source("encode(v)")
-        self.source.namespace.update(join=b"".join, octets=(bytes, bytearray))
+        self.source.namespace.update(octets=(bytes, bytearray))
         derived = [node.derived for node in walk(plan) if isinstance(node, Scalar) and node.derived is not None]
         self.counted = {each.of.rsplit(".", 1)[-1] for each in derived if each.kind == "count"}
         self.measured = {each.of.rsplit(".", 1)[-1] for each in derived if each.kind == "size"}
@@ -208,9 +213,13 @@ class _Generator:
         out.add(rest)
 
     def _pack(self, run: list[tuple[Scalar, str]], out: _Out) -> None:
-        if run:
-            out.add(self._packed(run))
-            run.clear()
+        if out.grown and all(s.size == 1 and s.kind == "int" and not s.signed for s, _ in run):
+            # Quicker than packing, also for several octets.
+            for _, expression in run:
+                out.add_octet(expression)
+        elif run:
+            out.add(self._packed(run), packed=True)
+        run.clear()
 
     def _packed(self, run: list[tuple[Scalar, str]]) -> str:
         packed = packing([scalar for scalar, _ in run])
@@ -293,7 +302,7 @@ def generate_encoder(plan: Node, types: ValueTypes, title: str) -> Encode:
     source.namespace.update(refused=refused, packing_errors=_PACKING_ERRORS)
     with source.block("try:"):
         generator.write(plan, "v", _Scope(None), out)
-        source.add(f"return {out.expression()}")
+        source.add(f"return {out.octets()}")
     with source.block("except packing_errors as error:"):
         source.add("raise refused(v, error) from None")
     encode: Encode = source.compile(f"encoder {title}")
