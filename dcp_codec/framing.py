@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Literal
 
 import msgspec
 from dcp_spec.profile import Link
 
 ETHERNET_HEADER = 14
+#: Destination, source, EtherType.
+_addresses = struct.Struct(">6s6sH").unpack_from
 _VLAN_TAGS = (0x8100, 0x88A8)
 _IPV4, _IPV6, _UDP = 0x0800, 0x86DD, 17
 
@@ -34,21 +37,22 @@ def locate(frame: bytes, link: Link) -> Framing | OtherTraffic:
 
     Up to two VLAN tags are stepped over. For UDP the destination port decides; fragments are other traffic.
     """
-    if len(frame) < ETHERNET_HEADER:
+    size = len(frame)
+    if size < ETHERNET_HEADER:
         return OtherTraffic("short-frame")
     start = ETHERNET_HEADER
-    ether_type = frame[12] << 8 | frame[13]
-    while ether_type in _VLAN_TAGS and start < ETHERNET_HEADER + 8 and len(frame) >= start + 4:
+    dst, src, ether_type = _addresses(frame)
+    while ether_type in _VLAN_TAGS and start < ETHERNET_HEADER + 8 and size >= start + 4:
         ether_type = frame[start + 2] << 8 | frame[start + 3]
         start += 4
     if link.transport == "udp":
         region = _udp_payload(frame, start, ether_type, link.udp_port)
         if region is None:
             return OtherTraffic("udp-port", ether_type)
-        return Framing(*region, dst=frame[0:6], src=frame[6:12], ether_type=ether_type)
+        return Framing(*region, dst, src, ether_type)
     if ether_type != link.ether_type:
         return OtherTraffic("ether-type", ether_type)
-    return Framing(start, len(frame), dst=frame[0:6], src=frame[6:12], ether_type=ether_type)
+    return Framing(start, size, dst, src, ether_type)
 
 
 def _udp_payload(frame: bytes, start: int, ether_type: int, port: int | None) -> tuple[int, int] | None:
