@@ -19,6 +19,8 @@ from .layout import ValueTypes
 from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from .values import Beacon
 
+#: What can have a role. (A union would be made anew for each field that is asked about.)
+_ROLES = (Scalar, Text)
 _FLOATS = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 
@@ -28,24 +30,27 @@ _FLOATS = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 def field_json(field: Field, representation: str = "mac") -> Any:
     """The JSON value of a dissected field; what is cut off is null or missing."""
     layout = field.layout
-    if isinstance(layout, Scalar | Text | Rest | Fill):
-        return scalar_json(layout, field.value, representation)
+    if isinstance(layout, Group):
+        return members_json(field, representation)
     if isinstance(layout, Many):
-        return [field_json(child, representation) for child in field.children]
-    return members_json(field, representation)
+        return [members_json(child, representation) for child in field.children]
+    return scalar_json(layout, field.value, representation)
 
 
 def members_json(record: Field, representation: str = "mac") -> dict[str, Any]:
     """The JSON object of a dissected record."""
     found: dict[str, Any] = {}
     for child in record.children:
-        layout = child.layout
-        if isinstance(layout, Text) and layout.human and layout.role != "node-id" and not _is_utf8(child.value):
-            found[f"{child.name}Hex"] = child.value.hex()
-            continue
-        found[child.name] = field_json(child, representation)
-        if isinstance(layout, Scalar) and layout.name_field is not None and child.label is not None:
-            found[layout.name_field] = child.label
+        layout, value = child.layout, child.value
+        if isinstance(layout, Scalar):
+            # Most of a message are plain numbers.
+            found[child.name] = value if type(value) is int else scalar_json(layout, value, representation)
+            if layout.name_field is not None and child.label is not None:
+                found[layout.name_field] = child.label
+        elif isinstance(layout, Text) and layout.human and layout.role != "node-id" and not _is_utf8(value):
+            found[f"{child.name}Hex"] = value.hex()
+        else:
+            found[child.name] = field_json(child, representation)
     return found
 
 
@@ -62,7 +67,7 @@ def scalar_json(layout: Node, value: Any, representation: str) -> Any:
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     if not isinstance(value, bytes):
         return value
-    if isinstance(layout, Scalar | Text) and layout.role == "node-id":
+    if isinstance(layout, _ROLES) and layout.role == "node-id":
         return node_id_text(value, representation)
     if isinstance(layout, Text) and layout.human:
         return value.decode(errors="backslashreplace")

@@ -12,6 +12,8 @@ from dcp_codec.jsonform import node_id_text
 from dcp_codec.plan import Fill, Group, Many, Rest, Scalar, Text
 
 PROTOCOLS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
+# Unions would be made anew for each field that is asked about.
+_LISTS, _ANNOUNCED, _ROLES, _REMAINING = (Group, Many), (Scalar, Text, Fill), (Scalar, Text), (Rest, Fill)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -48,16 +50,16 @@ def quoted(octets: bytes) -> str:
 def value_text(profile: Profile, field: Field) -> str:
     """What a field says; empty for one that only has parts."""
     layout, value = field.layout, field.value
-    if isinstance(layout, Group | Many):
+    if isinstance(layout, _LISTS):
         return _summary(field)
     if value is None:
-        return "(cut off)" if isinstance(layout, Scalar | Text | Fill) else ""
+        return "(cut off)" if isinstance(layout, _ANNOUNCED) else ""
     if isinstance(layout, Text) and layout.human and layout.role != "node-id":
         return quoted(value)
-    if isinstance(layout, Scalar | Text) and layout.role == "node-id":
+    if isinstance(layout, _ROLES) and layout.role == "node-id":
         return node_id_text(value, profile.types.node_id.representation)
     if isinstance(value, bytes):
-        return octets_text(value) if value or isinstance(layout, Rest | Fill) else "(no octets)"
+        return octets_text(value) if value or isinstance(layout, _REMAINING) else "(no octets)"
     if not isinstance(layout, Scalar):
         return str(value)
     if layout.role == "timestamp":

@@ -12,9 +12,9 @@ import click
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import Problem
-from dcp_codec.fields import Field
 from dcp_codec.frames import DissectedFrame
-from dcp_codec.jsonform import members_json
+from dcp_codec.framing import mac
+from dcp_codec.jsonform import beacon_json
 from dcp_codec.texts import payload_line, utc
 
 
@@ -73,7 +73,7 @@ class CsvRenderer:
         self.safety = tuple(field.name for field in codec.profile.srp.safety_data)
         self.columns = (*_FRAME_COLUMNS, *_ITEM_COLUMNS, *self.safety, *_ERROR_COLUMNS)
         self._buffer = io.StringIO()
-        self._writer = csv.DictWriter(self._buffer, self.columns, restval="", lineterminator="\n")
+        self._writer = csv.writer(self._buffer, lineterminator="\n")
 
     def _taken(self) -> str:
         text = self._buffer.getvalue().removesuffix("\n")
@@ -83,30 +83,32 @@ class CsvRenderer:
 
     def heading(self) -> str:
         """The row of column names."""
-        self._writer.writeheader()
+        self._writer.writerow(self.columns)
         return self._taken()
 
     def render(self, frame: DissectedFrame) -> str:
         """The rows of one frame."""
-        data = frame.as_json()
+        data, src = beacon_json(frame.codec, frame.dissection.root), frame.framing.src
         header = data.get("bp") or {}
         common = {
-            "frame": data["frame"],
-            "time_ns": data["time_ns"],
-            "src": data["src"],
+            "frame": frame.frame.number,
+            "time_ns": frame.frame.time_ns,
+            "src": mac(src) if src is not None else None,
             "senderId": header.get("senderId"),
             "networkId": header.get("networkId"),
             "bpSeqno": header.get("seqno"),
         }
-        rows = [row for index, payload in enumerate(frame.payloads) for row in self._payload(frame, payload, index)]
+        rows = [row for index, payload in enumerate(data.get("payloads", ())) for row in self._payload(payload, index)]
         for row in rows or [{"kind": "beacon"}]:
-            self._writer.writerow({**common, **row})
+            self._write({**common, **row})
         for problem in frame.dissection.problems:
-            self._writer.writerow({**common, **_problem_row(problem)})
+            self._write({**common, **_problem_row(problem)})
         return self._taken()
 
-    def _payload(self, frame: DissectedFrame, payload: Field, index: int) -> Iterator[dict[str, Any]]:
-        data = members_json(payload, frame.codec.profile.types.node_id.representation)
+    def _write(self, row: dict[str, Any]) -> None:
+        self._writer.writerow([row.get(column, "") for column in self.columns])
+
+    def _payload(self, data: dict[str, Any], index: int) -> Iterator[dict[str, Any]]:
         common = {"payload": index, "protocolId": data.get("protocolId")}
         if "srp" in data:
             report = data["srp"]
@@ -126,9 +128,12 @@ def _problem_row(problem: Problem) -> dict[str, Any]:
     return {"kind": "problem", **{name: getattr(problem, name) for name in names}}
 
 
+_encode_json = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False).encode
+
+
 class JsonlRenderer:
     """One JSON object per frame and line."""
 
     def render(self, frame: DissectedFrame) -> str:
         """The object of one frame (``DissectedFrame.as_json``)."""
-        return json.dumps(frame.as_json(), separators=(",", ":"), ensure_ascii=False)
+        return _encode_json(frame.as_json())

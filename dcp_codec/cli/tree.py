@@ -18,6 +18,10 @@ from dcp_codec.texts import payload_name, utc, value_text
 
 _NARROW = 60
 _VALUE_COLUMN = 34
+# A union would be made anew for each row.
+_LISTS = (Group, Many)
+#: Octets as a hexdump shows them.
+_SHOWN = bytes(octet if 32 <= octet < 127 else ord(".") for octet in range(256))
 
 
 class TreeRenderer:
@@ -38,13 +42,14 @@ class TreeRenderer:
 
     def _lines(self, frame: DissectedFrame) -> Iterator[str]:
         yield from self._heading(frame)
-        rows = list(_rows(frame.dissection.root, 0))
+        rows = _rows(frame.dissection.root, 0, [])
         names = min(max((2 * depth + len(name) for name, _, depth in rows), default=0) + 1, 30)
         problems = _by_path(frame.dissection.problems)
         for name, field, depth in rows:
             yield self._row(frame, "  " * depth + name, field, names)
-            for problem in problems.pop(field.path, []):
-                yield from self._problem(problem)
+            if problems:
+                for problem in problems.pop(field.path, []):
+                    yield from self._problem(problem)
         # A problem of a field of which nothing is there has no row.
         for left in problems.values():
             for problem in left:
@@ -71,21 +76,24 @@ class TreeRenderer:
         if captured.orig_len > len(captured.data):
             size += f" of {captured.orig_len} captured"
         parts.append(size)
-        yield from (self.style(line, bold=True) for line in textwrap.wrap("  ".join(parts), self.width))
+        heading = "  ".join(parts)
+        lines = [heading] if len(heading) <= self.width else textwrap.wrap(heading, self.width)
+        yield from (self.style(line, bold=True) for line in lines)
 
     def _row(self, frame: DissectedFrame, name: str, field: Field, names: int) -> str:
+        layout = field.layout
         value = value_text(frame.codec.profile, field)
-        if isinstance(field.layout, Group) and field.layout.type_name == "Payload":
+        if isinstance(layout, Group) and layout.type_name == "Payload":
             value = payload_name(field)
         place = self.style(f"{field.offset:>6} {field.length:>4}  ", dim=True)
-        record = isinstance(field.layout, Group | Many)
+        record = isinstance(layout, _LISTS)
         shown = self.style(f"{name:<{names}}", fg="cyan") if record else f"{name:<{names}}"
         room = self.width - 13 - max(names, len(name)) - 1
         if len(value) > room > 8:
             value = value[: room - 1] + "…"
         hexes = ""
-        leaf = isinstance(field.layout, Text) or not field.children
-        if self.width >= _NARROW and leaf and not isinstance(field.layout, Group | Many):
+        leaf = not record and (isinstance(layout, Text) or not field.children)
+        if self.width >= _NARROW and leaf:
             hexes = self._hexes(field, room - len(value) - 2, len(value))
         return f"{place}{shown} {value}{hexes}".rstrip()
 
@@ -115,33 +123,36 @@ class TreeRenderer:
 
     def _dump(self, frame: DissectedFrame) -> Iterator[str]:
         data = frame.frame.data
-        wrong = _faulty(frame.dissection, len(data))
+        wrong = _faulty(frame.dissection, len(data)) if frame.dissection.problems else ()
         per_line = 16 if self.width >= 74 else 8
         for start in range(0, len(data), per_line):
             chunk = data[start : start + per_line]
-            cells, marks = [], []
-            for index, octet in enumerate(chunk, start=start):
-                cell = f"{octet:02x}"
-                cells.append(self.style(cell, fg="red", bold=True) if index in wrong else cell)
-                marks.append("^^" if index in wrong else "  ")
+            octets, marks = chunk.hex(" "), ""
+            if any(start <= index < start + per_line for index in wrong):
+                cells = [(f"{octet:02x}", index in wrong) for index, octet in enumerate(chunk, start=start)]
+                octets = " ".join(self.style(cell, fg="red", bold=True) if bad else cell for cell, bad in cells)
+                marks = " ".join("^^" if bad else "  " for _, bad in cells).rstrip()
             gap = "   " * (per_line - len(chunk))
-            text = "".join(chr(octet) if 32 <= octet < 127 else "." for octet in chunk)
-            yield f"  {start:04x}  {' '.join(cells)}{gap}  {text}"
-            if not self.colour and any(mark.strip() for mark in marks):
-                yield f"        {' '.join(marks)}".rstrip()
+            yield f"  {start:04x}  {octets}{gap}  {chunk.translate(_SHOWN).decode()}"
+            if marks and not self.colour:
+                yield f"        {marks}"
 
 
-def _rows(field: Field, depth: int) -> Iterator[tuple[str, Field, int]]:
-    """The fields to show with name and depth; the root and the halves of a string have no row of their own."""
+_Row = tuple[str, Field, int]
+
+
+def _rows(field: Field, depth: int, rows: list[_Row]) -> list[_Row]:
+    """Add the fields to show, with name and depth; the root and the halves of a string have no row of their own."""
     for child in field.children:
         if isinstance(child.layout, Many):
             for index, element in enumerate(child.children):
-                yield f"{child.name}[{index}]", element, depth
-                yield from _rows(element, depth + 1)
+                rows.append((f"{child.name}[{index}]", element, depth))
+                _rows(element, depth + 1, rows)
             continue
-        yield child.name, child, depth
-        if not isinstance(child.layout, Text):
-            yield from _rows(child, depth + 1)
+        rows.append((child.name, child, depth))
+        if child.children and not isinstance(child.layout, Text):
+            _rows(child, depth + 1, rows)
+    return rows
 
 
 def _by_path(problems: list[Problem]) -> dict[str, list[Problem]]:
