@@ -46,6 +46,20 @@ def console(stream: object = None) -> Console:
     return Console(file=stream or sys.stdout, highlight=False, emoji=False, soft_wrap=True)  # type: ignore[arg-type]
 
 
+def progress_bar(*, quiet: bool) -> Progress:
+    """A bar on standard error that goes away when it is done; none with ``quiet``, or where that is no terminal."""
+    bar = Console(stderr=True, emoji=False)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=bar,
+        transient=True,
+        disable=quiet or not bar.is_terminal,
+    )
+
+
 class Display:
     """A bar on a terminal; a line for each case that is not simply passed, or for all with ``verbose``."""
 
@@ -53,19 +67,8 @@ class Display:
         self._verbose = verbose
         self._quiet = quiet
         self._console = console()
-        bar = Console(stderr=True, emoji=False)
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=None),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=bar,
-            transient=True,
-            disable=quiet or not bar.is_terminal,
-        )
+        self._progress = progress_bar(quiet=quiet)
         self._task: TaskID | None = None
-        self._total = 0
-        self._done = 0
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -78,12 +81,10 @@ class Display:
 
     def start(self, total: int) -> None:
         """So many cases are to be run."""
-        self._total = total
         self._task = self._progress.add_task("cases", total=total)
 
     def result(self, case: Case, result: CaseResult, surprise: str) -> None:
         """One of them is done."""
-        self._done += 1
         if self._task is not None:
             self._progress.update(self._task, advance=1, description=case.id)
         notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)

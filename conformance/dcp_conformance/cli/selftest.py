@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from dcp_conformance.errors import UsageError
 from dcp_conformance.selftest import Baseline, SelftestResult, Trial, chosen, selftest
+
+from .display import console, progress_bar
 
 EXIT_STATUS = (
     "Exit status: 0 our node passes and every mutant is killed by a case that names its requirement; 1 not so; "
@@ -45,17 +45,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
         for each in picked:
             click.echo(f"{each.id:<44}  {each.what}  [{', '.join(each.requirements)}; {each.since} to {each.until}]")
         return 0
-    bar = Console(stderr=True)
-    progress = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=bar,
-        transient=True,
-        disable=options["quiet"] or not bar.is_terminal,
-    )
-    with progress:
+    with progress_bar(quiet=options["quiet"]) as progress:
         task = progress.add_task("mutants", total=None)
 
         def done(outcome: Baseline | Trial) -> None:
@@ -94,7 +84,7 @@ def _write(result: SelftestResult, directory: Path | None, document: Path | None
 
 
 def _show(result: SelftestResult, *, verbose: bool, quiet: bool) -> None:
-    out = Console(highlight=False)
+    out = console()
     if not quiet:
         out.print(_baselines(result.baselines))
         out.print()
