@@ -96,11 +96,6 @@ def scalars_of(group: Group) -> list[Scalar] | None:
     return found
 
 
-def content_name(node: Node) -> str:
-    """The member of a value class that holds ``node``."""
-    return snake(node.name)
-
-
 def walk(node: Node) -> Iterator[Node]:
     """Every node of a plan, parents first."""
     yield node

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 import msgspec
 from dcp_spec.bp import header_size
@@ -94,9 +93,6 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True):
         """The chosen alternative of a disputed text; ours unless ``readings`` says otherwise."""
         default = reading(identifier).default
         return self.readings.get(identifier) or (default.name if default is not None else "")
-
-
-Layer = Literal["bp", "srp", "vardis"]
 
 
 def sizes(config: NodeConfig) -> Sizes:

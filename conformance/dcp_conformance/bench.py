@@ -330,23 +330,6 @@ class Bench:
         """Wait for a record of this kind about a variable, and return it; None if none comes in time."""
         return self.until(lambda heard: heard.about(kind, var_id), periods)
 
-    def until_notified(self, method: str, periods: float | None = None, **members: Any) -> Notification | None:
-        """Wait for a notification with these members (as in JSON); those that came before are not asked."""
-        seen = len(self.notifications)
-
-        def found() -> Notification | None:
-            for each in self.notifications[seen:]:
-                if each.method == method and all(each.params.get(name) == value for name, value in members.items()):
-                    return each
-            return None
-
-        deadline = self.now() + self._patience(self.reaction if periods is None else periods)
-        while self.now() < deadline:
-            if (notification := found()) is not None:
-                return notification
-            self.wait_ns(max(1, min(deadline - self.now(), self.period // 10)))
-        return found()
-
     def beacons(self, count: int, periods: float | None = None) -> list[Heard]:
         """Wait for so many beacons; those that came, which may be fewer at the end of the time."""
         before = len(self.heard)

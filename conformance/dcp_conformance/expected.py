@@ -71,10 +71,6 @@ class ExpectedResults:
                 raise UsageError(f"{path}: expected[{number}]: no case is called {entry.case!r}")
         return cls(entries, str(path))
 
-    def expected_for(self, case: Case) -> Verdict | None:
-        """The verdict that the first entry about a case expects, None if there is none."""
-        return next((entry.verdict for entry in self.entries if matches(case, entry.case)), None)
-
     def judge(self, case: Case, result: CaseResult) -> str:
         """Why a result is not as expected; empty if it is. Notes which entries came true."""
         about = [(number, entry) for number, entry in enumerate(self.entries) if matches(case, entry.case)]

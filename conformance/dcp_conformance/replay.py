@@ -155,7 +155,6 @@ class Replay:
         actions = _Applications(bench, oracle, self.node) if self._options.services and bench.session.upper else None
         # What it has said before is no part of the play.
         begun, first, judged = bench.now(), 0, len(bench.heard)
-        spoken = 0
         for frame, heard, source in beacons_of(self._path, bench.codec):
             first = first or frame.time_ns
             if self._options.speed > 0:
@@ -163,7 +162,6 @@ class Replay:
                 bench.wait_ns(max(0, due - bench.now()))
             elif heard.sender == self.node:
                 # In step: a beacon of the implementation for each of the node whose part it plays.
-                spoken += 1
                 bench.beacons(1, 3)
             judged = self._judge(bench, oracle, judged)
             if heard.sender == self.node:

@@ -78,8 +78,6 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     killed: bool = False
     """The implementation was found dead after this case."""
     attempt: int = 1
-    expected_verdict: Verdict | None = None
-    """What the file of expected results says, if it says anything; None otherwise."""
     error_detail: str = ""
     """For a fault of the tester: where it happened."""
 

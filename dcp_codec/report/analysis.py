@@ -41,12 +41,6 @@ class Time:
         """Seconds of a piece."""
         return float(self.edges[1] - self.edges[0])
 
-    @property
-    def middles(self) -> Column:
-        """The middle of each piece."""
-        found: Column = (self.edges[:-1] + self.edges[1:]) / 2
-        return found
-
     def finer(self, shortest: float) -> Column:
         """The ends of more pieces, none shorter than so many seconds, for ages."""
         end = float(self.edges[-1])

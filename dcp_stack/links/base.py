@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import msgspec
@@ -96,6 +95,3 @@ class Watcher(Protocol):
     def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
         """Take note of one frame."""
         ...
-
-
-OpenLink = Callable[[], Link]

@@ -10,7 +10,6 @@ import time
 from typing import Any, Final, Literal, TextIO
 
 LogFormat = Literal["text", "json"]
-LEVELS: Final = ("debug", "info", "warning", "error")
 
 _BARE: Final = re.compile(r"[\w./:@%+-]+")
 

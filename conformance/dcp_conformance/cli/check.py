@@ -9,8 +9,6 @@ from pathlib import Path
 import click
 import msgspec
 
-from dcp_conformance.errors import UsageError
-
 from .options import EXIT_STATUS
 
 
@@ -80,6 +78,3 @@ def command(
 def _states_period(pics: Path) -> bool:
     """Whether a PICS file says what the beacon period is, also if it is the usual one."""
     return "beacon_period_ms" in tomllib.loads(pics.read_text(encoding="utf-8")).get("pixit", {})
-
-
-__all__ = ["UsageError", "command"]

@@ -81,7 +81,6 @@ class StackTarget:
         """What watched the last sequence."""
         self.frames = 0
         """Frames that were delivered in all."""
-        self._probe_number = 0
 
     def _observer(self) -> Observer:
         return Observer(self.codec, self.own_id, self._period, network=self._network)
@@ -216,7 +215,6 @@ class StackTarget:
         if var_id is None:
             return self._wait(2.0, at)
         profile = self.codec.profile
-        self._probe_number += 1
         sender = _PROBER.hex(":").encode() if profile.types.node_id.representation == "text" else _PROBER
         width = profile.types.node_id.width
         octets = self._forge.beacon(
