@@ -253,6 +253,17 @@ def variables_forwards(air: Script, wrong: bool) -> Outcome:
     return Outcome(("VD-TYP-03", "VD-PU-06"), (first, second))
 
 
+@script("CK_VD_SEQNO", variant="silent")
+def variables_forwards_behind_a_node_that_falls_silent(air: Script, wrong: bool) -> Outcome:
+    # What this one says cannot be judged any more, and must not keep others from being judged.
+    air.say(A, VarSumm(2, 250))
+    air.say(A, VarSumm(2, 249))
+    first = air.say(B, VarSumm(1, 250))
+    second = air.say(B, VarSumm(1, 249 if wrong else 3))
+    air.idle(12, nodes=(B, C))
+    return Outcome(("VD-TYP-03", "VD-PU-06"), (first, second))
+
+
 @script("CK_VD_VALUE")
 def one_value(air: Script, wrong: bool) -> Outcome:
     first = air.say(A, air.create(1, A), VarSumm(1, 0))

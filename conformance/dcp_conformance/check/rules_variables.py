@@ -25,6 +25,8 @@ _PATIENCE = 10
 #: A gap in the recording shows within so many ns, or never.
 _GAP_SHOWS = 2_000_000_000
 _SUSPECTS = 4096
+#: Later than anything in a recording, in ns since 1970.
+_END = 1 << 63
 
 
 class _Suspect(NamedTuple):
@@ -55,8 +57,8 @@ class _OfOneNode(Invariant):
         """A creation, or a deletion: it was another life."""
         self._suspects.pop((node, var_id), None)
 
-    def due(self) -> None:
-        """Judge those that had their time."""
+    def due(self, now: int) -> None:
+        """Judge those that had their time, in their order."""
         while self._suspects:
             key, suspect = next(iter(self._suspects.items()))
             sender = self.context.senders.get(key[0])
@@ -65,13 +67,15 @@ class _OfOneNode(Invariant):
             elif sender.beacons >= suspect.beacons + _PATIENCE:
                 del self._suspects[key]
                 self.violated(suspect.text, [suspect.before, suspect.after], once=key)
-            elif suspect.after.time + _PATIENCE * _GAP_SHOWS < self._now:
+            elif suspect.after.time + _PATIENCE * _GAP_SHOWS < now:
                 # It has fallen silent.
                 del self._suspects[key]
             else:
                 break
 
-    _now = 0
+    def finish(self) -> None:
+        """No more time will come: who has not explained itself has fallen silent."""
+        self.due(_END)
 
 
 class SequenceForwards(_OfOneNode):
@@ -92,8 +96,7 @@ class SequenceForwards(_OfOneNode):
 
     def feed(self, seen: Seen) -> None:
         """Compare with what the node sent last."""
-        self._now = seen.time
-        self.due()
+        self.due(seen.time)
         for each in seen.said:
             key = (seen.sender, each.var_id)
             if each.kind is ICType.DELETE_VARIABLES:
@@ -122,10 +125,6 @@ class SequenceForwards(_OfOneNode):
             self._creation[key] = this
         return before != this
 
-    def finish(self) -> None:
-        """What had its time."""
-        self.due()
-
 
 class Deleted(_OfOneNode):
     """What is deleted is not mentioned."""
@@ -142,8 +141,7 @@ class Deleted(_OfOneNode):
 
     def feed(self, seen: Seen) -> None:
         """Remember deletes; a create that the node itself sends behind one ends its force."""
-        self._now = seen.time
-        self.due()
+        self.due(seen.time)
         for each in seen.said:
             key = (seen.sender, each.var_id)
             if each.kind is ICType.DELETE_VARIABLES:
@@ -157,10 +155,6 @@ class Deleted(_OfOneNode):
                 gone = self._deleted.pop(key)
                 text = f"{name(seen.sender)} deletes variable {each.var_id}, and then sends {each.kind.label} of it"
                 self.suspect(gone, each, seen, text)
-
-    def finish(self) -> None:
-        """What had its time."""
-        self.due()
 
 
 class _Contradiction(NamedTuple):
@@ -194,7 +188,7 @@ class _OfAllNodes(Invariant):
 
     def finish(self) -> None:
         """No gap will show any more."""
-        self.due(1 << 63)
+        self.due(_END)
 
 
 class OneValue(_OfAllNodes):
