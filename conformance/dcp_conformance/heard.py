@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from dcp_spec.constants import ICType
+from dcp_spec.profile import ContainerTypes
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, Problem
@@ -51,8 +53,7 @@ class Heard:
         self._instructions = tuple(self._taken_apart(codec))
 
     def _taken_apart(self, codec: Codec) -> Iterator[Instruction]:
-        numbers = codec.profile.vardis.container_types.by_name()
-        kinds = {number: ICType[label.replace("-", "_")] for label, number in numbers.items()}
+        kinds = _kinds(codec.profile.vardis.container_types)
         for number, container in enumerate(self.containers):
             for position, record in enumerate(container.records):
                 yield Instruction(self, number, position, kinds[container.ic_type], record)
@@ -111,6 +112,12 @@ class Heard:
     def about(self, kind: ICType, var_id: int) -> Any | None:
         """The first record of that kind about a variable, or None."""
         return next((each.record for each in self.instructions(kind, var_id)), None)
+
+
+@functools.lru_cache(maxsize=16)
+def _kinds(types: ContainerTypes) -> dict[int, ICType]:
+    """Number of a container type in a profile -> what it holds."""
+    return {number: ICType[label.replace("-", "_")] for label, number in types.by_name().items()}
 
 
 def var_id_of(record: Any) -> int:
