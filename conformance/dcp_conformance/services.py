@@ -6,6 +6,7 @@ changed their names, and the ways in which a variable or a state report gets int
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -194,10 +195,22 @@ def listed(bench: Bench) -> dict[int, dict[str, Any]]:
     return {each["varId"]: each for each in rows(bench.must("RTDB-DescribeDatabase"), "variables") if "varId" in each}
 
 
-def registration(bench: Bench, prot_id: int) -> dict[str, Any] | None:
-    """What BP-ListRegisteredProtocols says of a protocol; None if it is not registered."""
+def registration(bench: Bench, prot_id: int, name: str, *requirements: str) -> dict[str, Any]:
+    """What BP-ListRegisteredProtocols says of the protocol ``name``. Stops as failed if it is not registered."""
     found = rows(bench.must("BP-ListRegisteredProtocols"), "protocols")
-    return next((row for row in found if row.get("protocolId") == prot_id), None)
+    shown = next((row for row in found if row.get("protocolId") == prot_id), None)
+    if shown is None:
+        bench.fail(f"{name} is registered under protocol identifier {prot_id}", "it is not", *requirements)
+    return shown
+
+
+def check_registered_name(bench: Bench, shown: object, title: str) -> None:
+    """Check the name under which a protocol is registered: ``title`` and a version there is, which is reported."""
+    match = re.fullmatch(re.escape(title) + r" V(\d+\.\d+)", str(shown))
+    known = match is not None and "1.0" <= match[1] <= "2.0"
+    bench.check(known, f"the name '{title} Vx.y', V1.0 to V2.0", repr(str(shown)))
+    if match is not None:
+        bench.info("X31: the version in the name", f"V{match[1]}")
 
 
 def max_repetitions(bench: Bench) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP
@@ -10,17 +9,21 @@ from dcp_spec.constants import BP_PROTID_SRP
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.services import NO_RESPONSE, neighbours, registration, report_octets, safety_data, told
+from dcp_conformance.services import (
+    NO_RESPONSE,
+    check_registered_name,
+    neighbours,
+    registration,
+    report_octets,
+    safety_data,
+    told,
+)
 
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",), entities=("srp",))
-_NAME = re.compile(r"SRP -- State Reporting Protocol V(\d+\.\d+)")
 
 
 def _registration(bench: Bench) -> dict[str, Any]:
-    found = registration(bench, int(BP_PROTID_SRP))
-    if found is None:
-        bench.fail("SRP is registered under protocol identifier 1", "it is not", "SRP-INI-01")
-    return found
+    return registration(bench, int(BP_PROTID_SRP), "SRP", "SRP-INI-01")
 
 
 @case(
@@ -32,15 +35,7 @@ def _registration(bench: Bench) -> dict[str, Any]:
     needs=_LIST,
 )
 def name(bench: Bench) -> None:
-    shown = str(_registration(bench).get("protocolName"))
-    match = _NAME.fullmatch(shown)
-    bench.check(
-        match is not None and "1.0" <= match[1] <= "2.0",
-        "the name 'SRP -- State Reporting Protocol Vx.y', V1.0 to V2.0",
-        repr(shown),
-    )
-    if match is not None:
-        bench.info("X31: the version in the name", f"V{match[1]}")
+    check_registered_name(bench, _registration(bench).get("protocolName"), "SRP -- State Reporting Protocol")
 
 
 @case(

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
-from dcp_conformance.services import listed, produced, registration, taught
+from dcp_conformance.services import check_registered_name, listed, produced, registration, taught
 
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",))
-_NAME = re.compile(r"VarDis -- Variable Dissemination Protocol V(\d+\.\d+)")
 
 
 def _registration(bench: Bench) -> dict[str, Any]:
-    found = registration(bench, int(BP_PROTID_VARDIS))
-    if found is None:
-        bench.fail("VarDis is registered under protocol identifier 2", "it is not")
-    return found
+    return registration(bench, int(BP_PROTID_VARDIS), "VarDis")
 
 
 @case(
@@ -31,15 +26,7 @@ def _registration(bench: Bench) -> dict[str, Any]:
     needs=_LIST,
 )
 def name(bench: Bench) -> None:
-    shown = str(_registration(bench).get("protocolName"))
-    match = _NAME.fullmatch(shown)
-    bench.check(
-        match is not None and "1.0" <= match[1] <= "2.0",
-        "the name 'VarDis -- Variable Dissemination Protocol Vx.y', V1.0 to V2.0",
-        repr(shown),
-    )
-    if match is not None:
-        bench.info("X31: the version in the name", f"V{match[1]}")
+    check_registered_name(bench, _registration(bench).get("protocolName"), "VarDis -- Variable Dissemination Protocol")
 
 
 @case(
