@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from .errors import UsageError
+from .node_id import node_id_octets
 
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -97,6 +98,13 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     buffer_check_period_ms: _Positive = 50.0
     var_ids: tuple[int, int] | None = None
     """First and last variable identifier that the tester may use; None for all of them."""
+
+    def __post_init__(self) -> None:
+        if self.node_id is not None:
+            try:
+                node_id_octets(self.node_id)
+            except ValueError as error:
+                raise ValueError(f"node_id: {error}") from None
 
 
 class Pics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

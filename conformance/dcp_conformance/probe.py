@@ -24,6 +24,7 @@ from dcp_codec.values import Beacon, VarSumm
 
 from .forge import Forge
 from .lower import Arrival, LowerTester
+from .node_id import node_id_octets
 from .pics import Capabilities, Pics, Target, Testing
 from .pics_file import write_pics
 from .upper import Answer, UpperTester
@@ -162,9 +163,9 @@ def _introduce(found: Draft, upper: UpperTester | None) -> bytes | None:
     if not isinstance(node_id, str):
         return None
     try:
-        octets = bytes.fromhex(node_id.replace(":", ""))
-    except ValueError:
-        found.remarks.append(f"UT-Hello says a node identifier that is not hex: {node_id!r}")
+        octets = node_id_octets(node_id)
+    except ValueError as error:
+        found.remarks.append(f"UT-Hello says a nodeId that cannot be used: {error}")
         return None
     found.set("pixit", "node_id", node_id, "as UT-Hello says")
     return octets

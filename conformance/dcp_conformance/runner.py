@@ -14,6 +14,7 @@ from .bench import Bench, Session
 from .case import Case
 from .control import SutControl
 from .errors import LowerTesterError, StopCase, UpperTesterError
+from .node_id import node_id_octets
 from .results import CaseResult, Check, EventRecord, Sut, Table
 from .traffic import Event
 from .verdict import Verdict
@@ -51,13 +52,16 @@ class Runner:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
         session = self.session
         if session.pics.pixit.node_id is not None:
-            session.sut_id = bytes.fromhex(session.pics.pixit.node_id.replace(":", ""))
+            session.sut_id = node_id_octets(session.pics.pixit.node_id)
         upper = session.upper
         if upper is None:
             return
         node_id = upper.about.get("nodeId")
         if session.sut_id is None and isinstance(node_id, str):
-            session.sut_id = bytes.fromhex(node_id.replace(":", ""))
+            try:
+                session.sut_id = node_id_octets(node_id)
+            except ValueError as error:
+                raise UpperTesterError(f"{upper.name}: the nodeId of UT-Hello: {error}") from None
         self._reset()
         known = parameters()
         for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):

@@ -19,6 +19,7 @@ from dcp_codec.values import VarCreate, VarDelete
 from .bench import MS, Bench
 from .errors import UpperTesterError
 from .heard import Heard, var_id_of
+from .node_id import node_id_octets
 from .peers import Peer
 from .upper import Answer
 
@@ -301,9 +302,9 @@ def neighbours(bench: Bench) -> dict[bytes, list[dict[str, Any]]]:
 
 def _octets(node_id: Any) -> bytes:
     try:
-        return bytes.fromhex(str(node_id).replace(":", ""))
-    except ValueError:
-        raise UpperTesterError(f"a nodeId must be hex: {str(node_id)[:100]}") from None
+        return node_id_octets(str(node_id)[:100])
+    except ValueError as error:
+        raise UpperTesterError(f"nodeId: {error}") from None
 
 
 def neighbour(bench: Bench, node_id: bytes) -> dict[str, Any] | None:

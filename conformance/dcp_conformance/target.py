@@ -17,6 +17,7 @@ from .bench import Session
 from .control import SutControl
 from .errors import UsageError
 from .lower import LowerTester
+from .node_id import node_id_octets
 from .pics import Pics, load_pics
 from .runner import Runner
 from .upper import UpperTester
@@ -95,6 +96,7 @@ def describe(options: TargetOptions) -> tuple[Codec, Pics]:
         codec = Codec(name)
     except ProfileError as error:
         raise UsageError(str(error)) from None
+    _check_node_id(options, pics, codec)
     if options.ether_type is not None:
         link = with_ether_type(codec.profile.link, options.ether_type)
         codec = Codec(msgspec.structs.replace(codec.profile, link=link))
@@ -102,6 +104,16 @@ def describe(options: TargetOptions) -> tuple[Codec, Pics]:
         pixit = msgspec.structs.replace(pics.pixit, beacon_period_ms=options.beacon_period_ms)
         pics = msgspec.structs.replace(pics, pixit=pixit)
     return codec, pics
+
+
+def _check_node_id(options: TargetOptions, pics: Pics, codec: Codec) -> None:
+    """Nobody is called what the profile cannot express."""
+    profile = codec.profile
+    text, width = pics.pixit.node_id, profile.types.node_id.width
+    # A width of 0: identifiers have a length of their own.
+    if text is not None and width and (octets := len(node_id_octets(text))) != width:
+        wrong = f"it has {octets} octets, in the profile {profile.name} it has {width}"
+        raise UsageError(f"{options.pics}: pixit.node_id: {text!r}: {wrong}")
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ import click
 import msgspec
 
 from dcp_conformance.errors import UsageError
+from dcp_conformance.node_id import node_id_octets
 
 from .options import EXIT_STATUS, target_of, target_options
 
@@ -81,6 +82,6 @@ def _node_id(text: str | None) -> bytes | None:
     if text is None:
         return None
     try:
-        return bytes.fromhex(text.replace(":", ""))
-    except ValueError:
-        raise UsageError(f"--node {text!r} is no node identifier; write it as 02:00:00:00:00:01") from None
+        return node_id_octets(text)
+    except ValueError as error:
+        raise UsageError(f"--node: {error}") from None
