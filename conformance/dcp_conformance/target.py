@@ -197,7 +197,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     if options.ut is not None:
         from .upper.opening import open_upper
 
-        upper = open_upper(options.ut)
+        upper = open_upper(options.ut, starting=process is not None)
         if process is not None:
             process.after_restart.append(upper.reconnect)
     return _session(options, codec, pics, lower, upper), control, []

@@ -85,6 +85,12 @@ class TestExitStatus:
         assert done.status != AS_EXPECTED
         assert (tmp_path / "report" / "report.html").exists()
 
+    def test_4_nobody_listens_where_the_upper_tester_should_be(self, dcp_conformance: Command, tmp_path: Path):
+        done = dcp_conformance("run", "--link", "udp", "--ut", f"unix:{tmp_path}/node.sock", "TC_DCP_SANITY_BV_01")
+        assert done.status == TESTER_ERROR
+        # Nobody was told to start it: there is nothing to wait for.
+        assert f"unix:{tmp_path}/node.sock: there is no such socket; is the implementation running" in done.err
+
     def test_4_the_testers_own_trouble(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance(
             "run", "--link", "udp", "--ut", f"tcp:127.0.0.1:{free_port()}", ONE, "--report-dir", tmp_path

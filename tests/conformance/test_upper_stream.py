@@ -418,3 +418,18 @@ def test_nobody_there(tmp_path):
         free.bind(("127.0.0.1", 0))
         with pytest.raises(UpperTesterError, match=r"tcp:127.0.0.1:\d+: nobody listens there"):
             open_upper(f"tcp:127.0.0.1:{free.getsockname()[1]}", patience=0.1)
+
+
+def test_nobody_is_waited_for_whom_nobody_starts(tmp_path):
+    for spec in (f"unix:{tmp_path}/nobody.sock", "tcp:127.0.0.1:1"):
+        with pytest.raises(UpperTesterError, match=r"there is no such socket; is|nobody listens there; is"):
+            open_upper(spec, patience=0.5, starting=False)
+
+
+def test_who_was_there_is_waited_for(unix_server):
+    _, path = unix_server
+    upper = open_upper(f"unix:{path}", patience=0.5, starting=False)
+    path.unlink()
+    with pytest.raises(UpperTesterError, match=r"there is no such socket, after 0.5 s"):
+        upper.reconnect()
+    upper.close()

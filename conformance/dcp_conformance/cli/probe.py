@@ -46,7 +46,7 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
     candidates = [codec] if chosen else [Codec(name) for name in BUILTIN_PROFILES]
     lower = open_lower(target, codec)
     try:
-        upper = open_upper(target.ut) if target.ut is not None else None
+        upper = open_upper(target.ut, starting=False) if target.ut is not None else None
         try:
             pics, remarks = draft(lower, upper, candidates, seconds, ask=not passive)
         finally:

@@ -23,6 +23,8 @@ from dcp_conformance.errors import UpperTesterError, UsageError
 LONGEST_LINE = 16 * 1024 * 1024
 #: Lines of a program's standard error that are kept, and octets of each.
 LAST_LINES, LAST_OCTETS = 10, 500
+#: Seconds that an attempt to connect gets at least: over a network an answer takes its time.
+_ATTEMPT = 2.0
 #: Seconds between attempts to connect, and those that a program has to end once it is told to.
 _RETRY, _END = 0.02, 2.0
 #: Seconds that what was killed may take to be gone.
@@ -133,7 +135,7 @@ class SocketChannel(Channel):
     """A Unix or TCP connection."""
 
     def __init__(self, name: str, address: str | tuple[str, int], patience: float) -> None:
-        """Tries until it succeeds, for ``patience`` s at the most. Raises ``UpperTesterError``."""
+        """Tries until it succeeds, for ``patience`` s at the most; 0: once. Raises ``UpperTesterError``."""
         super().__init__(name)
         self._socket = _connected(name, address, patience)
         self._socket.setblocking(False)
@@ -338,7 +340,7 @@ def _wait(descriptors: Sequence[int], events: int, seconds: float) -> None:
 def _connected(name: str, address: str | tuple[str, int], patience: float) -> socket.socket:
     deadline = time.monotonic() + patience
     while True:
-        left = max(0.05, deadline - time.monotonic())
+        left = max(_ATTEMPT, deadline - time.monotonic())
         try:
             if isinstance(address, tuple):
                 return socket.create_connection(address, timeout=left)
@@ -361,12 +363,13 @@ def _connected(name: str, address: str | tuple[str, int], patience: float) -> so
 
 
 def _why_not(error: OSError, patience: float) -> str:
+    after = f", after {patience:g} s" if patience else ""
     if isinstance(error, FileNotFoundError):
-        return f"there is no such socket, after {patience:g} s; is the implementation running, with this path?"
+        return f"there is no such socket{after}; is the implementation running, with this path?"
     if isinstance(error, ConnectionRefusedError):
-        return f"nobody listens there, after {patience:g} s; is the implementation or its adapter running?"
+        return f"nobody listens there{after}; is the implementation or its adapter running?"
     if isinstance(error, TimeoutError | BlockingIOError):
-        return f"no connection within {patience:g} s"
+        return f"no connection within {max(patience, _ATTEMPT):g} s"
     if isinstance(error, PermissionError):
         return "permission denied; the socket is for the user that runs the implementation"
     return f"cannot be reached: {error.strerror or error}"

@@ -23,8 +23,11 @@ FORMS = {
 _LONGEST_PATH = 107
 
 
-def open_upper(spec: str, patience: float = 5.0) -> Reconnecting:
+def open_upper(spec: str, patience: float = 5.0, *, starting: bool = True) -> Reconnecting:
     """Open the upper tester that ``spec`` names (:data:`FORMS`); ``patience``: s that anything may take.
+
+    ``starting`` False: nobody is about to start it, so that a socket where nobody listens is refused at once. When it
+    was there and is gone, it is waited for in any case.
 
     Raises ``UsageError`` for a text that names none, ``UpperTesterError`` if it cannot be reached or does not keep to
     the contract.
@@ -41,7 +44,8 @@ def open_upper(spec: str, patience: float = 5.0) -> Reconnecting:
         # The patience is for answers: a program is there at once, or it is not.
         return StreamUpperTester(spec, lambda _: ProcessChannel(spec, rest), patience, several=False)
     address = _tcp_address(spec, rest) if kind == "tcp" else _path(spec, rest)
-    return StreamUpperTester(spec, functools.partial(SocketChannel, spec, address), patience)
+    connect = functools.partial(SocketChannel, spec, address)
+    return StreamUpperTester(spec, connect, patience, connecting=patience if starting else 0)
 
 
 def _path(spec: str, path: str) -> str:

@@ -39,9 +39,17 @@ class StreamUpperTester:
     """
 
     def __init__(
-        self, name: str, connect: Callable[[float], Channel], patience: float, *, several: bool = True
+        self,
+        name: str,
+        connect: Callable[[float], Channel],
+        patience: float,
+        *,
+        several: bool = True,
+        connecting: float | None = None,
     ) -> None:
-        """``connect`` opens a channel within so many s; ``several``: there can be more than one at a time.
+        """``connect`` opens a channel, trying for so many s; ``several``: there can be more than one at a time.
+
+        ``connecting``: s to try the first time, by default the patience.
 
         Raises ``UpperTesterError`` and ``UsageError``.
         """
@@ -57,7 +65,7 @@ class StreamUpperTester:
         self._notifications: deque[Notification] = deque()
         self._dropped = 0
         self._closed = False
-        self.reconnect()
+        self._open(patience if connecting is None else connecting)
 
     # -- the contract of an upper tester -----------------------------------------------------------------------
 
@@ -105,8 +113,11 @@ class StreamUpperTester:
 
         Raises ``UpperTesterError`` and ``UsageError``.
         """
+        self._open(self._patience)
+
+    def _open(self, connecting: float) -> None:
         self._drop()
-        self._channel = self._connect(self._patience)
+        self._channel = self._connect(connecting)
         try:
             self._ask_nonsense()
             self._greet()
