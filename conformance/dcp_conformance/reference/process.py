@@ -23,6 +23,7 @@ from dcp_conformance.lower import LowerTester, open_ethernet, open_udp
 from dcp_conformance.lower.udp import DEFAULT_GROUP
 from dcp_conformance.process import ProcessControl
 from dcp_conformance.upper import Reconnecting, UpperTester, open_upper
+from dcp_stack.config import BPConfig, VardisConfig
 
 from .namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
 
@@ -70,10 +71,12 @@ def reference_process(
         stack.callback(shutil.rmtree, directory, ignore_errors=True)
         lower, link_options, namespace, about = _open_link(codec, link, stack)
         stack.callback(lower.close)
-        path = directory / "node.sock"
+        path, settings = directory / "node.sock", directory / "node.toml"
+        settings.write_text(_settings(beacon_period_ms), encoding="utf-8")
         representation = codec.profile.types.node_id.representation
         command = [
-            *(sys.executable, "-m", "dcp_stack.cli", "run", *link_options, "--control", str(path)),
+            *(sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(settings), *link_options),
+            *("--control", str(path)),
             *("--profile", profile or codec.profile.name, "--beacon-period", f"{beacon_period_ms:g}"),
             *("--node-id", node_id.hex(":") if representation != "hex" else node_id.hex(), "--log-level", "warning"),
             *options,
@@ -85,6 +88,16 @@ def reference_process(
         stack.callback(upper.close)
         control.upper = upper
         yield ReferenceProcess(lower, upper, control, about)
+
+
+def _settings(beacon_period_ms: float) -> str:
+    """Timers of VarDis in the proportion that they have to the beacon period by default.
+
+    With a short beacon period and the usual timers, most of a run would be waiting for VarDis to look at its buffer.
+    """
+    scale, usual = beacon_period_ms / BPConfig().beacon_period_ms, VardisConfig()
+    timers = {name: getattr(usual, name) for name in ("buffer_check_period_ms", "scrubbing_period_ms")}
+    return "[vardis]\n" + "".join(f"{name} = {max(1, round(scale * value))}\n" for name, value in timers.items())
 
 
 class _NodeControl(ProcessControl):
