@@ -18,27 +18,42 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .codec import Codec, get_codec
-from .errors import CodecError, DecodeError, EncodeError, Problem
-from .fields import Dissection, Field
-from .values import (
-    Beacon,
-    BPHeader,
-    Container,
-    ExtendedSafetyData,
-    Payload,
-    SafetyData,
-    VarCreate,
-    VarDelete,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSpec,
-    VarSumm,
-    VarUpdate,
-)
+from dcp_spec.exports import exported
 
 if TYPE_CHECKING:
+    from .codec import Codec, get_codec
+    from .errors import CodecError, DecodeError, EncodeError, Problem
+    from .fields import Dissection, Field
     from .table.opening import OpenTable, Source
+    from .values import (
+        Beacon,
+        BPHeader,
+        Container,
+        ExtendedSafetyData,
+        Payload,
+        SafetyData,
+        VarCreate,
+        VarDelete,
+        VarReqCreate,
+        VarReqUpdate,
+        VarSpec,
+        VarSumm,
+        VarUpdate,
+    )
+
+# Commands that only say what they can do load neither schemas nor profiles.
+__getattr__ = exported(
+    __name__,
+    {
+        "codec": ("Codec", "get_codec"),
+        "errors": ("CodecError", "DecodeError", "EncodeError", "Problem"),
+        "fields": ("Dissection", "Field"),
+        "values": (
+            *("BPHeader", "Beacon", "Container", "ExtendedSafetyData", "Payload", "SafetyData", "VarCreate"),
+            *("VarDelete", "VarReqCreate", "VarReqUpdate", "VarSpec", "VarSumm", "VarUpdate"),
+        ),
+    },
+)
 
 
 def open_table(

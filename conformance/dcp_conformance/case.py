@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from .bench import Bench
 
 CASES: Final = "dcp_conformance.cases"
+SANITY: Final = "TC_DCP_SANITY_BV_01"
+"""The case that shows that the implementation is there and answers: first, last, and after every destructive case."""
 _ID = re.compile(r"TC_(?:DCP|BP|SRP|VD|NET)_[A-Z0-9]+_(BV|BI|BO|TI)_\d\d")
 _VARIANT = re.compile(r"[a-zA-Z0-9][a-zA-Z0-9.+_=-]*")
 

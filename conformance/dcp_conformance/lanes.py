@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
+from .case import SANITY
 from .plugin import ConformanceRun
 from .results import CaseResult, Sut
-from .runner import SANITY
 from .selection import Selection
 from .target import TargetOptions
 

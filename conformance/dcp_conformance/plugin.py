@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from .case import CASES, Case, all_cases, cases_of
+from .case import CASES, SANITY, Case, all_cases, cases_of
 from .errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
 from .expected import ExpectedResults
 from .outcome import TESTER_ERROR, USAGE, assemble, exit_status
 from .results import CaseResult, RunResult, Sut
-from .runner import SANITY, timestamp
+from .runner import timestamp
 from .selection import Selection, select
 from .target import Target, TargetOptions, describe, open_target
 from .verdict import Verdict

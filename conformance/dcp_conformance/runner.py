@@ -21,9 +21,6 @@ from .verdict import Verdict
 
 #: Questions without an answer after which an implementation is taken for dead.
 _QUESTIONS = 4
-SANITY = "TC_DCP_SANITY_BV_01"
-"""The case that shows that the implementation is there and answers: first, last, and after every destructive case."""
-
 #: Seconds that an implementation which has hung up may take to be seen dead.
 DEATH_PATIENCE = 1.0
 

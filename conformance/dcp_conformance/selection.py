@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 from dcp_spec.requirements import UnknownRequirementError, requirement, requirements
 
-from .case import Case
+from .case import SANITY, Case
 from .errors import UsageError
-from .runner import SANITY
 
 PLANS = ("full", "smoke")
 

@@ -3,9 +3,16 @@
 The contract is written up in ``conformance/UPPER-TESTER.md``.
 """
 
-from .client import ControlClient, ControlError, ServiceError
-from .methods import METHODS, NOTIFICATIONS
-from .server import ControlServer, ControlSession
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dcp_spec.exports import exported
+
+if TYPE_CHECKING:
+    from .client import ControlClient, ControlError, ServiceError
+    from .methods import METHODS, NOTIFICATIONS
+    from .server import ControlServer, ControlSession
 
 __all__ = [
     "METHODS",
@@ -16,3 +23,13 @@ __all__ = [
     "ControlSession",
     "ServiceError",
 ]
+
+# A client needs nothing of the node that it talks to.
+__getattr__ = exported(
+    __name__,
+    {
+        "client": ("ControlClient", "ControlError", "ServiceError"),
+        "methods": ("METHODS", "NOTIFICATIONS"),
+        "server": ("ControlServer", "ControlSession"),
+    },
+)

@@ -7,12 +7,19 @@ interface: ``profile`` and ``profile_loading`` (how octets are laid out), ``sche
 ``requirements()`` and ``readings()``, are in the modules of those names, which a package cannot also export.
 """
 
-from .profile import Profile
-from .profile_loading import ProfileError, load_profile, profile_names
-from .readings import reading
-from .requirements import Requirement, requirement
-from .schema import Schema, build_schema
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .exports import exported
 from .version import __version__
+
+if TYPE_CHECKING:
+    from .profile import Profile
+    from .profile_loading import ProfileError, load_profile, profile_names
+    from .readings import reading
+    from .requirements import Requirement, requirement
+    from .schema import Schema, build_schema
 
 __all__ = [
     "Profile",
@@ -26,3 +33,15 @@ __all__ = [
     "reading",
     "requirement",
 ]
+
+# Who wants to know the version, or a constant, does not pay for construct.
+__getattr__ = exported(
+    __name__,
+    {
+        "profile": ("Profile",),
+        "profile_loading": ("ProfileError", "load_profile", "profile_names"),
+        "readings": ("reading",),
+        "requirements": ("Requirement", "requirement"),
+        "schema": ("Schema", "build_schema"),
+    },
+)

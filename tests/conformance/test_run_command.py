@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from dcp_conformance.case import all_cases
+from dcp_conformance.case import SANITY, all_cases
 from dcp_conformance.errors import UsageError
 from dcp_conformance.expected import ExpectedResults
 from dcp_conformance.lanes import run_in_lanes, run_pytest
@@ -21,7 +21,6 @@ from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, TESTER_ERROR, UNE
 from dcp_conformance.plugin import ConformanceRun
 from dcp_conformance.reporting import load_results
 from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import SANITY
 from dcp_conformance.selection import Selection, select
 from dcp_conformance.target import TargetOptions
 from dcp_conformance.verdict import Verdict

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import msgspec
 from dcp_conformance.bench import Session
+from dcp_conformance.case import SANITY
 from dcp_conformance.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import SANITY, Runner
+from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
 from .rig import codec_of, known_cases

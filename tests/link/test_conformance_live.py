@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind, all_cases
+from dcp_conformance.case import SANITY, Case, Kind, all_cases
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.process import started_at
 from dcp_conformance.reference.namespace import Namespace, NamespaceError
 from dcp_conformance.reference.process import ReferenceProcess, reference_process
-from dcp_conformance.runner import SANITY, Runner
+from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
 from dcp_codec import Codec

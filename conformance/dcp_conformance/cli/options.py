@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from dcp_conformance.selection import PLANS, Selection
-from dcp_conformance.target import TargetOptions
+
+if TYPE_CHECKING:
+    from dcp_conformance.target import TargetOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -84,6 +86,9 @@ def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str
 
 def target_of(options: dict[str, Any]) -> TargetOptions:
     """The target that options of :func:`target_options` mean."""
+    # What opens targets is not needed to say which options there are.
+    from dcp_conformance.target import TargetOptions
+
     return TargetOptions(
         profile=options["profile"],
         interface=options["interface"],

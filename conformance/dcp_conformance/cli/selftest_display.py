@@ -1,0 +1,88 @@
+"""What ``dcp-conformance selftest`` shows when it is done."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.markup import escape
+from rich.table import Table
+
+from dcp_conformance.selftest import Baseline, SelftestResult, Trial
+
+from .display import console
+
+#: Columns of the terminal from which on the table of mutants has all of its columns.
+_WIDE = 110
+
+
+def print_selftest(result: SelftestResult, *, verbose: bool, quiet: bool) -> None:
+    """Who passed and who was killed: by group, or each mutant with ``verbose``; with ``quiet`` only what is wrong."""
+    out = console()
+    if not quiet:
+        out.print(_baselines(result.baselines))
+        out.print()
+        out.print(_mutants(result, out.width) if verbose else _sections(result.mutants))
+    for each in result.baselines:
+        for finding in each.findings:
+            out.print(
+                f"[bold red]{finding.verdict}[/] {finding.case} on {each.profile}: {escape(finding.reason)}",
+                soft_wrap=True,
+            )
+    for trial in result.survivors:
+        out.print(f"[bold red]survives[/] {trial.mutant} ({trial.profile}): {escape(trial.what)}", soft_wrap=True)
+        also = f"; noticed by {', '.join(each.case for each in trial.also[:3])}" if trial.also else ""
+        names = " ".join(trial.requirements)
+        out.print(f"         {trial.candidates} cases name {names}{also}", soft_wrap=True)
+    for trial in result.mutants:
+        for finding in trial.errors:
+            reason = escape(finding.reason)
+            out.print(f"[bold magenta]error[/] {finding.case} with {trial.mutant}: {reason}", soft_wrap=True)
+    killed = len(result.mutants) - len(result.survivors)
+    how = "every case" if result.full else "the cases that name the requirement"
+    out.print(f"\n{killed} of {len(result.mutants)} mutants killed, by {how}, in {result.duration:.1f} s")
+
+
+def _baselines(baselines: Sequence[Baseline]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("our node", no_wrap=True)
+    table.add_column("cases", justify="right")
+    table.add_column("")
+    for each in baselines:
+        said = "[green]passes[/]" if each.good else f"[bold red]{len(each.findings)} do not pass[/]"
+        table.add_row(each.profile, str(each.cases), said)
+    return table
+
+
+def _sections(trials: Sequence[Trial]) -> Table:
+    """By group of requirements: enough where all is well."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("mutants of", no_wrap=True)
+    for heading in ("there", "killed", "survive"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    groups: dict[str, list[Trial]] = {}
+    for trial in trials:
+        groups.setdefault(trial.requirements[0].rpartition("-")[0], []).append(trial)
+    for name, group in sorted(groups.items()):
+        killed = sum(each.killed for each in group)
+        alive = len(group) - killed
+        table.add_row(name, str(len(group)), str(killed), f"[bold red]{alive}[/]" if alive else "[dim].[/]")
+    return table
+
+
+def _mutants(result: SelftestResult, width: int) -> Table:
+    """A row for each mutant; on a narrow terminal only who killed it."""
+    wide = width >= _WIDE
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("mutant", no_wrap=True, overflow="ellipsis", max_width=width // 2)
+    if wide:
+        table.add_column("violates", no_wrap=True)
+    table.add_column("killed by", overflow="fold")
+    if result.full:
+        table.add_column("also", justify="right", no_wrap=True)
+    for trial in result.mutants:
+        killers = [each.case for each in trial.killers]
+        more = f" and {len(killers) - 1} more" if len(killers) > 1 else ""
+        cells = [trial.mutant, *([trial.requirements[0]] if wide else [])]
+        cells.append(f"[green]{escape(killers[0])}[/]{more}" if killers else "[bold red]nobody[/]")
+        table.add_row(*cells, *([str(len(trial.also)) if trial.also else "."] if result.full else []))
+    return table

@@ -1,0 +1,111 @@
+"""What commands import before they say anything: nothing that they do not use, by name and not by time.
+
+benchmarks/startup.py measures what it comes to.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from dcp_conformance.cli import main as conformance
+
+from dcp_codec.cli import main as codec
+from dcp_codec.commandline import CommandLine
+from dcp_stack.cli import main as node
+
+RECORDING = str(Path(__file__).resolve().parents[2] / "captures" / "b_crud.mcap")
+COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance)
+#: Of extras, of the tests, or slow: for those who ask for what needs them.
+HEAVY = frozenset(
+    (
+        *("scapy", "numba", "numpy", "pyarrow", "pandas", "polars", "duckdb", "distributed", "matplotlib"),
+        *("hypothesis", "pytest", "jinja2", "prometheus_client", "pymavlink", "yaml", "asyncio", "http.server"),
+    )
+)
+#: What only those need that show tables and bars, or recordings.
+SHOWING = frozenset(("rich", "mcap"))
+#: Schemas, and all that is made of them.
+SCHEMAS = frozenset(("construct", "dcp_spec.profile_loading", "dcp_codec.codec"))
+#: Node, tester.
+MACHINES = frozenset(("dcp_stack.node", "dcp_stack.control.server", "dcp_conformance.bench", "dcp_conformance.runner"))
+#: Subcommands whose help still has modules of theirs behind it, where the time is spent on the work.
+_WITH_SCHEMAS = frozenset(f"dcp-codec {name}" for name in codec.commands) | {"dcp-node simulate", "dcp-node testbed"}
+_WITH_NODE = frozenset(("dcp-node simulate", "dcp-node testbed"))
+
+
+def helps() -> Iterator[tuple[str, frozenset[str]]]:
+    """Each command as it is typed for its help, and what it must not import."""
+    for command in COMMANDS:
+        yield f"{command.name} --help", HEAVY | SHOWING | SCHEMAS | MACHINES | {"msgspec", "subprocess", "socket"}
+        for subcommand in command.commands:
+            name = f"{command.name} {subcommand}"
+            without = HEAVY | SHOWING
+            if name not in _WITH_SCHEMAS:
+                without |= SCHEMAS
+            if name not in _WITH_NODE:
+                without |= MACHINES
+            yield f"{name} --help", without
+
+
+#: Commands that do something, and what that takes nothing of.
+WORK = {
+    "dcp-conformance list": HEAVY | SHOWING | {"dcp_stack.node"},
+    "dcp-conformance run --dry-run": HEAVY - {"pytest"} | {"mcap", "dcp_stack.node"},
+    "dcp-conformance selftest --list": HEAVY | {"mcap"},
+    f"dcp-conformance check {RECORDING} --quiet": HEAVY - {"jinja2"} | {"dcp_stack.node"},
+    "dcp-node run --link udp --print-config": HEAVY | SHOWING,
+    "dcp-node status --control /no-such-folder/node.sock": HEAVY | SHOWING | SCHEMAS | MACHINES,
+    f"dcp-codec decode --count 1 {RECORDING}": HEAVY | {"rich"},
+    f"dcp-codec stats {RECORDING}": HEAVY,
+    f"dcp-codec guess {RECORDING}": HEAVY | {"rich"},
+    "dcp-codec profiles": HEAVY | SHOWING | {"construct"},
+    "dcp-codec export lua --profile dcp-2.0": HEAVY | SHOWING,
+}
+PROGRAM = """
+import sys
+from {package} import main
+try:
+    main(sys.argv[1:])
+except SystemExit as stop:
+    print("STATUS", stop.code, file=sys.stderr)
+print("MODULES", *sys.modules, file=sys.stderr)
+"""
+
+
+def imported(line: str) -> set[str]:
+    """The modules that a process has imported which ran this command to its end."""
+    name, *arguments = line.split()
+    package = next(command.package for command in COMMANDS if command.name == name)
+    program = PROGRAM.format(package=package)
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    *said, modules = done.stderr.splitlines()
+    assert "STATUS 2" not in said, done.stderr
+    return set(modules.split()[1:])
+
+
+@pytest.mark.parametrize(("line", "without"), [pytest.param(*each, id=each[0]) for each in helps()])
+def test_help_imports_nothing_that_it_does_not_show(line: str, without: frozenset[str]):
+    assert not imported(line) & without
+
+
+@pytest.mark.parametrize("line", WORK)
+def test_work_imports_nothing_that_it_does_not_need(line: str):
+    assert not imported(line) & WORK[line]
+
+
+def test_packages_export_what_they_say():
+    program = (
+        "import importlib, sys\n"
+        "for package in ('dcp_spec', 'dcp_codec', 'dcp_stack.control'):\n"
+        "    module = importlib.import_module(package)\n"
+        "    assert 'construct' not in sys.modules\n"
+        "    assert not hasattr(module, 'nothing_like_it')\n"
+        "for package in ('dcp_spec', 'dcp_codec', 'dcp_stack.control'):\n"
+        "    module = importlib.import_module(package)\n"
+        "    assert all(getattr(module, name) is not None for name in module.__all__)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
