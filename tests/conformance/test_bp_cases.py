@@ -14,7 +14,9 @@ from .rig import OTHER_PROFILES, PROFILES, ids_of, known_cases, one_case
 MODULES = (
     "data",
     "bp_header",
+    "bp_seqno",
     "bp_registration",
+    "bp_deregistration",
     "bp_services",
     "bp_indications",
     "bp_queueing",
@@ -23,6 +25,7 @@ MODULES = (
     "bp_length",
     "bp_robustness",
     "bp_management",
+    "bp_parameters",
     "bp_timing",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}

@@ -26,6 +26,7 @@ MODULES = (
     "vardis_summaries",
     "vardis_runtime",
     "vardis_scrubbing",
+    "vardis_timeouts",
     "network_joining",
     "network_forwarding",
     "network_conflicts",

@@ -1,14 +1,11 @@
-"""dcp-bp.md: Other BP Management Services; Configurable Parameters; Initialization, Runtime and Shutdown."""
+"""dcp-bp.md: Other BP Management Services; Initialization, Runtime and Shutdown."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.bench import Bench
-from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.case import Needs, case
 from dcp_conformance.clients import (
     ACTIVATE,
     CLEAR,
@@ -16,7 +13,6 @@ from dcp_conformance.clients import (
     DEACTIVATE,
     DEREGISTER,
     EMPTY,
-    ILLEGAL_SIZE,
     LIST,
     OK,
     ONCE,
@@ -26,21 +22,13 @@ from dcp_conformance.clients import (
     TRANSMIT,
     UNKNOWN_PROTOCOL,
     BPClient,
-    areas_of_fixed_size,
-    block_header_octets,
-    header_octets,
     needed,
     registered,
-    talking,
     until,
 )
 from dcp_conformance.forge import Block
-from dcp_conformance.services import parameters_set
 
-V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
-GET, SET = "BP-GetParameters", "BP-SetParameter"
-PERIOD, SIZE, NETWORK = "BPPAR_BEACON_PERIOD", "BPPAR_MAXIMUM_PACKET_SIZE", "BPPAR_NETWORK_ID"
-UWB_SIZE = "UWB-MaxPacketSize"
+V1_2 = SpecVersion.V1_2
 _SWITCHES = Needs(since=V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE))
 
 
@@ -193,230 +181,3 @@ def active_after_start(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
         client.transmit(client.payload())
         bench.check(client.until_sent(), "a beacon with the payload", "there is none in time")
-
-
-# -- parameters --------------------------------------------------------------------------------------------------------
-
-_PARAMETERS = Needs(since=V1_1, entities=(), ut=(GET, SET))
-
-
-def values(bench: Bench) -> dict[str, Any]:
-    """BP-GetParameters."""
-    found = bench.must(GET).result.get("parameters")
-    if not isinstance(found, dict):
-        bench.fail(f"{GET} returns parameters", f"parameters: {found!r}", "BP-PAR-01")
-    return found
-
-
-def changed(bench: Bench, name: str) -> int:
-    """A valid value for a parameter that it does not have yet."""
-    old = bench.parameter(name)
-    return {PERIOD: old + 10, SIZE: old - 7, NETWORK: old ^ 0x0102}[name]
-
-
-_EACH = {
-    "period": Variant(PERIOD, requirements="BP-PAR-01 BP-PAR-03"),
-    "packet-size": Variant(SIZE, requirements="BP-PAR-01 BP-PAR-04"),
-    "network": Variant(
-        NETWORK,
-        requirements="BP-PAR-01 BP-PAR-05",
-        needs=Needs(since=V2_0, entities=(), ut=(GET, SET), header=("networkId",)),
-    ),
-}
-
-
-@case(
-    "TC_BP_PAR_BV_01",
-    "A parameter can be asked for and set ({variant})",
-    requirements="BP-PAR-01",
-    stimulus="BP-SetParameter with another valid value for the {variant}, BP-GetParameters before and afterwards",
-    expect="the value that was set, and the other parameters as before",
-    needs=_PARAMETERS,
-    variants=_EACH,
-)
-def set_and_get(bench: Bench, name: str) -> None:
-    before = values(bench)
-    bench.require(name in before, f"{GET} tells {name}", f"it tells {', '.join(before)}", "BP-PAR-01")
-    new = changed(bench, name)
-    answer = bench.call(SET, name=name, value=new)
-    try:
-        bench.check(answer.ok, f"{name} can be set to {new}", str(answer))
-        after = values(bench)
-    finally:
-        bench.call(SET, name=name, value=before[name])
-    bench.check(after == {**before, name: new}, f"{name} is {new}, and nothing else has changed", f"{after}")
-
-
-_WRONG: dict[str, tuple[str, Callable[[Bench], int]]] = {
-    "period-0": (PERIOD, lambda _: 0),
-    "period-negative": (PERIOD, lambda _: -100),
-    "size-0": (SIZE, lambda _: 0),
-    "size-below-headers": (SIZE, lambda bench: header_octets(bench) + block_header_octets(bench) - 1),
-    "size-above-bearer": (SIZE, lambda bench: int(values(bench).get(UWB_SIZE, 0xFFFF)) + 1),
-    "network-too-large": (NETWORK, lambda bench: 1 << (8 * bench.profile.types.network_id.width)),
-    "network-negative": (NETWORK, lambda _: -1),
-}
-_RULES = {PERIOD: "BP-PAR-03", SIZE: "BP-PAR-04", NETWORK: "BP-PAR-05"}
-
-
-@case(
-    "TC_BP_PAR_BI_01",
-    "A value that is not valid is rejected, and the old one kept ({variant})",
-    requirements="BP-PAR-06",
-    stimulus="BP-SetParameter with a value that is not valid: {variant}; a client repeats a payload",
-    expect="BP-GetParameters tells the same as before; beacons go on; whether there is feedback is reported",
-    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, GET, SET)),
-    variants={
-        name: Variant(
-            wrong,
-            requirements=f"BP-PAR-06 {_RULES[wrong[0]]}",
-            needs=Needs(
-                since=V2_0 if wrong[0] == NETWORK else V1_1,
-                entities=(),
-                ut=(*CLIENT, GET, SET),
-                header=("networkId",) if wrong[0] == NETWORK else (),
-            ),
-        )
-        for name, wrong in _WRONG.items()
-    },
-    window=6,
-)
-def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> None:
-    name, value_of = wrong
-    with BPClient(bench, REPEAT) as client:
-        client.transmit(client.payload())
-        first, value = values(bench), value_of(bench)
-        # Another value than at the start: what is kept must be the old one, not the default.
-        bench.call(SET, name=name, value=changed(bench, name))
-        before = values(bench)
-        try:
-            answer = bench.call(SET, name=name, value=value)
-            after = values(bench)
-        finally:
-            bench.call(SET, name=name, value=first[name])
-        bench.check(after.get(name) == before.get(name), f"{name} stays {before.get(name)}", f"it is {after.get(name)}")
-        frames = [bench.until(client.in_frame) for _ in range(3)]
-        bench.check(all(frames), "beacons go on", "there are none any more", "BP-PAR-06")
-        bench.info("Is the rejection of a parameter told?", "no" if answer.ok else str(answer), "BP-PAR-07")
-
-
-@case(
-    "TC_BP_PAR_BV_02",
-    "BPPAR_MAXIMUM_PACKET_SIZE may be anything from both headers to what the bearer carries",
-    requirements="BP-PAR-04",
-    stimulus="BP-SetParameter with the largest value, and with the sizes of both headers",
-    expect="both are accepted, or the smallest is refused because nothing fits (X05)",
-    needs=_PARAMETERS,
-)
-def size_bounds(bench: Bench) -> None:
-    known = values(bench)
-    if UWB_SIZE in known:
-        answer = bench.call(SET, name=SIZE, value=known[UWB_SIZE])
-        bench.check(answer.ok, f"{SIZE} can be {UWB_SIZE}, {known[UWB_SIZE]}", str(answer))
-        same = known.get(SIZE) == known[UWB_SIZE]
-        bench.info(f"Is {SIZE} what the bearer carries unless set?", "yes" if same else f"it is {known.get(SIZE)}")
-    least = header_octets(bench) + block_header_octets(bench)
-    answer = bench.call(SET, name=SIZE, value=least)
-    bench.reading("X05", "literal-minimum" if answer.ok else "usable-minimum")
-    if not answer.ok:
-        answer = bench.call(SET, name=SIZE, value=least + 1)
-        bench.check(answer.ok, f"{SIZE} can be {least} or {least + 1}", str(answer))
-    bench.call(SET, name=SIZE, value=known.get(SIZE))
-
-
-@case(
-    "TC_BP_PAR_BV_03",
-    "Another BPPAR_MAXIMUM_PACKET_SIZE holds for the next beacon and registration",
-    requirements="BP-PAR-02 BP-REG-04",
-    stimulus="two clients repeat payloads; the size is lowered so that a beacon has room for one of them",
-    expect="no larger beacon from then on; a registration is bounded by the new size",
-    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, GET, SET), when=areas_of_fixed_size),
-    window=8,
-)
-def smaller_beacons(bench: Bench) -> None:
-    with BPClient(bench, REPEAT, size=60) as one, BPClient(bench, REPEAT, size=60) as two:
-        for client in (one, two):
-            client.transmit(client.payload(60))
-        needed(bench, bench.until(one.in_frame), "beacons before")
-        size = header_octets(bench) + 60 + block_header_octets(bench) + 20
-        with parameters_set(bench, "BP", **{SIZE: size}):
-            from_now = bench.now() + bench.period // 5
-            heard = [each for each in bench.beacons(4) if each.time >= from_now]
-            large = [each for each in heard if len(each.octets) > size]
-            if large and max(len(each.octets) for each in large) <= size + header_octets(bench):
-                bench.reading("X04", "blocks-only")
-                large = []
-            bench.require(heard, "beacons afterwards", "there are none in time", "BP-PAR-02")
-            said = f"{len(large)} of {len(heard)} are larger"
-            bench.check(not large, f"beacons of at most {size} octets", said, "BP-PAR-02", frames=large)
-            third = BPClient(bench, ONCE, size=81)
-            answer = bench.expect_status(ILLEGAL_SIZE, REGISTER, "BP-REG-04", **third.registration)
-            if answer.ok:
-                bench.call(DEREGISTER, protId=third.prot_id)
-
-
-@case(
-    "TC_BP_PAR_BV_04",
-    "Another BPPAR_NETWORK_ID holds for the next beacon and for reception",
-    requirements="BP-PAR-05 BP-PAR-02 BP-HDR-04 BP-HDR-05 BP-RX-05",
-    stimulus="BPPAR_NETWORK_ID is set to a value of two different octets; beacons of the old and of the new network",
-    expect="beacons with the new value; the beacon of the old network is dropped, that of the new one processed",
-    needs=Needs(since=V2_0, ut=(GET, SET), header=("networkId",)),
-    window=8,
-)
-def other_network(bench: Bench) -> None:
-    old = bench.parameter(NETWORK)
-    new = 0xA55B if old != 0xA55B else 0x5AA4
-    with talking(bench):
-        bench.until(lambda heard: heard.beacon)
-        with parameters_set(bench, "BP", **{NETWORK: new}):
-            from_now, peer = bench.now() + bench.period // 5, bench.peer()
-            stranger, friend = bench.unknown_ids(2)
-            peer.send(peer.summary(stranger, 1), network_id=old)
-            peer.send(peer.summary(friend, 1), network_id=new)
-            asked = bench.until_instruction(ICType.REQUEST_VARCREATES, friend)
-            bench.check(asked, "a beacon of the new network is processed", "it is not", "BP-PAR-05", "BP-RX-05")
-            heard = [each for each in (*bench.heard, *bench.beacons(3)) if each.time >= from_now]
-            numbers = {
-                each.beacon.bp.network_id for each in heard if each.beacon is not None and each.beacon.bp is not None
-            }
-            said = f"networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
-            bench.check(numbers == {new}, f"beacons of network {new:#x}", said, "BP-HDR-04", "BP-HDR-05", "BP-PAR-02")
-            found = bench.instructions(ICType.REQUEST_VARCREATES, stranger)
-            expected = "a beacon of the old network is dropped"
-            bench.check(not found, expected, "it is processed", "BP-RX-05", "BP-PAR-05", frames=found)
-
-
-@case(
-    "TC_BP_PAR_BV_05",
-    "The beacon period is about 100 ms unless it is set",
-    requirements="BP-PAR-03",
-    stimulus="BP-GetParameters after a reset",
-    expect="80 to 120 ms, or what the PIXIT says that it was configured to",
-    needs=Needs(since=V1_1, entities=(), ut=(GET,)),
-)
-def default_period(bench: Bench) -> None:
-    period = values(bench).get(PERIOD)
-    near = isinstance(period, int | float) and (80 <= period <= 120 or period == bench.pixit.beacon_period_ms)
-    bench.check(near, f"{PERIOD} is about 100 ms", f"it is {period}")
-
-
-@case(
-    "TC_BP_PAR_BI_02",
-    "What is determined at the start cannot be set",
-    requirements="BP-PAR-08 BP-PAR-09",
-    stimulus="BP-SetParameter for UWB-MaxPacketSize and ownNodeIdentifier, as far as BP-GetParameters tells them",
-    expect="BP-GetParameters tells the same as before",
-    needs=_PARAMETERS,
-)
-def fixed_values(bench: Bench) -> None:
-    before = values(bench)
-    told = [name for name in (UWB_SIZE, "ownNodeIdentifier") if name in before]
-    if not told:
-        bench.info("Can what is determined at the start be set?", f"{GET} tells none of it", "BP-PAR-08")
-    for name in told:
-        value = before[name]
-        other: Any = value - 1 if isinstance(value, int) else "02:00:00:00:00:77"
-        bench.call(SET, name=name, value=other)
-        after = values(bench).get(name)
-        bench.check(after == value, f"{name} stays {value}", f"it is {after}", "BP-PAR-08", "BP-PAR-09")

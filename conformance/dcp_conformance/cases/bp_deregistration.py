@@ -1,0 +1,167 @@
+"""dcp-bp.md: Registration and De-Registration of Client Protocols.
+
+What becomes of a client that goes, and the list of those that are there.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.clients import (
+    CLIENT,
+    DEREGISTER,
+    LIST,
+    OK,
+    ONCE,
+    QUERY,
+    REGISTER,
+    REPEAT,
+    TRANSMIT,
+    UNKNOWN_PROTOCOL,
+    BPClient,
+    each_mode,
+    needed,
+    queue_mode,
+    registered,
+)
+
+V1_1 = SpecVersion.V1_1
+_REGISTRATION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
+
+
+@case(
+    "TC_BP_DRG_BV_01",
+    "A deregistered client is gone from the list",
+    requirements="BP-DRG-02",
+    stimulus="BP-RegisterProtocol, BP-DeregisterProtocol, BP-ListRegisteredProtocols; a payload waits",
+    expect="BP-STATUS-OK; no entry; the number of payloads cannot be asked any more",
+    needs=Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+    smoke=True,
+)
+def deregister(bench: Bench) -> None:
+    client = BPClient(bench, REPEAT)
+    bench.must(REGISTER, **client.registration)
+    client.transmit(client.payload())
+    bench.expect_status(OK, DEREGISTER, protId=client.prot_id)
+    bench.check(client.entry() is None, "the client is not listed", "it still is")
+    bench.expect_status(UNKNOWN_PROTOCOL, QUERY, protId=client.prot_id)
+
+
+@case(
+    "TC_BP_DRG_BO_01",
+    "An identifier that is not registered cannot be deregistered",
+    requirements="BP-DRG-01",
+    stimulus="BP-DeregisterProtocol of an identifier that never was, and twice of one that was registered",
+    expect="BP-STATUS-UNKNOWN-PROTOCOL, OK, BP-STATUS-UNKNOWN-PROTOCOL",
+    needs=_REGISTRATION,
+)
+def deregister_unknown(bench: Bench) -> None:
+    client = BPClient(bench, ONCE)
+    bench.expect_status(UNKNOWN_PROTOCOL, DEREGISTER, protId=client.prot_id)
+    bench.must(REGISTER, **client.registration)
+    bench.must(DEREGISTER, protId=client.prot_id)
+    bench.expect_status(UNKNOWN_PROTOCOL, DEREGISTER, protId=client.prot_id)
+
+
+@case(
+    "TC_BP_DRG_BV_02",
+    "After deregistration nothing of the client is sent any more ({variant})",
+    requirements="BP-DRG-03",
+    stimulus="a client with mode {variant} submits payloads, and deregisters when the first is on the air",
+    expect="no beacon with a payload of the client",
+    variants=each_mode(*CLIENT),
+)
+def silent_after_deregistration(bench: Bench, mode: QueueingMode) -> None:
+    client = BPClient(bench, mode, entries=4)
+    bench.must(REGISTER, **client.registration)
+    if mode is not ONCE:
+        client.transmit(client.payload())
+    for _ in range(4 if mode.is_queue else 1):
+        client.transmit(client.payload())
+    if mode is not ONCE:
+        needed(bench, client.until_sent(), "payloads are sent")
+    bench.must(DEREGISTER, protId=client.prot_id)
+    # What has left the node already may still be on its way to the tester.
+    quiet_from = bench.now() + bench.period // 5
+    bench.wait(4)
+    frames = client.frames(after=quiet_from)
+    bench.check(not frames, "silence of the client", f"{len(frames)} beacons have its payloads", frames=frames[:8])
+
+
+@case(
+    "TC_BP_DRG_BV_03",
+    "A client that registers again starts with nothing ({variant})",
+    requirements="BP-DRG-05 BP-REG-06",
+    stimulus="a client with mode {variant} submits payloads, deregisters and registers again at once",
+    expect="no payloads are buffered, and none is sent",
+    variants=each_mode(*CLIENT, QUERY),
+)
+def registers_again(bench: Bench, mode: QueueingMode) -> None:
+    client = BPClient(bench, mode)
+    bench.must(REGISTER, **client.registration)
+    for _ in range(3 if mode.is_queue else 1):
+        client.transmit(client.payload())
+    bench.must(DEREGISTER, protId=client.prot_id)
+    quiet_from = bench.now() + bench.period // 5
+    with client:
+        number = client.number()
+        bench.check(number == 0, "no payloads wait", f"{number} do")
+        bench.wait(3)
+        frames = client.frames(after=quiet_from)
+        bench.check(not frames, "nothing is sent", f"{len(frames)} beacons have old payloads", frames=frames[:8])
+
+
+@case(
+    "TC_BP_LST_BV_01",
+    "All registered clients are listed, and nothing of what they have buffered",
+    requirements="BP-LST-01 BP-LST-02",
+    stimulus="three registrations, a payload in each; BP-ListRegisteredProtocols",
+    expect="BP-STATUS-OK, each client once, and no payload",
+    needs=Needs(entities=(), ut=(*CLIENT, LIST)),
+)
+def list_clients(bench: Bench) -> None:
+    modes = (ONCE, REPEAT, queue_mode(bench))
+    with BPClient(bench, modes[0]) as one, BPClient(bench, modes[1]) as two, BPClient(bench, modes[2]) as three:
+        clients = (one, two, three)
+        payloads = [client.payload(24) for client in clients]
+        for client, payload in zip(clients, payloads, strict=True):
+            client.transmit(payload)
+        answer = bench.expect_status(OK, LIST, "BP-LST-01")
+        listed = [each.get("protocolId") for each in answer.result.get("protocols") or [] if isinstance(each, dict)]
+        for client in clients:
+            count = listed.count(client.prot_id)
+            bench.check(count == 1, f"client {client.prot_id:#x} is listed once", f"{count} times", "BP-LST-01")
+        text = str(answer.result).lower()
+        shown = [payload.hex() for payload in payloads if payload.hex() in text]
+        bench.check(not shown, "what is buffered is not reported", f"it is: {shown}", "BP-LST-02")
+
+
+@case(
+    "TC_BP_REC_BV_01",
+    "A client that comes back deregisters what it has left behind and registers again",
+    requirements="BP-REC-01",
+    stimulus="a client registers and vanishes with a payload in its buffer; another connection deregisters and "
+    "registers the same identifier",
+    expect="that works; whether the registration outlives the connection is reported",
+    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, LIST)),
+)
+def comes_back(bench: Bench) -> None:
+    other = bench.ut.another()
+    client = BPClient(bench, REPEAT)
+    if other is None:
+        bench.info("Can a client that was restarted register again?", "the upper tester has one connection only")
+        return
+    try:
+        bench.call_on(other, REGISTER, **client.registration)
+        bench.call_on(other, TRANSMIT, protId=client.prot_id, payload=client.payload().hex())
+    finally:
+        other.close()
+    bench.wait(0.5)
+    kept = client.prot_id in registered(bench)
+    bench.info("Does a registration outlive its client?", "yes" if kept else "no")
+    bench.call(DEREGISTER, protId=client.prot_id)
+    answer = client.register()
+    bench.call(DEREGISTER, protId=client.prot_id)
+    bench.info("Can a client that was restarted register again?", "yes" if answer.ok else str(answer))

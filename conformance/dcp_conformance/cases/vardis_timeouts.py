@@ -1,0 +1,169 @@
+"""dcp-vardis.md: Scrubbing Process.
+
+What begins the timeout of a variable anew, and what does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.bench import MS, Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.peers import Peer
+from dcp_conformance.scrubbing import (
+    check_time,
+    create_own,
+    deleted,
+    hurry,
+    latest,
+    learn,
+    not_by_consumers,
+)
+
+_DELETE = ICType.DELETE_VARIABLES
+_WIRE = Needs(since=SpecVersion.V2_0)
+_OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
+
+
+@case(
+    "TC_VD_SCR_TI_04",
+    "Updates keep a variable alive at a consumer; when they end, it is deleted in time",
+    requirements="VD-SCR-03 VD-SCR-06 VD-SCR-01",
+    stimulus="a variable with timeout 600 ms is updated every 200 ms for two timeouts and a scrubbing period",
+    expect="no VarDelete meanwhile; one in time behind the last update",
+    window=60,
+    needs=_WIRE,
+)
+def kept_by_updates(bench: Bench) -> None:
+    period_ms, scale = hurry(bench), bench.session.timing_scale
+    peer, name, timeout_ms = bench.peer(), bench.var_id(), round(600 * scale)
+    learn(bench, peer, name, timeout_ms)
+    until = bench.now() + (2 * timeout_ms + period_ms) * MS
+    number, since = 0, 0
+    slowest = 0
+    while bench.now() < until:
+        before = since
+        number, since = number + 1, bench.now()
+        peer.send(peer.update(name, number, bytes((number,))))
+        slowest = max(slowest, since - before) if before else 0
+        bench.wait_ns(timeout_ms * MS // 3)
+    early = bench.instructions(_DELETE, name)
+    if early and slowest > timeout_ms * MS * 3 // 4:
+        bench.inconclusive("updates in time", f"the tester was late: {slowest / MS:.0f} ms between two of them")
+    bench.check(
+        not early, "no VarDelete of a variable that is updated in time", f"{len(early)}", "VD-SCR-03", "VD-SCR-06"
+    )
+    if early:
+        return
+    found = deleted(bench, name, since, timeout_ms)
+    if found is None:
+        not_by_consumers(bench, name)
+        return
+    check_time(bench, found, since, timeout_ms, "VD-SCR-01", "VD-SCR-06")
+
+
+@case(
+    "TC_VD_SCR_TI_05",
+    "Updates of its application keep a variable alive at the producer",
+    requirements="VD-SCR-03",
+    stimulus="the application updates a variable with timeout 600 ms every 200 ms for two timeouts, then no more",
+    expect="no VarDelete meanwhile; one in time behind the last update",
+    window=60,
+    needs=_OWN,
+)
+def kept_by_the_application(bench: Bench) -> None:
+    period_ms = hurry(bench)
+    name, timeout_ms = bench.var_id(), round(600 * bench.session.timing_scale)
+    create_own(bench, name, timeout_ms)
+    until = bench.now() + (2 * timeout_ms + period_ms) * MS
+    since = bench.now()
+    while bench.now() < until:
+        if not bench.call("RTDB-Update", varId=name, value="01").ok:
+            # If it is because the variable was deleted, the next beacons tell.
+            bench.wait(bench.reaction)
+            break
+        since = bench.now()
+        bench.wait_ns(timeout_ms * MS // 3)
+    early = bench.instructions(_DELETE, name)
+    bench.check(not early, "no VarDelete of a variable that is updated in time", f"{len(early)}", frames=early[:2])
+    if early:
+        return
+    found = deleted(bench, name, since, timeout_ms)
+    if found is None:
+        bench.fail("a VarDelete behind the last update", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+    took = found.heard.time - since
+    # A request takes a while to arrive: only what is clearly too early is.
+    what = f"the VarDelete at least {timeout_ms} ms after the last update"
+    bench.check(took >= timeout_ms * MS * 0.95, what, f"{took / MS:.0f} ms", frames=[found])
+
+
+def _equal(peer: Peer, name: int) -> None:
+    peer.send(peer.update(name, 5, b"another"))
+
+
+def _older(peer: Peer, name: int) -> None:
+    peer.send(peer.update(name, 4, b"older"))
+
+
+def _summary(peer: Peer, name: int) -> None:
+    peer.send(peer.summary(name, 5))
+
+
+def _request(peer: Peer, name: int) -> None:
+    peer.send(peer.request_create(name), peer.request_update(name, 3))
+
+
+@case(
+    "TC_VD_SCR_TI_06",
+    "What changes nothing does not keep a variable alive: {variant}",
+    requirements="VD-SCR-06 VD-SCR-01",
+    stimulus="a variable with timeout 500 ms is created; every 150 ms comes something that brings nothing new",
+    expect="the VarDelete in time behind the creation",
+    window=40,
+    needs=_WIRE,
+    variants={"equal-update": _equal, "older-update": _older, "summary": _summary, "request": _request},
+)
+def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
+    hurry(bench)
+    peer, name, silent, timeout_ms = bench.peer(), bench.var_id(), bench.var_id(), 500
+    since = bench.now()
+    peer.send(peer.create(name, seqno=5, timeout=timeout_ms), peer.create(silent, timeout=timeout_ms))
+    deadline = since + latest(bench, timeout_ms)
+    while bench.now() < deadline and not bench.instructions(_DELETE, name):
+        bench.wait_ns(150 * MS)
+        if not bench.instructions(_DELETE, name):
+            act(peer, name)
+    found = bench.instructions(_DELETE, name)
+    if not found and not bench.instructions(_DELETE, silent):
+        # With X26 read the other way nothing can be said.
+        not_by_consumers(bench, name)
+        return
+    bench.require(found, "a VarDelete of it, as of the variable of which nothing was said", "none in time")
+    check_time(bench, found[0], since, timeout_ms)
+
+
+@case(
+    "TC_VD_SCR_TI_08",
+    "A re-creation starts the timeout anew, with its own value",
+    requirements="VD-SCR-03 VD-SCR-05 VD-SCR-01",
+    stimulus="a variable with timeout 300 ms is deleted by scrubbing; then it is created anew with timeout 900 ms",
+    expect="a second VarDelete in time behind the second creation, not before",
+    window=60,
+    needs=_WIRE,
+)
+def created_anew(bench: Bench) -> None:
+    hurry(bench)
+    peer, name = bench.peer(), bench.var_id()
+    first = learn(bench, peer, name, 300)
+    if deleted(bench, name, first, 300) is None:
+        not_by_consumers(bench, name)
+        return
+    bench.repeated(_DELETE, name, 0)
+    mark = bench.mark()
+    second = learn(bench, peer, name, 900)
+    left = second + latest(bench, 900) - bench.now()
+    found = bench.until_instruction(_DELETE, name, left / bench.period)
+    bench.require(found, "a VarDelete behind the second creation", "none in time", "VD-SCR-05")
+    check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, 900, "VD-SCR-03", "VD-SCR-01")

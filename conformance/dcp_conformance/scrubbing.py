@@ -1,0 +1,83 @@
+"""Variables that live as long as their timeout says: how they are made, and until when they must be deleted.
+
+A variable with timeout t is deleted between t and t plus one scrubbing period after its last change; the beacon that
+tells it may be one reaction later, and timers may be late (PIXIT timer_tolerance_ms).
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType
+
+from .bench import MS, Bench
+from .heard import Instruction
+from .peers import Peer
+from .services import create_request
+
+_DELETE = ICType.DELETE_VARIABLES
+#: ms of a scrubbing period that cases have time for.
+SHORT = 200
+
+
+def scrubbing_period_ms(bench: Bench) -> int:
+    """VARDISPAR_SCRUBBING_PERIOD in ms."""
+    return bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
+
+
+def hurry(bench: Bench) -> int:
+    """Shorten a long scrubbing period for this case, where it can be set and reset; the period in ms from now on.
+
+    A period that has begun may run to its end: what must be there at the latest goes by the initial one.
+    """
+    upper, period = bench.session.upper, scrubbing_period_ms(bench)
+    if period > SHORT and upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods:
+        answer = bench.call("VD-SetParameter", name="VARDISPAR_SCRUBBING_PERIOD", value=SHORT)
+        if answer.ok:
+            return SHORT
+    return period
+
+
+def latest(bench: Bench, timeout_ms: int) -> int:
+    """ns after which the VarDelete must have been heard."""
+    tolerance = bench.pixit.timer_tolerance_ms * bench.session.timing_scale
+    return round((timeout_ms + scrubbing_period_ms(bench) + tolerance) * MS + bench.reaction * bench.period)
+
+
+def deleted(bench: Bench, name: int, since: int, timeout_ms: int) -> Instruction | None:
+    """Wait for the first VarDelete until it must have come at the latest; ``since`` is the time of the last change."""
+    left = since + latest(bench, timeout_ms) - bench.now()
+    if not bench.instructions(_DELETE, name):
+        bench.until_instruction(_DELETE, name, max(0.0, left / bench.period))
+    return next(iter(bench.instructions(_DELETE, name)), None)
+
+
+def check_time(bench: Bench, found: Instruction, since: int, timeout_ms: int, *requirements: str) -> None:
+    """Whether a VarDelete has come neither too early nor too late after the last change."""
+    took = found.heard.time - since
+    # Clocks of whole milliseconds may be one ahead at both ends.
+    least, most = (timeout_ms - 2) * MS, latest(bench, timeout_ms)
+    what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the last change"
+    bench.check(least <= took <= most, what, f"{took / MS:.0f} ms", *requirements, frames=[found])
+
+
+def learn(bench: Bench, peer: Peer, name: int, timeout_ms: int, rep_cnt: int = 1) -> int:
+    """Let the implementation learn a variable with a timeout; the time at which it got it."""
+    since = bench.now()
+    peer.send(peer.create(name, timeout=timeout_ms, rep_cnt=rep_cnt))
+    if bench.until_instruction(ICType.CREATE_VARIABLES, name) is None:
+        bench.inconclusive("the implementation learns a variable with a timeout", "it does not pass it on")
+    return since
+
+
+def not_by_consumers(bench: Bench, name: int) -> None:
+    """The other reading of X26 is that only producers scrub. Stops the case if that seems to be it."""
+    bench.reading("X26", "producer-only")
+    still = bench.until_instruction(ICType.SUMMARIES, name, 8)
+    text = "it is summarised still" if still else "neither VarDelete nor summary"
+    bench.info("whether a consumer deletes a variable whose time has run out", text)
+
+
+def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> int:
+    """Let the application create a variable; the time just before."""
+    since = bench.now()
+    bench.must("RTDB-Create", **create_request(bench, name, rep_cnt=count, timeout=timeout_ms))
+    return since
