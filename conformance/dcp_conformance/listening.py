@@ -1,0 +1,174 @@
+"""Waiting and hearing: time passes in here, and nowhere else in a case."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+from dcp_spec.constants import ICType
+
+from .case import Case
+from .findings import MS
+from .heard import Heard, Instruction
+from .naming import Naming
+from .session import Session
+from .upper import Notification
+
+T = TypeVar("T")
+
+
+class Listening(Naming):
+    """What a case hears of the implementation, and how long it waits for it."""
+
+    def __init__(self, session: Session, case: Case) -> None:
+        super().__init__(session, case)
+        self.others: list[Heard] = []
+        """Frames with another sender's identifier that the tester has not sent."""
+        self.notifications: list[Notification] = []
+
+    # -- waiting -------------------------------------------------------------------------------------------------------
+
+    def mark(self) -> int:
+        """A place in ``heard``: what comes from now on is ``heard[mark:]``; what has arrived already lies before it."""
+        self.wait_ns(0)
+        return len(self.heard)
+
+    def wait(self, periods: float) -> list[Heard]:
+        """Let time pass; what was heard meanwhile."""
+        return self.wait_ns(round(periods * self.period))
+
+    def wait_ns(self, duration: int) -> list[Heard]:
+        """As :meth:`wait`, in ns."""
+        before = len(self.heard)
+        deadline = self.now() + duration
+        for _ in self._listen(deadline):
+            pass
+        return self.heard[before:]
+
+    def until(self, wanted: Callable[[Heard], T], periods: float | None = None) -> T | None:
+        """Wait for a frame for which ``wanted`` says something true, and return that; None if none comes in time.
+
+        Frames that came before are not asked. ``periods`` is :attr:`reaction` unless given.
+        """
+        deadline = self.now() + self._patience(self.reaction if periods is None else periods)
+        for heard in self._listen(deadline):
+            if found := wanted(heard):
+                return found
+        return None
+
+    def until_instruction(self, kind: ICType, var_id: int, periods: float | None = None) -> Any | None:
+        """Wait for a record of this kind about a variable, and return it; None if none comes in time."""
+        return self.until(lambda heard: heard.about(kind, var_id), periods)
+
+    def beacons(self, count: int, periods: float | None = None) -> list[Heard]:
+        """Wait for so many beacons; those that came, which may be fewer at the end of the time."""
+        before = len(self.heard)
+        deadline = self.now() + self._patience(2 * count + self.reaction if periods is None else periods)
+        if count > 0:
+            for _ in self._listen(deadline):
+                if len(self.heard) - before >= count:
+                    break
+        return self.heard[before:]
+
+    def until_quiet(
+        self, present: Callable[[Heard], object], periods: float = 60, since: int | None = None
+    ) -> list[Heard]:
+        """Wait until what is ``present`` has stopped: the frames that had it, from ``since`` (a mark) on.
+
+        It has stopped when ``quiet_beacons`` beacons in a row (PIXIT) do not have it, or when no beacons come at all
+        for the time of :attr:`reaction`. Gives up after ``periods``; then what came until then is returned.
+        """
+        start = len(self.heard) if since is None else since
+        deadline = self.now() + round(periods * self.period)
+        while self.now() < deadline:
+            frames = self.heard[start:]
+            having = [index for index, heard in enumerate(frames) if present(heard)]
+            behind = len(frames) - 1 - having[-1] if having else 0
+            if behind >= self.pixit.quiet_beacons:
+                break
+            before = len(self.heard)
+            self.beacons(1, self.reaction)
+            if len(self.heard) == before:
+                break
+        return [heard for heard in self.heard[start:] if present(heard)]
+
+    def repeated(self, kind: ICType, var_id: int, since: int, periods: float = 60) -> list[Instruction]:
+        """Wait until the records of a kind about a variable have stopped; those that came from a mark on."""
+        self.until_quiet(lambda heard: heard.instructions(kind, var_id), periods, since)
+        return self.instructions(kind, var_id, since)
+
+    def check_repeated(
+        self, kind: ICType, var_id: int, count: int, since: int, /, *requirements: str
+    ) -> list[Instruction]:
+        """Check that exactly so many distinct beacons from a mark on have one record of this kind about a variable."""
+        found = self.repeated(kind, var_id, since)
+        beacons = {id(each.heard) for each in found}
+        what = f"exactly {count} beacon{'s' if count != 1 else ''} with one {kind.label} record of variable {var_id}"
+        came = f"{len(found)} records in {len(beacons)} beacons"
+        self.check(len(found) == len(beacons) == count, what, came, *requirements, frames=found[:32])
+        return found
+
+    def _patience(self, periods: float) -> int:
+        """How long to wait, in ns, for what ends the wait when it comes: never less than a busy machine may sleep."""
+        return max(round(periods * self.period), round(self.pixit.least_patience_ms * MS))
+
+    # -- hearing -------------------------------------------------------------------------------------------------------
+
+    def _listen(self, deadline: int) -> Iterator[Heard]:
+        """The implementation's frames as they come in, until the deadline."""
+        lower, upper = self.lower, self.session.upper
+        also = upper.filenos() if upper is not None else ()
+        while True:
+            arrival = lower.receive(deadline, also)
+            self.take_notifications()
+            if arrival is None:
+                if lower.now() >= deadline:
+                    return
+                continue
+            heard = Heard(self.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
+            ours = self._is_sut(heard)
+            start = len(arrival.frame) - len(arrival.octets)
+            who = (heard.sender or arrival.source).hex(":")
+            heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
+            if ours:
+                self.heard.append(heard)
+                self.session.summarised.update(each.var_id for each in heard.instructions(ICType.SUMMARIES))
+                self.session.summarised.difference_update(
+                    each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)
+                )
+                for var_id in heard.known:
+                    self.session.known.add(var_id)
+                    if heard.about(ICType.DELETE_VARIABLES, var_id) is None:
+                        self.session.leaving.pop(var_id, None)
+                yield heard
+            else:
+                self.others.append(heard)
+
+    def take_notifications(self) -> None:
+        """Note what the implementation has told without being asked, so far."""
+        upper = self.session.upper
+        if upper is None:
+            return
+        for notification in upper.poll():
+            self.traffic.note("notified", self.lower.wall(), notification.method, notification.params)
+            self.notifications.append(notification)
+
+    def _is_sut(self, heard: Heard) -> bool:
+        known, sender = self.session.sut_id, heard.sender
+        if sender is None:
+            # Too short to say who sent it, or a profile without senders: whoever else is there is not ours either.
+            return known is None or known == heard.source or not self.profile.bp.header
+        if known is None:
+            self.session.sut_id = sender
+            return True
+        return sender == known
+
+    # -- looking back --------------------------------------------------------------------------------------------------
+
+    def instructions(self, kind: ICType, var_id: int | None = None, since: int = 0) -> list[Instruction]:
+        """All records of a kind that were heard from a mark on, about one variable or any."""
+        return [each for heard in self.heard[since:] for each in heard.instructions(kind, var_id)]
+
+    def frames_with(self, kind: ICType, var_id: int, since: int = 0) -> list[Heard]:
+        """The beacons with a record of this kind about a variable."""
+        return [heard for heard in self.heard[since:] if heard.instructions(kind, var_id)]

@@ -1,0 +1,209 @@
+"""What is known of an implementation, and names and values that nobody else uses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.parameters import parameter
+
+from dcp_codec.plan import snake
+from dcp_codec.values import ExtendedSafetyData, VarCreate, VarSpec, VarUpdate
+
+from .case import Case
+from .findings import Findings
+from .session import Session
+
+
+class Naming(Findings):
+    """One case's supply of identifiers, time stamps and records."""
+
+    def __init__(self, session: Session, case: Case) -> None:
+        super().__init__(session, case)
+        self.created: set[int] = set()
+        self.produced: set[int] = set()
+        """Those of the variables that the implementation's application has created."""
+
+    # -- what is known -------------------------------------------------------------------------------------------------
+
+    @property
+    def reaction(self) -> float:
+        """Beacon periods within which a reaction must show (PIXIT)."""
+        return self.pixit.reaction_periods
+
+    @property
+    def sut_id(self) -> bytes:
+        """The implementation's node identifier. Stops the case as inconclusive if it is not known yet."""
+        if self.session.sut_id is None:
+            self.inconclusive("the node identifier of the implementation", "no beacon of it was heard so far")
+        return self.session.sut_id
+
+    def parameter(self, name: str) -> int:
+        """The value of a parameter of the implementation: as it said itself, else from PIXIT or profile.
+
+        Names are the specification's (``VARDISPAR_MAX_SUMMARIES``), periods in ms.
+        """
+        if name in self.session.parameters:
+            return int(self.session.parameters[name])
+        limits, pixit = self.profile.limits, self.pixit
+        known: dict[str, float | int | None] = {
+            "BPPAR_BEACON_PERIOD": pixit.beacon_period_ms,
+            "BPPAR_NETWORK_ID": pixit.network_id if pixit.network_id is not None else self.profile.bp.network_id,
+            "BPPAR_MAXIMUM_PACKET_SIZE": pixit.max_packet_size or limits.max_beacon_size,
+            "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT": pixit.neighbour_timeout_ms,
+            "VARDISPAR_MAX_VALUE_LENGTH": pixit.max_value_length or limits.max_value_length,
+            "VARDISPAR_MAX_DESCRIPTION_LENGTH": pixit.max_description_length or limits.max_description_length,
+            "VARDISPAR_MAX_REPETITIONS": pixit.max_repetitions or limits.max_repetitions,
+            "VARDISPAR_MAX_PAYLOAD_SIZE": pixit.max_payload_size or limits.max_vardis_payload,
+            "VARDISPAR_MAX_SUMMARIES": limits.max_summaries if pixit.max_summaries is None else pixit.max_summaries,
+            "VARDISPAR_SCRUBBING_PERIOD": pixit.scrubbing_period_ms,
+            "VARDISPAR_BUFFER_CHECK_PERIOD": pixit.buffer_check_period_ms,
+        }
+        parameter(name)
+        value = known[name]
+        return int(value or 0)
+
+    def rep_cnt(self, wanted: int) -> int:
+        """A repetition count that the implementation accepts: the wanted one, or the largest."""
+        return max(1, min(wanted, self.parameter("VARDISPAR_MAX_REPETITIONS") or wanted))
+
+    # -- names ---------------------------------------------------------------------------------------------------------
+
+    def node_id(self) -> bytes:
+        """The identifier of a node that does not exist: a producer far away, or a neighbour of somebody else."""
+        self.session.next_peer += 1
+        return self._node_id(self.session.next_peer)
+
+    def _node_id(self, number: int) -> bytes:
+        layout = self.profile.types.node_id
+        octets = address_of(number)
+        if layout.representation == "text":
+            return octets.hex(":").encode()
+        return octets[-layout.width :].rjust(layout.width, b"\x02")
+
+    def var_id(self) -> int:
+        """A variable identifier that this case has not used, and others least recently."""
+        top = (1 << (8 * self.profile.types.var_id.width)) - 1
+        first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
+        size = last - first + 1
+        # Since 2.0 nothing is ever forgotten: the upper half is for those that must be unknown.
+        usable = size // 2 if size >= 128 else size
+        number = first
+        for _ in range(usable):
+            number = first + self.session.next_var_id % usable
+            self.session.next_var_id += 1
+            # One that is on its way out of the database cannot be created; nor, up to 1.3, one that is in it.
+            leaving = self.session.leaving.get(number, 0) > self.now()
+            there = number in self.session.summarised and not self.features.creation_time
+            if not leaving and not there and number not in self.created:
+                break
+        self.created.add(number)
+        return number
+
+    def var_ids(self, count: int) -> list[int]:
+        """Several of them, ascending unless the range ends in between."""
+        return [self.var_id() for _ in range(count)]
+
+    def unknown_ids(self, count: int) -> list[int]:
+        """Identifiers that the implementation has never shown to know, descending from the top of the range.
+
+        They may have been used before: what is requested and never answered stays unknown. Stops the case as
+        inconclusive when there are not enough of them, which only a reset can bring back.
+        """
+        top = (1 << (8 * self.profile.types.var_id.width)) - 1
+        first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
+        size = last - first + 1
+        found: list[int] = []
+        for _ in range(size):
+            if len(found) == count:
+                return found
+            number = last - self.session.next_unknown % size
+            self.session.next_unknown += 1
+            gone = self.session.leaving.get(number)
+            if gone is not None and gone <= self.now():
+                del self.session.leaving[number]
+                self.session.known.discard(number)
+            if number not in self.session.known and number not in self.created:
+                found.append(number)
+        if len(found) < count:
+            self.inconclusive(
+                f"{count} identifiers of variables that the implementation does not know",
+                f"{len(found)} are left of {size}; it needs a way to be reset (--ut, --restart)",
+            )
+        return found
+
+    def unknown_id(self) -> int:
+        """One of them."""
+        return self.unknown_ids(1)[0]
+
+    def own_var_id(self) -> int:
+        """An identifier for a variable of the implementation's application: one that no other node ever had (X20)."""
+        number = self.unknown_id()
+        self.created.add(number)
+        return number
+
+    # -- values --------------------------------------------------------------------------------------------------------
+
+    def creation_time(self) -> int:
+        """A time stamp as on the air: now, and later than any that was handed out before."""
+        stamp = self.profile.types.timestamp
+        since = self.lower.now() if stamp.epoch_ns is None else self.lower.wall() - stamp.epoch_ns
+        ticks = since * stamp.per_second // 1_000_000_000
+        self.session.creation_time = max(self.session.creation_time + 1, ticks)
+        return self.session.creation_time
+
+    def spec(
+        self,
+        var_id: int,
+        producer: bytes,
+        *,
+        rep_cnt: int = 1,
+        descr: bytes = b"tester",
+        creation_time: int | None = None,
+        timeout: int = 0,
+    ) -> VarSpec:
+        """A VarSpec with what the profile's layout has; ``creation_time`` is a fresh one unless given."""
+        names = self.profile.vardis.var_spec
+        return VarSpec(
+            var_id,
+            producer,
+            rep_cnt,
+            descr,
+            (self.creation_time() if creation_time is None else creation_time) if "creationTime" in names else None,
+            timeout if "timeout" in names else None,
+        )
+
+    def create(
+        self,
+        var_id: int,
+        producer: bytes,
+        *,
+        value: bytes = b"value",
+        seqno: int = 0,
+        rep_cnt: int = 1,
+        descr: bytes = b"tester",
+        creation_time: int | None = None,
+        timeout: int = 0,
+    ) -> VarCreate:
+        """A VarCreate record."""
+        spec = self.spec(var_id, producer, rep_cnt=rep_cnt, descr=descr, creation_time=creation_time, timeout=timeout)
+        return VarCreate(spec, VarUpdate(var_id, seqno, value))
+
+    def report(self, node_id: bytes, seqno: int, *, t_stamp: int | None = None, **fields: float) -> ExtendedSafetyData:
+        """A state report; the fields of the safety data that are not given are zero."""
+        kind = self.codec.safety_data_type
+        zeros: dict[str, Any] = {
+            each.name: b"\0" * each.octets if each.type == "opaque" else 0.0 if each.type.startswith("f") else 0
+            for each in self.profile.srp.safety_data
+        }
+        data = kind(**{_attribute(kind, name): value for name, value in {**zeros, **fields}.items()})
+        return ExtendedSafetyData(data, node_id, self.creation_time() if t_stamp is None else t_stamp, seqno)
+
+
+def address_of(number: int) -> bytes:
+    """A locally administered address that says whose it is: 02:dc:9n:..."""
+    return bytes((0x02, 0xDC, 0x90)) + number.to_bytes(3, "big")
+
+
+def _attribute(kind: type[Any], name: str) -> str:
+    """The attribute of a safety data class for a field's name."""
+    return snake(name) if snake(name) in kind.__struct_fields__ else name
