@@ -47,6 +47,16 @@ def run_pytest(run: ConformanceRun, extra: list[str] | None = None) -> None:
         run.trouble, run.usage = f"pytest could not begin (its status is {int(status)})", True
 
 
+def lanes_of(run: ConformanceRun, jobs: int | None = None) -> int:
+    """How many lanes a run needs, at most ``jobs``: one unless it is our own node in processes, or has few cases.
+
+    By default two for each processor, 4 to 16: a lane takes a twentieth of one, but starts with a second of work.
+    """
+    options = run.options
+    jobs = jobs or min(16, max(4, 2 * (os.cpu_count() or 1)))
+    return 1 if options.foreign or options.in_process else max(1, min(jobs, len(run.selected)))
+
+
 def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
     """Run the selected cases of ``run`` in so many processes; results come to ``run`` as they are there."""
     # Every lane begins with the sanity case, and runs only that if nothing else is wanted.
@@ -54,7 +64,9 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
     lanes = max(1, min(lanes, len(cases)))
     # Neighbours are of a kind and take alike long: dealt out one by one, the lanes are done together.
     shares = [cases[number::lanes] for number in range(lanes)]
-    context = multiprocessing.get_context("spawn")
+    # Importing is most of what it takes to start a lane: it is done once, where the lanes are forked from.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([f"{__package__}.preload"])
     run.begin(len(cases))
     with contextlib.ExitStack() as stack:
         # Whoever ends this process ends the lanes, and these their nodes.

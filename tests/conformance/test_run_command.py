@@ -16,7 +16,7 @@ import pytest
 from dcp_conformance.case import SANITY, all_cases
 from dcp_conformance.errors import UsageError
 from dcp_conformance.expected import ExpectedResults
-from dcp_conformance.lanes import run_in_lanes, run_pytest
+from dcp_conformance.lanes import lanes_of, run_in_lanes, run_pytest
 from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, TESTER_ERROR, UNEXPECTED, USAGE, exit_status
 from dcp_conformance.plugin import ConformanceRun
 from dcp_conformance.reporting import load_results
@@ -321,6 +321,19 @@ class TestLanes:
         assert verdicts[0] == verdicts[1]
         assert len(verdicts[0]) > 5
 
+    @pytest.mark.parametrize(
+        ("target", "patterns", "jobs", "lanes"),
+        [
+            (TargetOptions(), ("BP-HDR-0*",), 3, 3),
+            (TargetOptions(), ("BP-HDR-0*",), 1, 1),
+            (TargetOptions(), (ONE,), 4, 1),
+            (TargetOptions(in_process=True), (), 4, 1),
+            (TargetOptions(link="udp"), (), 4, 1),
+        ],
+    )
+    def test_there_are_no_more_than_there_is_work_for(self, target, patterns, jobs: int, lanes: int):
+        assert lanes_of(ConformanceRun(target, Selection(patterns=patterns)), jobs) == lanes
+
     def test_the_sanity_case_alone_stays_alone(self):
         run = ConformanceRun(self.options(), Selection(patterns=(SANITY,)))
         run_in_lanes(run, 4)
@@ -355,9 +368,11 @@ class TestLanes:
         """A lane's process, once it has a node of its own."""
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
-            for lane in children(parent):
-                if "spawn_main" in command_line(lane) and any("dcp_stack" in command_line(c) for c in below(lane)):
-                    return lane
+            for each in below(parent):
+                if "dcp_stack" not in command_line(each) and any(
+                    "dcp_stack" in command_line(c) for c in children(each)
+                ):
+                    return each
             time.sleep(0.05)
         raise AssertionError("no lane has started")
 

@@ -26,9 +26,8 @@ from .options import EXIT_STATUS, selection_of, selection_options, target_of, ta
     "--jobs",
     "-j",
     type=click.IntRange(1, 64),
-    default=4,
     metavar="N",
-    help="Nodes side by side, of our own.  [default: 4]",
+    help="Nodes side by side, of our own.  [default: two for each processor, 4 to 16]",
 )
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
@@ -43,7 +42,7 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    from dcp_conformance.lanes import run_in_lanes, run_pytest
+    from dcp_conformance.lanes import lanes_of, run_in_lanes, run_pytest
     from dcp_conformance.plugin import ConformanceRun
 
     from .display import Display, print_summary
@@ -66,7 +65,7 @@ def command(**options: Any) -> int:
         for case in run.selected:
             click.echo(f"{case.id}  {case.purpose}")
         return 0
-    lanes = 1 if target.foreign or target.in_process or extra else options["jobs"]
+    lanes = 1 if extra else lanes_of(run, options["jobs"])
     if extra:
         run_pytest(run, extra)
     else:
