@@ -245,6 +245,13 @@ class TestPage:
         assert len(set(links.ids)) == len(links.ids)
         assert {link[1:] for link in links.links if link.startswith("#")} <= set(links.ids)
 
+    def test_a_requirement_that_only_a_check_names_has_its_row(self):
+        case = a_case(Verdict.FAIL)
+        check = msgspec.structs.replace(case.checks[0], requirements=("BP-PAR-07",))
+        links = links_of(render(a_run_of(msgspec.structs.replace(case, checks=(check,))), None))
+        assert "#r-BP-PAR-07" in links.links
+        assert {"r-BP-PAR-07", "r-VD-TYP-01"} <= set(links.ids)
+
     def test_it_shows_what_came_instead_with_the_octets_marked(self):
         air = Script()
         deleted(air, True)

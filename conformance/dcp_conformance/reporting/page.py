@@ -93,9 +93,12 @@ def _sections(run: RunResult) -> list[dict[str, Any]]:
 
 
 def _matrix(run: RunResult, cases: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """A row for each requirement that any case is about, in the order of the catalogue."""
+    """A row for each requirement that any case or check is about, in the order of the catalogue."""
+    named = [
+        {*case["requirements"], *(each for check in case["checks"] for each in check["requirements"])} for case in cases
+    ]
     for identifier, entry in requirements().items():
-        deciding = [case for case in cases if identifier in case["requirements"]]
+        deciding = [case for case, names in zip(cases, named, strict=True) if identifier in names]
         if deciding:
             verdict = run.requirements.get(identifier)
             yield {
