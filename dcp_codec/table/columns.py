@@ -53,7 +53,9 @@ def arrow_type(column: Column) -> pa.DataType:
 def arrow_fields(column: Column) -> list[pa.Field]:
     """The Arrow fields of a column: one, and of a text a second for what is no text."""
     metadata = {key: value for key, value in (("unit", column.unit), ("doc", column.doc)) if value}
-    field = pa.field(column.name, arrow_type(column), metadata=metadata or None)
+    # Saying that there are no nulls saves whoever writes or reads a file from looking for them.
+    nullable = column.only is not None or column.kind == "text"
+    field = pa.field(column.name, arrow_type(column), nullable=nullable, metadata=metadata or None)
     if column.kind != "text":
         return [field]
     return [field, pa.field(column.name + HEX, pa.string(), metadata={"doc": f"{column.name} where it is not UTF-8"})]
