@@ -106,8 +106,10 @@ class Storage:
 
 #: References to an array that only the list has: the list's, and that of asking.
 _UNSHARED = 2
-#: Batches whose memory is remembered: the one being made, and the last one, which a loop still holds.
-_SPARE = 2
+#: Batches that are copied together when rows are collected (``writing.Pile``).
+TOGETHER = 4
+#: Batches whose memory is remembered: the one being made, and those that wait to be copied.
+_SPARE = TOGETHER + 1
 
 
 def storage(column: Column, room: int) -> npt.NDArray[Any]:

@@ -9,6 +9,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import pyarrow as pa
 
+from .columns import TOGETHER
+
 Format = Literal["parquet", "csv", "duckdb"]
 
 #: Rows that are collected before they are written: a row group of Parquet is worth reading on its own.
@@ -45,7 +47,7 @@ class Pile:
             return
         self._fresh.append(batch)
         self.rows += batch.num_rows
-        if len(self._fresh) == _TOGETHER:
+        if len(self._fresh) == TOGETHER:
             whole = pa.Table.from_batches(self._fresh, self._schema).unify_dictionaries().combine_chunks()
             self._together += whole.to_batches()
             self._fresh = []
@@ -53,10 +55,6 @@ class Pile:
     def table(self) -> pa.Table:
         """All rows, with one dictionary for each column of identifiers."""
         return pa.Table.from_batches([*self._together, *self._fresh], self._schema).unify_dictionaries()
-
-
-#: Batches that are copied together.
-_TOGETHER = 8
 
 
 class ParquetTable:
