@@ -5,9 +5,10 @@
 Each RECORDING (those of ``captures/``, ``b_crud.mcap`` first) is repeated to at least N beacons in a temporary folder;
 the files are read once before anything is measured, so that they lie in the page cache. One round after the other, the
 contenders take turns, all on the same one core; with the first recording everybody, with the others the decoders and
-encoders. What counts is the time that each has the core for, in its best round. Slow contenders get the first part of a recording, stated as ``beacons``; what
-a program needs to start is not counted against it (tshark: the time for one frame is taken off). Ratios are those of
-beacons per second, to columnar decoding of the same recording. In the end two processes on two cores do what one does.
+encoders. What counts is the time that each has the core for, in its best round. Slow contenders get the first part of a
+recording, stated as ``beacons``; what a program needs to start is not counted against it (tshark: the time for one
+frame is taken off). Ratios are those of beacons per second, to columnar decoding of the same recording. In the end two
+processes on two cores do what one does.
 """
 
 from __future__ import annotations

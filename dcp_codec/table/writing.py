@@ -110,9 +110,10 @@ def _counts_up(field: pa.Field, schema: pa.Schema) -> bool:
     if pa.types.is_timestamp(field.type):
         # All records of a beacon have its time.
         return "record" not in schema.names
-    return pa.types.is_integer(field.type) and (
-        field.type.bit_width == 64 or (field.type.bit_width == 32 and field.name == "seqno")
-    )
+    if not pa.types.is_integer(field.type):
+        return False
+    width: int = field.type.bit_width
+    return width == 64 or (width == 32 and field.name == "seqno")
 
 
 class CsvTable:
