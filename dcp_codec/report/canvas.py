@@ -88,7 +88,15 @@ def dots_of(number: int, size: float) -> dict[str, Any]:
     hollow = {"fillstyle": "none", "mew": 0.8} if number >= len(SERIES) else {"mew": 0}
     colour = SERIES[number % len(SERIES)]
     # Not clipped: the first dots stand on the axis.
-    return {"color": colour, "linestyle": "", "marker": "o", "markersize": size, "clip_on": False, "zorder": 3, **hollow}
+    return {
+        "color": colour,
+        "linestyle": "",
+        "marker": "o",
+        "markersize": size,
+        "clip_on": False,
+        "zorder": 3,
+        **hollow,
+    }
 
 
 class Canvas:
