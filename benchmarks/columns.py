@@ -1,12 +1,14 @@
 """Measure columnar decoding from file to columns, beside everything else that reads the same beacons.
 
-    python benchmarks/columns.py [RECORDING] [--beacons N] [--rounds N] [--json FILE]
+    python benchmarks/columns.py [RECORDING...] [--beacons N] [--rounds N] [--json FILE]
 
-RECORDING (``captures/b_crud.mcap``) is repeated to at least N beacons in a temporary folder; the files are read once
-before anything is measured, so that they lie in the page cache. One round after the other, the contenders take turns,
-each in this one process and thread, except where it says otherwise. The best round of each counts. Slow contenders get
-the first part of the recording, stated as ``beacons``; what a program needs to start is not counted against it
-(tshark: the time for one frame is taken off). Ratios are those of beacons per second.
+Each RECORDING (those of ``captures/``, ``b_crud.mcap`` first) is repeated to at least N beacons in a temporary folder;
+the files are read once before anything is measured, so that they lie in the page cache. One round after the other, the
+contenders take turns, all on the same one core; with the first recording everybody, with the others the decoders and
+encoders. What counts is the time that each has the core for, in its best round. Slow contenders get the first part of a
+recording, stated as ``beacons``; what a program needs to start is not counted against it (tshark: the time for one
+frame is taken off). Ratios are those of beacons per second, to columnar decoding of the same recording. In the end two
+processes on two cores do what one does.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ import logging
 import multiprocessing
 import os
 import platform
+import resource
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
@@ -31,6 +35,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.reader import make_reader
 from rich.console import Console
 from rich.table import Table
 
@@ -41,6 +46,7 @@ from dcp_codec.framing import Framing, locate
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.archive import Order, make
 from dcp_codec.table.job import resolve
+from dcp_codec.table.writing import Format
 
 sys.path.insert(0, str(Path(__file__).parent))
 logging.getLogger("scapy").setLevel(logging.ERROR)
@@ -49,6 +55,7 @@ import handwritten  # noqa: E402 - the folder is no package
 import scapy_only  # noqa: E402
 
 CAPTURES = Path(__file__).resolve().parent.parent / "captures"
+RECORDINGS = [CAPTURES / f"{name}.mcap" for name in ("b_crud", "a_bus3", "a_bus3_v1.3.6", "c_latejoin")]
 #: Beacons that contenders get which need microseconds, tens of microseconds, and more for each.
 QUICK, SLOW, SLOWEST = 200_000, 100_000, 4_000
 #: The layouts that the contenders written by hand know.
@@ -70,15 +77,17 @@ class Contender:
     what: str
     beacons: int
     run: Callable[[], int]
+    #: The recording.
+    of: str = ""
     seconds: list[float] = field(default_factory=list)
 
     def turn(self) -> None:
         """Run once, and note how long it took."""
         gc.collect()
         gc.disable()
-        begin = time.perf_counter()
+        begin = cpu_seconds()
         found = self.run()
-        self.seconds.append(time.perf_counter() - begin)
+        self.seconds.append(cpu_seconds() - begin)
         gc.enable()
         if found != self.beacons:
             raise SystemExit(f"{self.name}: found {found} beacons instead of {self.beacons}")
@@ -89,37 +98,55 @@ class Contender:
         return self.beacons / min(self.seconds)
 
 
+def cpu_seconds() -> float:
+    """What this process, and those that it started and that have ended, had of a core: others may be at work too."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
 # -- material -----------------------------------------------------------------------------------------------------
 
 
 class Material:
-    """The recording repeated, as files, and its first beacons as octets and values."""
+    """A recording repeated, as a pcap file, and its first beacons as octets and values."""
 
     def __init__(self, recording: Path, beacons: int, folder: Path) -> None:
-        self.name = recording.name
+        self.name = recording.stem
         self.codec, self.link, _ = resolve(recording, "auto", None)
-        once = folder / "once.pcap"
+        once = folder / f"{self.name}_once.pcap"
         convert(recording, once, lossy=True)
-        octets = once.read_bytes()
+        self.once = once.read_bytes()
         with open_capture(once) as reader:
-            frames = sum(isinstance(locate(frame.data, self.link), Framing) for frame in reader)
-        self.beacons = frames * -(-beacons // frames)
-        self.pcap = _repeated(octets, self.beacons // frames, folder / "whole.pcap")
+            self.frames = sum(isinstance(locate(frame.data, self.link), Framing) for frame in reader)
+        self.beacons = self.frames * -(-beacons // self.frames)
+        self.pcap = _repeated(self.once, self.beacons // self.frames, folder / f"{self.name}.pcap")
         self.size = self.pcap.stat().st_size
-        part = frames * -(-QUICK // frames)
-        self.part_beacons = part
-        self.part_pcap = _repeated(octets, part // frames, folder / "part.pcap")
-        self.part_pcapng = folder / "part.pcapng"
-        convert(self.part_pcap, self.part_pcapng)
-        self.part_mcap = folder / "part.mcap"
-        convert(self.part_pcap, self.part_mcap)
         self.octets: list[bytes] = []
-        with open_capture(self.part_pcap) as reader:
-            for frame in islice(reader, QUICK):
+        with open_capture(self.pcap) as reader:
+            for frame in islice(reader, SLOW):
                 framing = locate(frame.data, self.link)
                 if isinstance(framing, Framing):
                     self.octets.append(frame.data[framing.start : framing.end])
         self.values = [self.codec.decode(octets) for octets in self.octets]
+
+
+class Formats:
+    """The first part of a recording in every format, and as MCAP the whole of it."""
+
+    def __init__(self, material: Material, folder: Path) -> None:
+        times = -(-QUICK // material.frames)
+        self.beacons = material.frames * times
+        self.pcap = _repeated(material.once, times, folder / "part.pcap")
+        self.pcapng = folder / "part.pcapng"
+        convert(self.pcap, self.pcapng)
+        self.mcap = folder / "part.mcap"
+        convert(self.pcap, self.mcap)
+        plain = folder / "plain.mcap"
+        convert(self.pcap, plain, compression="none")
+        again = -(-material.beacons // self.beacons)
+        self.whole_beacons = self.beacons * again
+        self.whole_mcap = _repeated_chunks(self.mcap, again, folder / "whole.mcap")
+        self.whole_plain = _repeated_chunks(plain, again, folder / "whole_plain.mcap")
 
 
 def _repeated(octets: bytes, times: int, path: Path) -> Path:
@@ -130,18 +157,34 @@ def _repeated(octets: bytes, times: int, path: Path) -> Path:
     return path
 
 
+def _repeated_chunks(path: Path, times: int, target: Path) -> Path:
+    """An MCAP file with all chunks so many times, ended as one without a summary is."""
+    octets = path.read_bytes()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    first, last = summary.chunk_indexes[0], summary.chunk_indexes[-1]
+    begin, end = first.chunk_start_offset, last.chunk_start_offset + last.chunk_length
+    ends = struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + octets[:8]
+    with target.open("wb") as out:
+        out.write(octets[:begin])
+        for _ in range(times):
+            out.write(octets[begin:end])
+        out.write(ends)
+    return target
+
+
 # -- contenders ---------------------------------------------------------------------------------------------------
 
 
-def columnar(path: Path, decoder: ColumnDecoder, hold: list[Any] | None = None) -> int:
-    """Decode a file to columns; ``hold`` keeps all of them in memory."""
+def columnar(path: Path, decoder: ColumnDecoder) -> int:
+    """Decode a file to columns."""
     beacons = 0
     with Recording(path) as recording:
         for block in recording.blocks():
             for batch in decoder.batches(block):
                 beacons += batch.tables["beacons"].num_rows
-                if hold is not None:
-                    hold.append(batch)
+        assert not recording.problems
     return beacons
 
 
@@ -186,10 +229,10 @@ def numpy_copy(path: Path, beacons: int) -> int:
     return beacons
 
 
-def to_parquet(path: Path, folder: Path, profile: str) -> int:
-    """All tables of a file as Parquet."""
+def to_files(path: Path, folder: Path, profile: str, form: Format = "parquet") -> int:
+    """All tables of a file as files."""
     out = folder / "tables"
-    (outcome,) = make(Order((str(path),), out, "parquet", profile=profile, force=True))
+    (outcome,) = make(Order((str(path),), out, form, profile=profile, force=True))
     shutil.rmtree(out)
     return outcome.rows["beacons"]
 
@@ -205,27 +248,41 @@ def tshark(path: Path, script: Path, count: int) -> int:
     return done.stdout.count(b"\n")
 
 
-def contenders(material: Material, folder: Path) -> list[Contender]:
-    """Everybody who takes part."""
-    codec, beacons, pcap = material.codec, material.beacons, material.pcap
-    part, octets, values = material.part_beacons, material.octets, material.values
-    decoder = ColumnDecoder(codec, material.link)
-    few, many = octets[:SLOWEST], len(octets)
-    found = [
-        Contender("numpy copy", "the file copied into memory", beacons, lambda: numpy_copy(pcap, beacons)),
-        Contender(COLUMNAR, "file to columns, streamed", beacons, lambda: columnar(pcap, decoder)),
-        Contender("columnar, pcap, kept", "file to columns, all kept", beacons, lambda: columnar(pcap, decoder, [])),
-        Contender("open_table", "file to an Arrow table of beacons", beacons, lambda: opened(pcap, codec)),
-        Contender("columnar, pcapng", "file to columns", part, lambda: columnar(material.part_pcapng, decoder)),
-        Contender("columnar, MCAP", "file to columns", part, lambda: columnar(material.part_mcap, decoder)),
-        Contender("tables, Parquet", "file to files", beacons, lambda: to_parquet(pcap, folder, codec.profile.name)),
-        Contender("MCAP read", "file to frames", part, lambda: read_file(material.part_mcap)),
-        Contender("pcap read", "file to frames", part, lambda: read_file(material.part_pcap)),
-        Contender("pcapng read", "file to frames", part, lambda: read_file(material.part_pcapng)),
-        Contender("scalar, pcap", "file to values", part, lambda: scalar_file(material.part_pcap, codec)),
-        Contender("scalar decode", "octets to values", many, each(codec.decode, octets)),
-        Contender("scalar encode", "values to octets", many, each(codec.encode, values)),
+def coders(material: Material, decoder: ColumnDecoder) -> list[Contender]:
+    """Our own decoders and encoders, without files of other formats."""
+    codec, beacons, octets, values = material.codec, material.beacons, material.octets, material.values
+    return [
+        Contender(COLUMNAR, "file to columns", beacons, lambda: columnar(material.pcap, decoder)),
+        Contender("scalar decode", "octets to values", len(octets), each(codec.decode, octets)),
+        Contender("scalar encode", "values to octets", len(values), each(codec.encode, values)),
     ]
+
+
+def files(material: Material, formats: Formats, decoder: ColumnDecoder, folder: Path) -> list[Contender]:
+    """From files of every format to columns, files and values."""
+    codec, beacons, pcap = material.codec, material.beacons, material.pcap
+    profile, part, whole = codec.profile.name, formats.beacons, formats.whole_beacons
+    return [
+        Contender("numpy copy", "the file copied into memory", beacons, lambda: numpy_copy(pcap, beacons)),
+        Contender("open_table", "file to an Arrow table of beacons", beacons, lambda: opened(pcap, codec)),
+        Contender("columnar, pcapng", "file to columns", part, lambda: columnar(formats.pcapng, decoder)),
+        Contender("columnar, MCAP", "zstd, file to columns", whole, lambda: columnar(formats.whole_mcap, decoder)),
+        Contender("columnar, plain MCAP", "file to columns", whole, lambda: columnar(formats.whole_plain, decoder)),
+        Contender("tables, Parquet", "pcap to files", beacons, lambda: to_files(pcap, folder, profile)),
+        Contender("tables, Parquet", "MCAP to files", whole, lambda: to_files(formats.whole_mcap, folder, profile)),
+        Contender("tables, CSV", "pcap to files", part, lambda: to_files(formats.pcap, folder, profile, "csv")),
+        Contender("MCAP read", "file to frames", part, lambda: read_file(formats.mcap)),
+        Contender("pcap read", "file to frames", part, lambda: read_file(formats.pcap)),
+        Contender("pcapng read", "file to frames", part, lambda: read_file(formats.pcapng)),
+        Contender("scalar, pcap", "file to values", part, lambda: scalar_file(formats.pcap, codec)),
+    ]
+
+
+def others(material: Material, folder: Path) -> list[Contender]:
+    """What others do with the same beacons: code written by hand, scapy, construct, tshark."""
+    codec, octets, values = material.codec, material.octets, material.values
+    few, many = octets[:SLOWEST], len(octets)
+    found = []
     if codec.profile.name in BY_HAND:
         since_2_0 = codec.profile.name == "cpp-2.0"
         layout = handwritten.Layout(since_2_0, codec.safety_data_type)
@@ -255,9 +312,24 @@ def contenders(material: Material, folder: Path) -> list[Contender]:
     if shutil.which("tshark"):
         script = folder / "dcp.lua"
         script.write_text(wireshark_dissector(codec), encoding="utf-8")
-        count = min(SLOW, part)
+        pcap, count = material.pcap, min(SLOW, material.beacons)
         found.append(Contender("tshark", "file to fields", count, lambda: tshark(pcap, script, count)))
         found.append(Contender("tshark, one frame", "its start", 1, lambda: tshark(pcap, script, 1)))
+    return found
+
+
+def contenders(materials: Sequence[Material], folder: Path) -> list[Contender]:
+    """Everybody who takes part: all with the first recording, our coders with the others."""
+    found = []
+    for material in materials:
+        decoder = ColumnDecoder(material.codec, material.link)
+        taking_part = coders(material, decoder)
+        if material is materials[0]:
+            taking_part += files(material, Formats(material, folder), decoder, folder)
+            taking_part += others(material, folder)
+        for one in taking_part:
+            one.of = material.name
+        found += taking_part
     return found
 
 
@@ -277,18 +349,28 @@ class Worker:
         return columnar(Path(path), cls.decoder)
 
     @staticmethod
+    def tables(path: str, profile: str) -> int:
+        """All tables of a file as Parquet, beside each other."""
+        with tempfile.TemporaryDirectory(dir=Path(path).parent) as folder:
+            return to_files(Path(path), Path(folder), profile)
+
+    @staticmethod
     def spin(_path: str, _profile: str) -> int:
         """Do nothing for about as long, without memory: what the machine has to give."""
         return sum(number & 1 for number in range(4_000_000))
 
 
 def over_cores(material: Material, rounds: int) -> dict[str, float]:
-    """How many times as fast two processes are as one, with two files: decoding, and spinning beside it.
+    """How many times as fast two processes are as one, with two files: decoding, tables, and spinning beside them.
 
     Of the best rounds. On a machine that has other things to do spinning gains little, and says so.
     """
     jobs = [(str(material.pcap), material.codec.profile.name)] * 2
-    works: dict[str, Callable[[str, str], int]] = {"columnar": Worker.decode, "spinning": Worker.spin}
+    works: dict[str, Callable[[str, str], int]] = {
+        "columnar": Worker.decode,
+        "tables, Parquet": Worker.tables,
+        "spinning": Worker.spin,
+    }
     seconds: dict[tuple[str, int], list[float]] = {(name, n): [] for name in works for n in (1, 2)}
     context = multiprocessing.get_context("spawn")
     with (
@@ -313,8 +395,8 @@ def over_cores(material: Material, rounds: int) -> dict[str, float]:
 
 def figures(found: Sequence[Contender]) -> list[dict[str, Any]]:
     """Rates of all, and how many times faster columnar decoding is."""
-    by_name = {one.name: one for one in found}
-    start = by_name.get("tshark, one frame")
+    columnar_rates = {one.of: one.rate for one in found if one.name == COLUMNAR}
+    start = next((one for one in found if one.name == "tshark, one frame"), None)
     rows = []
     for one in found:
         if one is start:
@@ -324,31 +406,34 @@ def figures(found: Sequence[Contender]) -> list[dict[str, Any]]:
             rate = (one.beacons - 1) / (min(one.seconds) - min(start.seconds))
         rows.append(
             {
+                "recording": one.of,
                 "contender": one.name,
                 "what": one.what,
                 "beacons": one.beacons,
                 "per_second": rate,
                 "us": 1e6 / rate,
-                "columnar_is_times_faster": by_name[COLUMNAR].rate / rate,
+                "columnar_is_times_faster": columnar_rates[one.of] / rate,
                 "rounds": len(one.seconds),
             }
         )
     return rows
 
 
-def show(material: Material, rows: Sequence[dict[str, Any]], cores: dict[str, float] | None) -> None:
+def show(materials: Sequence[Material], rows: Sequence[dict[str, Any]], cores: dict[str, float] | None) -> None:
     """Print everything as one table."""
     console = Console(width=130)
-    average = material.size / material.beacons
-    console.print(
-        f"{material.name} repeated: {material.beacons} beacons, {material.size / 1e6:.0f} MB ({average:.0f} octets "
-        f"for each), profile {material.codec.profile.name}; one core"
-    )
-    table = Table("contender", "what")
+    for material in materials:
+        average = material.size / material.beacons
+        console.print(
+            f"{material.name} repeated: {material.beacons} beacons, {material.size / 1e6:.0f} MB ({average:.0f} octets "
+            f"for each), profile {material.codec.profile.name}; one core"
+        )
+    table = Table("recording", "contender", "what")
     for heading in ("beacons", "beacons/s", "µs/beacon", "columnar is × faster"):
         table.add_column(heading, justify="right")
     for row in rows:
         table.add_row(
+            row["recording"],
             row["contender"],
             row["what"],
             str(row["beacons"]),
@@ -357,7 +442,7 @@ def show(material: Material, rows: Sequence[dict[str, Any]], cores: dict[str, fl
             f"{row['columnar_is_times_faster']:.2f}",
         )
     console.print(table)
-    rate = {row["contender"]: row["per_second"] for row in rows}
+    rate = {row["contender"]: row["per_second"] for row in rows if row["recording"] == materials[0].name}
     for ours, theirs in (("scalar decode", "struct by hand, values"), ("scalar encode", "struct by hand, encode")):
         if theirs in rate:
             console.print(f"{ours}: {rate[theirs] / rate[ours]:.2f} times the time of {theirs}")
@@ -369,15 +454,18 @@ def show(material: Material, rows: Sequence[dict[str, Any]], cores: dict[str, fl
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("recording", type=Path, nargs="?", default=CAPTURES / "b_crud.mcap")
+    parser.add_argument("recordings", type=Path, nargs="*", default=RECORDINGS)
     parser.add_argument("--beacons", type=int, default=2_000_000, help="at least so many")
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     given = parser.parse_args()
+    cores = os.sched_getaffinity(0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        material = Material(given.recording, given.beacons, folder)
-        found = contenders(material, folder)
+        # One core for all that take turns, whatever threads and processes they have.
+        os.sched_setaffinity(0, {max(cores)})
+        materials = [Material(recording, given.beacons, folder) for recording in given.recordings]
+        found = contenders(materials, folder)
         # Once for everything that is only done once: compiling, the page cache, imports.
         for one in found:
             one.turn()
@@ -385,18 +473,19 @@ def main() -> None:
         for _ in range(given.rounds):
             for one in found:
                 one.turn()
-        cores = over_cores(material, given.rounds) if len(os.sched_getaffinity(0)) > 1 else None
+        os.sched_setaffinity(0, cores)
+        ratios = over_cores(materials[0], given.rounds) if len(cores) > 1 else None
         rows = figures(found)
-        show(material, rows, cores)
+        show(materials, rows, ratios)
     if given.json is not None:
         about = {
             "python": platform.python_version(),
             "machine": platform.machine(),
-            "recording": material.name,
-            "beacons": material.beacons,
-            "octets": material.size,
+            "recordings": {
+                material.name: {"beacons": material.beacons, "octets": material.size} for material in materials
+            },
             "figures": rows,
-            "two_cores": cores,
+            "two_cores": ratios,
         }
         given.json.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
 

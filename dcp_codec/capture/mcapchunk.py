@@ -6,7 +6,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from dcp_codec.capture.frame import Reason
 
@@ -36,27 +36,74 @@ class Chunk(NamedTuple):
     start: int
 
 
-def open_chunk(content: bytes, length: int) -> Chunk:
-    """Unpack the chunk record of `length` octets of which `content` is there.
+class Unpacker:
+    """Unpacks the chunks of one file. Not for use by several threads at a time."""
 
-    Raises `ChunkError` if a whole one is damaged. Of one that is cut off, gives as much as can be unpacked, which
-    nothing has checked.
-    """
-    whole = len(content) == length
-    try:
-        size, crc, compression, start, stop = _head(content, length)
-    except ChunkError:
+    def __init__(self) -> None:
+        # What zstandard needs in memory takes longer to make than a chunk to unpack.
+        self._zstd: Any = None
+
+    def open(self, content: bytes, length: int) -> Chunk:
+        """Unpack the chunk record of `length` octets of which `content` is there.
+
+        Raises `ChunkError` if a whole one is damaged. Of one that is cut off, gives as much as can be unpacked, which
+        nothing has checked.
+        """
+        whole = len(content) == length
+        try:
+            size, crc, compression, start, stop = _head(content, length)
+        except ChunkError:
+            if whole:
+                raise
+            return Chunk(b"", -1)
+        packed = content[start:stop]
+        records = self._unpack(compression, packed, size, whole=whole) if compression else packed
         if whole:
-            raise
-        return Chunk(b"", -1)
-    packed = content[start:stop]
-    records = _unpack(compression, packed, size, whole=whole) if compression else packed
-    if whole:
-        if len(records) != size:
-            raise ChunkError("bad-compression", f"does not have the {size} octets unpacked that it claims")
-        if crc and zlib.crc32(records) != crc:
-            raise ChunkError("bad-crc", "does not match its checksum")
-    return Chunk(records, -1 if compression else start)
+            if len(records) != size:
+                raise ChunkError("bad-compression", f"does not have the {size} octets unpacked that it claims")
+            if crc and zlib.crc32(records) != crc:
+                raise ChunkError("bad-crc", "does not match its checksum")
+        return Chunk(records, -1 if compression else start)
+
+    def _unpack(self, compression: str, packed: bytes, size: int, *, whole: bool) -> bytes:
+        """At most `size` octets and one more, so that a small chunk can not claim to be small and fill the memory."""
+        read = self._reader(compression, packed)
+        pieces: list[bytes] = []
+        left = size + 1
+        try:
+            while left and (piece := read(min(left, _PIECE))):
+                pieces.append(piece)
+                left -= len(piece)
+        except Exception as error:
+            # zstandard and lz4 raise classes of their own; what they have in common is Exception.
+            if whole:
+                raise ChunkError("bad-compression", f"can not be unpacked ({error})") from error
+        return b"".join(pieces)
+
+    def _reader(self, compression: str, packed: bytes) -> Callable[[int], bytes]:
+        """Something that gives the next octets, at most so many, and none at the end of what there is."""
+        try:
+            if compression == "zstd":
+                import zstandard
+
+                if self._zstd is None:
+                    self._zstd = zstandard.ZstdDecompressor()
+                read: Callable[[int], bytes] = self._zstd.stream_reader(packed, read_across_frames=True).read
+                return read
+            if compression == "lz4":
+                # By name, since it says nothing of types.
+                unpacker = import_module("lz4.frame").LZ4FrameDecompressor()
+                given = [packed]
+
+                def read_lz4(count: int) -> bytes:
+                    if unpacker.eof:
+                        return b""
+                    return bytes(unpacker.decompress(given.pop() if given else b"", count))
+
+                return read_lz4
+        except ImportError as error:
+            raise ChunkError("bad-compression", f"is packed with {compression}, for which {error}") from error
+        raise ChunkError("bad-compression", f"is packed with {compression!r}, which is not known")
 
 
 def _head(content: bytes, length: int) -> tuple[int, int, str, int, int]:
@@ -74,42 +121,3 @@ def _head(content: bytes, length: int) -> tuple[int, int, str, int, int]:
     if size > MAX_CHUNK_LENGTH:
         raise ChunkError("too-large", f"has {size} octets unpacked, and {MAX_CHUNK_LENGTH} is the most that is read")
     return size, crc, name.decode("utf-8", "replace"), start, start + records_length
-
-
-def _unpack(compression: str, packed: bytes, size: int, *, whole: bool) -> bytes:
-    """At most `size` octets and one more, so that a small chunk can not claim to be small and fill the memory."""
-    read = _reader(compression, packed)
-    pieces: list[bytes] = []
-    left = size + 1
-    try:
-        while left and (piece := read(min(left, _PIECE))):
-            pieces.append(piece)
-            left -= len(piece)
-    except Exception as error:
-        # zstandard and lz4 raise classes of their own; what they have in common is Exception.
-        if whole:
-            raise ChunkError("bad-compression", f"can not be unpacked ({error})") from error
-    return b"".join(pieces)
-
-
-def _reader(compression: str, packed: bytes) -> Callable[[int], bytes]:
-    """Something that gives the next octets, at most so many, and none at the end of what there is."""
-    try:
-        if compression == "zstd":
-            import zstandard
-
-            return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True).read
-        if compression == "lz4":
-            # By name, since it says nothing of types.
-            unpacker = import_module("lz4.frame").LZ4FrameDecompressor()
-            given = [packed]
-
-            def read(count: int) -> bytes:
-                if unpacker.eof:
-                    return b""
-                return bytes(unpacker.decompress(given.pop() if given else b"", count))
-
-            return read
-    except ImportError as error:
-        raise ChunkError("bad-compression", f"is packed with {compression}, for which {error}") from error
-    raise ChunkError("bad-compression", f"is packed with {compression!r}, which is not known")

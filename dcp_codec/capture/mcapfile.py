@@ -23,7 +23,7 @@ from dcp_codec.capture import rawframe
 from dcp_codec.capture.bytesource import READ_SIZE, ByteSource
 from dcp_codec.capture.frame import MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
 from dcp_codec.capture.linktypes import link_type_name
-from dcp_codec.capture.mcapchunk import MAX_CHUNK_LENGTH, ChunkError, open_chunk
+from dcp_codec.capture.mcapchunk import MAX_CHUNK_LENGTH, ChunkError, Unpacker
 from dcp_codec.capture.reader import CaptureReader, counted
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -62,6 +62,7 @@ class McapReader(CaptureReader):
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, str] = {}
         self._raw: set[int] = set()
+        self._unpacker = Unpacker()
         # Over the data section, and after it over the summary section.
         self._crc = 0
         self._events = self._scan()
@@ -213,7 +214,7 @@ class McapReader(CaptureReader):
 
     def _chunk(self, content: bytes, offset: int, length: int) -> Iterator[Frame | None]:
         try:
-            chunk = open_chunk(content, length)
+            chunk = self._unpacker.open(content, length)
         except ChunkError as error:
             self._log.count(
                 error.reason,

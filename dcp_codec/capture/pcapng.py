@@ -37,7 +37,11 @@ MAX_METADATA = 1_000
 
 _LEAST = 12
 _PACKET_HEADS = {order: struct.Struct(order + "IIIII").unpack_from for order in "<>"}
+_LEAST_PACKET = LEAST_LENGTH[ENHANCED_PACKET]
 _FIXED = 28  # of an enhanced packet block, before the octets of the frame
+# By byte order: what an enhanced packet block starts with up to there, and the length that ends every block.
+_BLOCK_HEADS = {order: struct.Struct(order + "IIIIIII").unpack_from for order in "<>"}
+_TRAILERS = {order: struct.Struct(order + "I").unpack_from for order in "<>"}
 
 
 class PcapngReader(CaptureReader):
@@ -99,28 +103,40 @@ class PcapngReader(CaptureReader):
 
     def _records(self) -> Iterator[Frame]:
         source = self._source
-        header, trailer = struct.Struct("<II"), struct.Struct("<I")
+        head, trailer = _BLOCK_HEADS["<"], _TRAILERS["<"]
         order = ""
         while self._going:
             if order != self._order:
                 order = self._order
-                header, trailer = struct.Struct(order + "II"), struct.Struct(order + "I")
-            buffer, start = source.buffer, source.start
-            end = len(buffer)
+                head, trailer = _BLOCK_HEADS[order], _TRAILERS[order]
+            buffer, start, base = source.buffer, source.start, source.base
+            interfaces, end = self._interfaces, len(source.buffer)
             # The way of nearly every block: a frame that lies whole in the window.
             while end - start >= _FIXED:
-                kind, total = header.unpack_from(buffer, start)
-                stop = start + total
+                kind, total, which, high, low, captured, length = head(buffer, start)
+                stop, body = start + total, start + _FIXED
                 if (
                     kind != ENHANCED_PACKET
                     or stop > end
-                    or total < LEAST_LENGTH[ENHANCED_PACKET]
+                    or total < _LEAST_PACKET
                     or total % 4
-                    or trailer.unpack_from(buffer, stop - 4)[0] != total
+                    or trailer(buffer, stop - 4)[0] != total
                 ):
                     break
-                self._position = source.base + stop
-                frame = self._packet(kind, buffer, start, total)
+                self._position = base + stop
+                if (
+                    which < len(interfaces)
+                    and (interface := interfaces[which]).accepted
+                    and interface.divide == 1
+                    and 0 <= total - _LEAST_PACKET - captured <= 3
+                    and 0 <= (time_ns := (high << 32 | low) * interface.multiply + interface.shift_ns) <= MAX_TIME_NS
+                ):
+                    self._number = number = self._number + 1
+                    data = buffer[body : body + captured]
+                    octets = length if length > captured else captured
+                    frame: Frame | None = Frame(number, time_ns, data, octets, interface.index, base + start)
+                else:
+                    frame = self._packet(kind, buffer, start, total)
                 start = stop
                 if frame is not None:
                     self._frames_read += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,9 @@ from .recordings import check_input, extras, octets_progress, tell
 if TYPE_CHECKING:
     from dcp_codec.table.archive import Order
     from dcp_codec.table.job import Outcome
+
+#: Octets of recordings that one process has decoded by the time that others have started.
+_LITTLE = 1 << 26
 
 #: Suffix of --out -> format that is meant.
 _FORMATS = {".parquet": "parquet", ".csv": "csv", ".duckdb": "duckdb", ".db": "duckdb"}
@@ -62,7 +66,7 @@ def _tables(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]
     "--jobs",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Recordings that are decoded at a time. [default: the cores there are]",
+    help="Recordings that are decoded at a time. [default: the cores there are; 1 where there is little to decode]",
 )
 @click.option(
     "--engine",
@@ -98,14 +102,15 @@ def command(
         from dcp_codec.table.archive import Order, TableError, find_recordings
 
         try:
+            recordings = tuple(find_recordings(files))
             order = Order(
-                recordings=tuple(find_recordings(files)),
+                recordings=recordings,
                 out=out,
                 form=form or _FORMATS.get(out.suffix.lower(), "parquet"),  # type: ignore[arg-type]
                 profile=profile,
                 ether_type=ether_type,
                 tables=tables,
-                jobs=jobs or len(os.sched_getaffinity(0)),
+                jobs=jobs or workers(recordings, engine),
                 engine=engine,  # type: ignore[arg-type]
                 scheduler=scheduler,
                 force=force,
@@ -114,6 +119,14 @@ def command(
         except TableError as error:
             raise ExpectedError(str(error)) from None
     return max(tell(outcome) for outcome in outcomes)
+
+
+def workers(recordings: Sequence[str], engine: str) -> int:
+    """How many processes are worth it: one takes longer to start than some megabytes to decode."""
+    sizes = [path.stat().st_size for path in map(Path, recordings) if path.is_file()]
+    if engine == "local" and len(sizes) == len(recordings) and sum(sizes) < _LITTLE:
+        return 1
+    return len(os.sched_getaffinity(0))
 
 
 def _make(order: Order) -> list[Outcome]:

@@ -115,8 +115,8 @@ def senders_of(recorded: Recorded, time: Time, steps: Steps) -> list[Sender]:
     lost = np.bincount(node, weights=steps.lost, minlength=many).astype(np.int64)
     restarts = np.bincount(node[steps.restart], minlength=many)
     reports = np.bincount(recorded.column("srp", "node"), minlength=many)
-    pairs = np.unique(np.stack([node, table["interface"]]), axis=1)[0]
-    links = np.bincount(pairs, minlength=many)
+    pairs = np.unique(node.astype(np.int64) << 32 | table["interface"])
+    links = np.bincount(pairs >> 32, minlength=many)
     first, last = np.full(many, np.inf), np.full(many, -np.inf)
     np.minimum.at(first, node, seconds)
     np.maximum.at(last, node, seconds)

@@ -86,7 +86,17 @@ def style_of(number: int) -> dict[str, Any]:
 def dots_of(number: int, size: float) -> dict[str, Any]:
     """How the dots of a series look; those of the second ten are hollow."""
     hollow = {"fillstyle": "none", "mew": 0.8} if number >= len(SERIES) else {"mew": 0}
-    return {"color": SERIES[number % len(SERIES)], "linestyle": "", "marker": "o", "markersize": size, **hollow}
+    colour = SERIES[number % len(SERIES)]
+    # Not clipped: the first dots stand on the axis.
+    return {
+        "color": colour,
+        "linestyle": "",
+        "marker": "o",
+        "markersize": size,
+        "clip_on": False,
+        "zorder": 3,
+        **hollow,
+    }
 
 
 class Canvas:

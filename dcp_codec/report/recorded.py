@@ -23,6 +23,8 @@ Column = npt.NDArray[Any]
 NUMBER_OCTETS = 8
 #: What stands for a sender that cannot be known.
 NOBODY = "unknown"
+#: Rows of all tables that are kept of one recording: about four for each beacon, some 55 octets each while it is read.
+MOST_ROWS = 20_000_000
 #: Characters of a description that are kept.
 _DESCRIPTION = 120
 
@@ -88,10 +90,10 @@ class Recorded:
 
 #: Columns that are kept of each table, and their types.
 _KEPT: dict[str, dict[str, Any]] = {
-    "beacons": {"frame": np.int64, "time": np.int64, "node": np.int32, "interface": np.int64, "seqno": np.int64}
-    | {"octets": np.int64, "around": np.int64},
-    "payloads": {"time": np.int64, "content": np.int32, "octets": np.int64},
-    "containers": {"time": np.int64, "content": np.int32, "octets": np.int64},
+    "beacons": {"frame": np.int64, "time": np.int64, "node": np.int32, "interface": np.uint32, "seqno": np.int64}
+    | {"octets": np.uint32, "around": np.uint32},
+    "payloads": {"time": np.int64, "content": np.int16, "octets": np.int64},
+    "containers": {"time": np.int64, "content": np.int16, "octets": np.int64},
     "srp": {"time": np.int64, "node": np.int32, "x": np.float64, "y": np.float64, "z": np.float64},
     "said": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64}
     | {"size": np.int64, "number": np.float64},
@@ -116,6 +118,8 @@ class _Gatherer:
             each.role: each for each in self.codec.profile.srp.safety_data if each.role
         }
         self.modulus = 0
+        #: Rows of all tables so far.
+        self.rows = 0
 
     def add(self, batch: Batch) -> None:
         tables = batch.tables
@@ -134,13 +138,14 @@ class _Gatherer:
             self._creations(tables["creates"])
 
     def table(self, name: str) -> dict[str, Column]:
-        pieces = self.pieces[name]
+        """The columns of a table, which are gone from here: no two tables are in memory twice."""
+        pieces = self.pieces.pop(name)
         return {
-            column: np.concatenate(pieces[column]).astype(kind) if pieces[column] else np.empty(0, kind)
-            for column, kind in _KEPT[name].items()
+            column: np.concatenate([np.empty(0, kind), *pieces.pop(column)]) for column, kind in _KEPT[name].items()
         }
 
     def _keep(self, table: str, **columns: Column) -> None:
+        self.rows += len(next(iter(columns.values())))
         for name, values in columns.items():
             # A copy: the memory of a batch is used again when nobody refers to it.
             self.pieces[table][name].append(np.array(values, _KEPT[table][name]))
@@ -247,11 +252,19 @@ def _last_rows(variable: Column) -> list[tuple[int, int]]:
     return [(int(each), len(variable) - 1 - int(row)) for each, row in zip(found, rows, strict=True)]
 
 
-def gather(path: str, profile: str, ether_type: int | None, advance: Advance = lambda _octets: None) -> Recorded:
+def gather(
+    path: str,
+    profile: str,
+    ether_type: int | None,
+    advance: Advance = lambda _octets: None,
+    *,
+    most: int = MOST_ROWS,
+) -> Recorded:
     """Read a recording. ``advance`` is told how many octets of the file were read since it was last called.
 
-    Memory grows with the recording, by about 200 octets for each beacon. Raises
-    :class:`~dcp_codec.capture.CaptureError` where nothing can be read; what is wrong further on is in ``outcome``.
+    Memory grows with the recording up to ``most`` rows; what comes after them is not read, and ``outcome.problems``
+    says so. Raises :class:`~dcp_codec.capture.CaptureError` where nothing can be read; what is wrong further on is in
+    ``outcome``.
     """
     codec, link, note = resolve(path, profile, ether_type)
     outcome = Outcome(path, codec.profile.name, [note] if note else [])
@@ -267,6 +280,12 @@ def gather(path: str, profile: str, ether_type: int | None, advance: Advance = l
                 gatherer.add(batch)
             advance(block.position - position)
             position = block.position
+            if gatherer.rows >= most:
+                outcome.problems.append(
+                    f"only the first {outcome.frames:,} frames are in this report, which is as much as it keeps in "
+                    f"memory ({most:,} rows of tables); dcp-codec table has no such limit."
+                )
+                break
         outcome.problems += [problem.message for problem in recording.problems]
     if outcome.other == outcome.frames:
         outcome.link = link

@@ -242,13 +242,13 @@ def _concatenate(parts: Sequence[Path], target: Path, form: Format) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    from .writing import open_writer
+    from .writing import joint_schema, open_writer
 
     if form == "parquet" and len(parts) == 1:
         parts[0].rename(target)
         return
     files = [parquet.ParquetFile(part) for part in parts]
-    schema = pa.unify_schemas([file.schema_arrow for file in files], promote_options="permissive")
+    schema = joint_schema([file.schema_arrow for file in files])
     writer = open_writer(form, target, schema)
     for file in files:
         for batch in file.iter_batches(1 << 16):

@@ -53,7 +53,9 @@ def arrow_type(column: Column) -> pa.DataType:
 def arrow_fields(column: Column) -> list[pa.Field]:
     """The Arrow fields of a column: one, and of a text a second for what is no text."""
     metadata = {key: value for key, value in (("unit", column.unit), ("doc", column.doc)) if value}
-    field = pa.field(column.name, arrow_type(column), metadata=metadata or None)
+    # Saying that there are no nulls saves whoever writes or reads a file from looking for them.
+    nullable = column.only is not None or column.kind == "text"
+    field = pa.field(column.name, arrow_type(column), nullable=nullable, metadata=metadata or None)
     if column.kind != "text":
         return [field]
     return [field, pa.field(column.name + HEX, pa.string(), metadata={"doc": f"{column.name} where it is not UTF-8"})]
@@ -104,8 +106,10 @@ class Storage:
 
 #: References to an array that only the list has: the list's, and that of asking.
 _UNSHARED = 2
-#: Batches whose memory is remembered: the one being made, and the last one, which a loop still holds.
-_SPARE = 2
+#: Batches that are copied together when rows are collected (``writing.Pile``).
+TOGETHER = 4
+#: Batches whose memory is remembered: the one being made, and those that wait to be copied.
+_SPARE = TOGETHER + 1
 
 
 def storage(column: Column, room: int) -> npt.NDArray[Any]:

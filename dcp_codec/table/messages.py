@@ -34,8 +34,21 @@ _PARTS = (
     b',"data":"',
     b'"}',
 )
-_TEXT = np.frombuffer(b"".join(_PARTS), np.uint8).copy()
-_STARTS = np.cumsum([0, *map(len, _PARTS)]).astype(np.int64)
+_SIZES = np.array([len(part) for part in _PARTS], np.int64)
+#: The parts word by word (the last word ends with the part): where each word is, what it is, and whose it is.
+_WORD = 8
+_PLACES = [[*range(0, len(part) - _WORD, _WORD), len(part) - _WORD] for part in _PARTS[:-1]]
+_PLACE = np.array([place for places in _PLACES for place in places], np.int64)
+_WORDS = np.array(
+    [
+        int.from_bytes(part[place : place + _WORD], "little", signed=True)
+        for part, places in zip(_PARTS, _PLACES, strict=False)
+        for place in places
+    ],
+    np.int64,
+)
+_FIRST = np.cumsum([0, *map(len, _PLACES)]).astype(np.int64)
+_QUOTE, _BRACE = _PARTS[-1]
 _DIGITS = np.array([10, 9, 18, 9, 9, 9], np.int64)
 _NO_DIGIT = 255
 _BASE64 = np.full(256, _NO_DIGIT, np.uint8)
@@ -52,12 +65,11 @@ def _little(b: Any, at: int, size: int) -> Any:
 
 @machine
 def _same(b: Any, at: int, stop: int, part: int) -> bool:
-    """Whether a fixed part of the message stands at ``at``."""
-    start, size = _STARTS[part], _STARTS[part + 1] - _STARTS[part]
-    if stop - at < size:
+    """Whether a fixed part of the message, but the last, stands at ``at``."""
+    if stop - at < _SIZES[part]:
         return False
-    for i in range(size):  # noqa: SIM110 - Numba has no generator expressions
-        if b[_U64(at + i)] != _TEXT[start + i]:
+    for i in range(_FIRST[part], _FIRST[part + 1]):  # noqa: SIM110 - Numba has no generator expressions
+        if _little(b, at + _PLACE[i], _WORD) != _WORDS[i]:
             return False
     return True
 
@@ -150,14 +162,16 @@ def walk_messages(
             good = _same(b, at, stop, part)
             if not good:
                 break
-            fields[part], at = _number(b, at + _STARTS[part + 1] - _STARTS[part], stop, _DIGITS[part])
+            fields[part], at = _number(b, at + _SIZES[part], stop, _DIGITS[part])
             good = fields[part] >= 0
             if not good:
                 break
-        if not good or not _same(b, at, stop, 6) or not _same(b, stop - 2, stop, 7):
+        if not good or not _same(b, at, stop, 6):
             break
-        at += _STARTS[7] - _STARTS[6]
-        if stop - 2 < at or fields[0] >= MAX_TIME_NS // _SECOND or fields[2] == 0 or fields[4] != ETHERNET:
+        at += _SIZES[6]
+        if stop - 2 < at or b[_U64(stop - 2)] != _QUOTE or b[_U64(stop - 1)] != _BRACE:
+            break
+        if fields[0] >= MAX_TIME_NS // _SECOND or fields[2] == 0 or fields[4] != ETHERNET:
             break
         size = _unpack(b, at, stop - 2, buffer, used)
         if size < 0:

@@ -16,7 +16,7 @@ from .decoding import ColumnDecoder
 from .job import resolve
 from .shape import TABLES
 from .sources import Recording
-from .writing import Pile, file_schema, with_file
+from .writing import Pile, file_schema, joint_schema, with_file
 
 Source = str | Path | Sequence[str | Path]
 
@@ -43,8 +43,7 @@ class OpenTable:
             if name not in known:
                 raise ValueError(f"{path}: profile {codec.profile.name} has no table {name!r}, only {', '.join(known)}")
             schemas.append(file_schema(known[name]) if several else known[name])
-        # Of several profiles the columns of all, integers as wide as the widest.
-        self.schema: pa.Schema = pa.unify_schemas(schemas, promote_options="permissive")
+        self.schema = joint_schema(schemas)
 
     def __repr__(self) -> str:
         return f"<{self.name} of {', '.join(self.profiles)}>"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .mcapblocks import McapBlocks
 
 #: Frames, and octets of the file, that one block holds at most.
-FRAMES, SPAN = 1 << 14, 1 << 23
+FRAMES, SPAN = 1 << 15, 1 << 24
 #: Frames that are collected into one block where they come one by one.
 _COLLECTED = 1 << 13
 #: Blocks of a pcapng file that may be unusual, more than there are usual ones, before it is read block by block.

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import pyarrow as pa
+
+from .columns import TOGETHER
 
 Format = Literal["parquet", "csv", "duckdb"]
 
@@ -45,7 +47,7 @@ class Pile:
             return
         self._fresh.append(batch)
         self.rows += batch.num_rows
-        if len(self._fresh) == _TOGETHER:
+        if len(self._fresh) == TOGETHER:
             whole = pa.Table.from_batches(self._fresh, self._schema).unify_dictionaries().combine_chunks()
             self._together += whole.to_batches()
             self._fresh = []
@@ -55,10 +57,6 @@ class Pile:
         return pa.Table.from_batches([*self._together, *self._fresh], self._schema).unify_dictionaries()
 
 
-#: Batches that are copied together.
-_TOGETHER = 8
-
-
 class ParquetTable:
     """A Parquet file with row groups of about ``GROUP`` rows."""
 
@@ -66,15 +64,7 @@ class ParquetTable:
         from pyarrow import parquet
 
         self._schema = schema
-        # Looking for repetition in numbers that count up takes half of all time, and finds none.
-        self._writer = parquet.ParquetWriter(
-            path,
-            schema,
-            compression="zstd",
-            compression_level=1,
-            use_dictionary=[field.name for field in schema if pa.types.is_dictionary(field.type)],
-            column_encoding=dict.fromkeys(("frame", "time"), "DELTA_BINARY_PACKED"),
-        )
+        self._writer = parquet.ParquetWriter(path, schema, **_parquet_options(schema))
         self._pile = Pile(schema)
 
     def write(self, batch: pa.RecordBatch) -> None:
@@ -93,6 +83,37 @@ class ParquetTable:
         if self._pile.rows:
             self._flush()
         self._writer.close()
+
+
+def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
+    """How each column is written: measured by ``benchmarks/columns.py``, size against time.
+
+    Numbers that count up are small as differences. Of small numbers and identifiers lz4 leaves about as little as zstd
+    does, in a fraction of the time; octets, floats and times that many rows share are worth zstd. The least and the
+    greatest identifier of a row group tell nobody anything and take longer to find than to write.
+    """
+    identifiers = [field.name for field in schema if pa.types.is_dictionary(field.type)]
+    differences = [field.name for field in schema if _counts_up(field, schema)]
+    numbers = [field.name for field in schema if pa.types.is_integer(field.type) or pa.types.is_timestamp(field.type)]
+    quick = {*identifiers, *differences, *(name for name in numbers if name != "time")}
+    return {
+        "compression": {field.name: "lz4" if field.name in quick else "zstd" for field in schema},
+        "compression_level": {field.name: 1 for field in schema if field.name not in quick},
+        "use_dictionary": identifiers,
+        "column_encoding": dict.fromkeys(differences, "DELTA_BINARY_PACKED"),
+        "write_statistics": [*numbers, *(field.name for field in schema if pa.types.is_floating(field.type))],
+    }
+
+
+def _counts_up(field: pa.Field, schema: pa.Schema) -> bool:
+    """Whether each value of a column is likely to be a little more than the one before."""
+    if pa.types.is_timestamp(field.type):
+        # All records of a beacon have its time.
+        return "record" not in schema.names
+    if not pa.types.is_integer(field.type):
+        return False
+    width: int = field.type.bit_width
+    return width == 64 or (width == 32 and field.name == "seqno")
 
 
 class CsvTable:
@@ -157,12 +178,23 @@ def with_file(batch: pa.RecordBatch, schema: pa.Schema, name: str) -> pa.RecordB
     return pa.RecordBatch.from_arrays([column, *batch.columns], schema=schema)
 
 
-FILE = pa.field("file", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "the recording"})
+FILE = pa.field("file", pa.dictionary(pa.int32(), pa.string()), nullable=False, metadata={"doc": "the recording"})
 
 
 def file_schema(schema: pa.Schema) -> pa.Schema:
     """The schema of a table of several recordings."""
     return pa.schema([FILE, *schema])
+
+
+def joint_schema(schemas: Sequence[pa.Schema]) -> pa.Schema:
+    """The columns of all tables, integers as wide as the widest. What one table has not is null in its rows."""
+    found = pa.unify_schemas(schemas, promote_options="permissive")
+    return pa.schema(
+        [
+            field.with_nullable(field.nullable or not all(field.name in schema.names for schema in schemas))
+            for field in found
+        ]
+    )
 
 
 def write_database(path: Path, parts: Mapping[str, Sequence[Path]]) -> None:

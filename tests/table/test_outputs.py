@@ -85,6 +85,20 @@ def test_parquet(run, tmp_path, expected, rows, differ):
     nothing_else(tmp_path / "tables", *(f"{name}.parquet" for name in TABLES))
 
 
+def test_parquet_says_where_nothing_is_missing(run, tmp_path):
+    """Columns that cannot have nulls are required, others are not; and identifiers have no statistics to prove it."""
+    assert run(C_LATEJOIN, "--out", tmp_path / "tables").status == 0
+    beacons = parquet.ParquetFile(tmp_path / "tables" / "beacons.parquet")
+    assert not any(field.nullable for field in beacons.schema_arrow)
+    assert {beacons.schema.column(index).max_definition_level for index in range(len(beacons.schema))} == {0}
+    payloads, creates, errors = (
+        parquet.read_schema(tmp_path / "tables" / f"{name}.parquet") for name in ("payloads", "creates", "errors")
+    )
+    assert [field.name for field in payloads if field.nullable] == ["data"]
+    assert [field.name for field in creates if field.nullable] == ["descr", "descrHex"]
+    assert all(field.nullable for field in errors)
+
+
 def test_csv(run, tmp_path, expected):
     assert run(C_LATEJOIN, "--out", tmp_path / "tables", "--format", "csv").status == 0
     for name in TABLES:
@@ -177,6 +191,20 @@ def test_a_folder(run, archive, tmp_path, reference, frames_of, rows, differ):
         for table in found.values():
             assert all(row.pop("file") == str(path) for row in table)
         assert differ(found, reference(get_codec(profile), frames_of(path))) == []
+
+
+def test_processes_are_started_for_much_only(archive, tmp_path):
+    from dcp_codec.cli.table import workers
+
+    cores = len(os.sched_getaffinity(0))
+    small = [str(archive / "1.pcap"), str(archive / "2.pcapng")]
+    with (tmp_path / "large.pcap").open("wb") as file:
+        file.truncate(1 << 30)  # a hole in the file system
+    assert workers(small, "local") == 1
+    assert workers(small, "dask") == cores
+    assert workers([*small, str(tmp_path / "large.pcap")], "local") == cores
+    # Of what is no file nobody knows how much it is.
+    assert workers([*small, str(tmp_path / "absent")], "local") == cores
 
 
 def test_a_cluster_gives_the_same(archive, tmp_path):
@@ -449,6 +477,10 @@ def test_open_table_of_several_profiles(archive):
     assert found.schema.equals(table.schema)
     assert set(found.column("file").unique().to_pylist()) == set(table.profiles)
     assert found.column("timeout").null_count == 6
+    # What one profile has not is missing there; what all have is nowhere.
+    assert found.schema.field("timeout").nullable
+    assert not found.schema.field("varId").nullable
+    assert not found.schema.field("file").nullable
 
 
 def test_open_table_refuses(archive):

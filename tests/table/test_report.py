@@ -455,6 +455,30 @@ def test_refusals(run, tmp_path, monkeypatch):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["a.html", "a.pcap"]
 
 
+def test_memory_has_an_end(tmp_path):
+    """Beyond so many rows nothing is kept, and the page says so."""
+    path = record(tmp_path / "a.pcap", steady(2, 20))
+    whole = gather(str(path), "dcp-2.0", None)
+    assert whole.outcome.problems == []
+    # Blocks are taken whole: with one block all of it is there, and it is said that there might be more.
+    cut = gather(str(path), "dcp-2.0", None, most=1)
+    assert cut.outcome.frames == whole.outcome.frames
+    (problem,) = cut.outcome.problems
+    assert f"only the first {cut.outcome.frames:,} frames are in this report" in problem
+    assert problem in Page(render([chapter(cut)])).text
+
+
+def test_senders_on_several_interfaces(tmp_path):
+    """The first beacon of a sender on each interface says nothing of a rate."""
+    recorded = gathered(record(tmp_path / "a.pcap", steady(1, 10)))
+    table = recorded.tables["beacons"]
+    time = analysis.time_of(recorded)
+    (alone,) = analysis.senders_of(recorded, time, analysis.steps_of(recorded))
+    table["interface"] = np.arange(table["node"].size, dtype=np.uint32) % 2 * (2**32 - 1)
+    (both,) = analysis.senders_of(recorded, time, analysis.steps_of(recorded))
+    assert alone.rate * (both.beacons - 2) == pytest.approx(both.rate * (alone.beacons - 1))
+
+
 def test_a_page_has_an_end(run, tmp_path):
     for number in range(21):
         (tmp_path / f"{number}.pcap").write_bytes(b"")

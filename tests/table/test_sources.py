@@ -198,24 +198,24 @@ ODD_MESSAGES = [
 ]
 
 
+def described(octets: bytes) -> tuple[bytes, bytes]:
+    """The records of a file that describe its raw frames: schema and channel."""
+    found = {}
+    position = 8
+    while position < len(octets) and octets[position] not in (2, 15):
+        opcode, length = RECORD_HEAD.unpack_from(octets, position)
+        if opcode in (3, 4):
+            found[opcode] = octets[position : position + RECORD_HEAD.size + length]
+        position += RECORD_HEAD.size + length
+    return found[3], found[4]
+
+
 def test_mcap_messages_of_any_kind(folder):
     """Messages that our writer would not write stand between those that it writes."""
     octets = properties.written(properties.SOME, "mcap", compression="none")
-    chunk = octets.index(b'{"timestamp"')
     # A file without chunks: records stand on their own, and may be of any length.
-    head, channel, schema = b"\x89MCAP0\r\n", b"", b""
-    position = 8
-    while position < len(octets):
-        opcode, length = RECORD_HEAD.unpack_from(octets, position)
-        if opcode in (3, 4):
-            record = octets[position : position + 9 + length]
-            schema, channel = (record, channel) if opcode == 3 else (schema, record)
-        position += 9 + length
-        if opcode in (2, 15):
-            break
-    assert schema
-    assert channel
-    assert chunk
+    head = octets[:8]
+    schema, channel = described(octets)
     number = struct.unpack_from("<H", channel, 9)[0]
 
     def record(text: str, where: int = number) -> bytes:
@@ -233,6 +233,19 @@ def test_mcap_messages_of_any_kind(folder):
         body = inside[: len(inside) - cut]
         fields = struct.pack("<QQQII", 0, 0, len(body), 0, 0) + struct.pack("<Q", len(body)) + body
         check(head + RECORD_HEAD.pack(6, len(fields)) + fields + plain, folder)
+
+
+def test_mcap_messages_with_another_octet(folder):
+    """A message in which any one octet is another: the walk sees every octet of it."""
+    octets = properties.written(properties.SOME[3:5], "mcap", compression="none")
+    start = octets.index(b'{"timestamp"') - 22 - RECORD_HEAD.size
+    length = RECORD_HEAD.size + RECORD_HEAD.unpack_from(octets, start)[1]
+    message = octets[start : start + length]
+    schema, channel = described(octets)
+    head = octets[:8] + schema + channel
+    for place in range(RECORD_HEAD.size + 22, length):
+        for octet in {b'"'[0], b"0"[0], b"="[0], 0, 255, message[place] ^ 1}:
+            check(head + message + message[:place] + bytes([octet]) + message[place + 1 :] + message, folder)
 
 
 def test_a_pipe_is_read_too(recording):
