@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import shlex
+import signal
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,11 +27,15 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 EXIT_STATUS = (
-    "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy to begin with; "
-    "4 the tester's own trouble."
+    "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy to begin with, or "
+    "did not come back; 4 the tester's own trouble; 130 stopped by Ctrl-C or SIGTERM, nothing found so far."
 )
 #: Tests that are written when nothing is said about how many.
 _DRY_RUN = 1000
+#: Seconds for minimising a finding of an implementation on the air.
+_MINIMISING = 30.0
+#: Exit status of what was stopped, as shells give it.
+_STOPPED = 130
 
 
 @click.group("fuzz", epilog=EXIT_STATUS)
@@ -138,7 +144,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     """A campaign against an implementation that was opened as 'run' opens it."""
     from dcp_conformance.fuzz.artefact import SavedTarget
     from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.live import LiveTarget, UnhealthyError
+    from dcp_conformance.fuzz.live import RATE, LiveTarget, UnhealthyError
     from dcp_conformance.fuzz.replaying import stack_target
     from dcp_conformance.fuzz.sequences import Joined, Sequences
     from dcp_conformance.target import describe, open_target
@@ -160,8 +166,14 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         return _write(Campaign(codec, stack_target(codec), Joined(drawn, size), saved, options["seed"]), options)
     with open_target(where) as opened:
         opened.runner.prepare()
-        target = LiveTarget(opened, rate=options["rate"] or 500.0, differential=differential)
+        target = LiveTarget(opened, rate=options["rate"] or RATE, differential=differential)
         options["rate"] = None
+        # Also tells who it is: sequences are about its own identifier, too.
+        try:
+            target.prepare()
+        except UnhealthyError as error:
+            click.echo(f"dcp-conformance: {error}", err=True)
+            return 3
         sequences = Sequences(codec, rng, opened.runner.session.sut_id or NOBODY, mutator, recorded)
         saved = SavedTarget(mode, target.name, options=_target_words(where, own_node=options["own_node"]))
         campaign = Campaign(
@@ -174,14 +186,12 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
             model=None if differential else stack_target(codec),
             profile_text=_profile_text(options),
             budget=200,
+            seconds=_MINIMISING,
+            by_cause=not differential,
         )
         if differential:
             campaign.states = lambda: target.observer.reached if target.observer is not None else Counter()
-        try:
-            return _run(campaign, options)
-        except UnhealthyError as error:
-            click.echo(f"dcp-conformance: {error}", err=True)
-            return 1 if campaign.artefacts else 3
+        return _run(campaign, options)
 
 
 def _target_words(where: TargetOptions, *, own_node: bool) -> str:
@@ -234,8 +244,6 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
 
     ARTEFACTS are files or folders. Those of live implementations need to be told where that is.
     """
-    import contextlib
-
     from dcp_conformance.fuzz.artefact import found_in
     from dcp_conformance.fuzz.replaying import replay, target_in_process
 
@@ -324,7 +332,9 @@ def _limits(options: dict[str, Any]) -> Limits:
 
 def _run(campaign: Campaign, options: dict[str, Any]) -> int:
     """Run a campaign, tell what happens, return the exit status."""
+    from dcp_conformance.errors import LowerTesterError
     from dcp_conformance.fuzz.coverage import shown
+    from dcp_conformance.fuzz.live import UnhealthyError
 
     if options["dry_run"]:
         return _write(campaign, options)
@@ -355,12 +365,27 @@ def _run(campaign: Campaign, options: dict[str, Any]) -> int:
         if options["artefacts"] is not None:
             click.echo(f"  again: {artefact.command}")
 
+    def effect(now: Any) -> None:
+        if terminal:
+            click.echo("", err=True)
+        click.echo(f"{now.kind}: {now.detail}; making it small", err=True)
+
     campaign.on_progress = None if quiet else progress
     campaign.on_finding = finding
+    campaign.on_effect = None if quiet else effect
+    status = 0
     try:
-        campaign.run(_limits(options))
+        with _stopped_by_sigterm():
+            campaign.run(_limits(options))
     except KeyboardInterrupt:
         click.echo("stopped", err=True)
+        status = _STOPPED
+    except UnhealthyError as error:
+        click.echo(f"dcp-conformance: {error}", err=True)
+        status = 3
+    except LowerTesterError as error:
+        click.echo(f"dcp-conformance: {error}", err=True)
+        status = 4
     if terminal and not quiet:
         click.echo("", err=True)
     state = campaign.state
@@ -369,11 +394,26 @@ def _run(campaign: Campaign, options: dict[str, Any]) -> int:
             click.echo(line)
         kinds = ", ".join(f"{name} {count}" for name, count in sorted(state.kinds.items()))
         click.echo(f"kinds: {kinds}")
+        if state.again:
+            click.echo(f"known findings have shown again {state.again} times")
+        if state.left_out:
+            avoided = ", ".join(state.avoided)
+            click.echo(f"{state.left_out} frames were not sent, since they show known findings: {avoided}")
     click.echo(
         f"{state.cases} cases, {state.frames} frames, {state.seconds:.1f} s, {len(state.findings)} findings "
         f"({shlex.join(['--seed', str(campaign.seed)])})"
     )
-    return 1 if state.findings else 0
+    return 1 if state.findings else status
+
+
+@contextlib.contextmanager
+def _stopped_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end a campaign as Ctrl-C does: with everything saved, and what was started ended."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _write(campaign: Campaign, options: dict[str, Any]) -> int:

@@ -16,12 +16,15 @@ from dcp_codec.mutation import Mutator, Touch
 from dcp_conformance.errors import ConformanceError, UsageError
 
 from .artefact import Artefact, SavedTarget, make_artefact, save
+from .causes import cause_of, problems_of
 from .coverage import Coverage, tables
 from .minimise import Minimised, Minimiser
 from .steps import Effect, Frame, Step, Target
 
 STATE_FILE = "campaign.json"
 """In the folder of artefacts: what ``--resume`` goes on from."""
+#: Effects that look alike whatever has caused them.
+_SILENT = ("dead", "mute")
 
 
 class Generator(Protocol):
@@ -49,7 +52,13 @@ class State(msgspec.Struct):
     frames: int = 0
     seconds: float = 0.0
     findings: dict[str, str] = {}
-    """Signature of the effect -> artefact."""
+    """Signature of the effect, with its cause where effects look alike -> artefact."""
+    again: int = 0
+    """How often known findings have shown again."""
+    avoided: list[str] = []
+    """Problems of frames that are known to show a finding by themselves: such frames are not sent any more."""
+    left_out: int = 0
+    """Frames that were not sent for that."""
     kinds: dict[str, int] = {}
     coverage: Coverage = msgspec.field(default_factory=Coverage)
 
@@ -95,6 +104,12 @@ class Campaign:
     lines: Callable[[], int] | None = None
     profile_text: str = ""
     budget: int = 600
+    """How often steps of a finding may be carried out to minimise it."""
+    seconds: float | None = None
+    """The same in seconds."""
+    by_cause: bool = False
+    """Whether findings of a silent death are told apart by their frames, and such frames are not sent again."""
+    on_effect: Callable[[Effect], None] | None = None
     on_progress: Callable[[Progress], None] | None = None
     on_finding: Callable[[Artefact], None] | None = None
     state: State = field(init=False)
@@ -125,7 +140,7 @@ class Campaign:
         kinds = Counter(self.state.kinds)
         try:
             while not self._over(limits, begun, first):
-                steps = self.generator.draw()
+                steps = self._drawn()
                 effect = self.target.run(steps)
                 self.state.cases += 1
                 kinds[self.generator.last] += 1
@@ -134,8 +149,8 @@ class Campaign:
                     self.reached_states.update(self.states())
                 if self.after_case is not None:
                     self.after_case(steps)
-                if effect is not None and effect.signature not in self.state.findings:
-                    self._found(steps, effect)
+                if effect is not None:
+                    self._seen(steps, effect)
                 now = time.monotonic()
                 if limits.rate is not None:
                     ahead = begun + (self.state.cases - first) / limits.rate - now
@@ -167,45 +182,104 @@ class Campaign:
             return True
         return limits.findings is not None and len(self.artefacts) >= limits.findings
 
+    def _seen(self, steps: list[Step], effect: Effect) -> None:
+        """An effect: one of those that are known, or a finding."""
+        if effect.signature in self.state.findings:
+            self.state.again += 1
+            return
+        if self.on_effect is not None:
+            self.on_effect(effect)
+        self._found(steps, effect)
+
     def _found(self, steps: list[Step], effect: Effect) -> None:
-        """Minimise it, confirm it, keep it."""
-        trouble: ConformanceError | None = None
-        minimised: Minimised | None = None
+        """Minimise it, confirm it, keep it. Whatever happens meanwhile, what is known of it is kept."""
+        minimiser = Minimiser(
+            self.target.run,
+            effect,
+            self.codec,
+            budget=self.budget,
+            seconds=self.seconds,
+            known=self._is_known if self.by_cause else None,
+        )
+        trouble: BaseException | None = None
+        confirmed = True
         try:
-            minimised = self._small(steps, effect)
-        except ConformanceError as error:
-            # The implementation is gone for good: what is known must not go with it.
-            trouble = error
-        kept, shown = (steps, effect) if minimised is None else (minimised.steps, minimised.effect)
+            found = self._in_process(steps, effect) or minimiser.minimise(steps)
+            if found is not None and self.by_cause and not self._is_known(found.steps, found.effect):
+                # Once more, from where it begins: what the attempts before have left behind is gone then.
+                again = self.target.run(found.steps)
+                confirmed = again is not None and again.signature == effect.signature
+        except (ConformanceError, KeyboardInterrupt) as error:
+            # The implementation is gone for good, or nobody wants to wait: what is known must not go with it.
+            trouble, found = error, minimiser.found
+            confirmed = found is not None
+        kept, shown = (steps, effect) if found is None else (found.steps, found.effect)
+        if found is None and trouble is not None:
+            # What came after it cannot have been it.
+            kept = steps[: effect.step + 1]
+        if self._is_known(kept, shown):
+            self.state.again += 1
+        else:
+            self._keep(kept, shown, minimised=found is not None, confirmed=found is not None and confirmed)
+        if trouble is not None:
+            raise trouble
+
+    def _in_process(self, steps: list[Step], effect: Effect) -> Minimised | None:
+        """Minimised in process, if it shows there and the result is confirmed on the target itself."""
+        if self.model is None or (like := self.model.run(steps)) is None:
+            return None
+        found = Minimiser(self.model.run, like, self.codec, budget=self.budget).minimise(steps)
+        again = self.target.run(found.steps) if found is not None else None
+        if found is None or again is None or again.signature != effect.signature:
+            return None
+        return Minimised(found.steps, again, found.tries + 1)
+
+    def _keep(self, steps: list[Step], effect: Effect, *, minimised: bool, confirmed: bool) -> None:
         artefact = make_artefact(
             self.codec,
-            kept,
-            shown,
+            steps,
+            effect,
             self.saved_target,
             seed=self.seed,
             directory=self.directory or Path(),
             profile_text=self.profile_text,
-            minimised=minimised is not None,
-            confirmed=minimised is not None,
+            minimised=minimised,
+            confirmed=confirmed,
         )
-        self.state.findings[effect.signature] = artefact.id
+        self.state.findings[self._key(steps, effect)] = artefact.id
         self.artefacts.append(artefact)
+        frames = [step for step in steps if isinstance(step, Frame)]
+        if self.by_cause and confirmed and len(steps) == len(frames) == 1:
+            self.state.avoided += problems_of(self.codec, frames[0].octets)[:1]
         if self.directory is not None:
             save(artefact, self.directory)
         if self.on_finding is not None:
             self.on_finding(artefact)
-        if trouble is not None:
-            raise trouble
 
-    def _small(self, steps: list[Step], effect: Effect) -> Minimised | None:
-        """Minimise in process if it shows there and the result is confirmed, else on the target itself."""
-        if self.model is not None and (like := self.model.run(steps)) is not None:
-            found = Minimiser(self.model.run, like, self.codec, budget=self.budget).minimise(steps)
-            if found is not None:
-                again = self.target.run(found.steps)
-                if again is not None and again.signature == effect.signature:
-                    return Minimised(found.steps, again, found.tries + 1)
-        return Minimiser(self.target.run, effect, self.codec, budget=self.budget).minimise(steps)
+    # -- telling findings apart --------------------------------------------------------------------------------
+
+    def _key(self, steps: list[Step], effect: Effect) -> str:
+        """What tells this finding apart. Deaths from outside look all alike; their causes do not."""
+        if not (self.by_cause and effect.kind in _SILENT):
+            return effect.signature
+        return f"{effect.signature} by {cause_of(self.codec, steps)}"
+
+    def _is_known(self, steps: list[Step], effect: Effect) -> bool:
+        return self._key(steps, effect) in self.state.findings
+
+    def _drawn(self) -> list[Step]:
+        """The next test, without the frames that show what is known already."""
+        steps = self.generator.draw()
+        if not self.state.avoided:
+            return steps
+        avoided = set(self.state.avoided)
+        kept = [
+            step
+            for step in steps
+            if not isinstance(step, Frame) or avoided.isdisjoint(problems_of(self.codec, step.octets))
+        ]
+        self.state.left_out += len(steps) - len(kept)
+        return kept
 
 
 def read_state(directory: Path) -> State:
