@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import random
 import shlex
 import signal
@@ -189,14 +190,16 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
             seconds=_MINIMISING,
             by_cause=not differential,
         )
+        if target.control is not None and target.control.can_restart:
+            campaign.fresh = target.run_afresh
         if differential:
             campaign.states = lambda: target.observer.reached if target.observer is not None else Counter()
         return _run(campaign, options)
 
 
 def _target_words(where: TargetOptions, *, own_node: bool) -> str:
-    """The options that reach the implementation again."""
-    words = shlex.split(where.command_line())[2:]
+    """The options that reach the implementation again; its process has another number then."""
+    words = shlex.split(dataclasses.replace(where, pid=None).command_line())[2:]
     return shlex.join([*words, *(["--own-node"] if own_node else [])])
 
 
@@ -360,7 +363,7 @@ def _run(campaign: Campaign, options: dict[str, Any]) -> int:
     def finding(artefact: Artefact) -> None:
         if terminal:
             click.echo("", err=True)
-        kept = "" if artefact.minimised else ", not seen again"
+        kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
         click.echo(f"{artefact.id}: {artefact.effect.detail} ({artefact.frames} frames{kept})")
         if options["artefacts"] is not None:
             click.echo(f"  again: {artefact.command}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,18 +13,21 @@ import msgspec
 
 from dcp_codec.codec import Codec
 from dcp_codec.mutation import Mutator, Touch
-from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.errors import UsageError
 
 from .artefact import Artefact, SavedTarget, make_artefact, save
 from .causes import cause_of, problems_of
 from .coverage import Coverage, tables
-from .minimise import Minimised, Minimiser
+from .minimise import Run
+from .reduction import Reduction
 from .steps import Effect, Frame, Step, Target
 
 STATE_FILE = "campaign.json"
 """In the folder of artefacts: what ``--resume`` goes on from."""
 #: Effects that look alike whatever has caused them.
 _SILENT = ("dead", "mute")
+#: Steps before those of a finding that are remembered, for those that they have a part in.
+_HISTORY = 4000
 
 
 class Generator(Protocol):
@@ -107,6 +110,8 @@ class Campaign:
     """How often steps of a finding may be carried out to minimise it."""
     seconds: float | None = None
     """The same in seconds."""
+    fresh: Run | None = None
+    """Carries steps out on a target that was just restarted, where it is not always: what was sent before counts."""
     by_cause: bool = False
     """Whether findings of a silent death are told apart by their frames, and such frames are not sent again."""
     on_effect: Callable[[Effect], None] | None = None
@@ -115,6 +120,8 @@ class Campaign:
     state: State = field(init=False)
     artefacts: list[Artefact] = field(default_factory=list)
     reached_states: Counter[tuple[str, str]] = field(default_factory=Counter)
+    _history: deque[Step] = field(default_factory=lambda: deque(maxlen=_HISTORY))
+    """What was sent since the last effect."""
 
     def __post_init__(self) -> None:
         self.state = State(self.codec.profile.name, self.saved_target.mode, self.seed)
@@ -151,6 +158,9 @@ class Campaign:
                     self.after_case(steps)
                 if effect is not None:
                     self._seen(steps, effect)
+                    self._history.clear()
+                elif self.fresh is not None:
+                    self._history.extend(steps)
                 now = time.monotonic()
                 if limits.rate is not None:
                     ahead = begun + (self.state.cases - first) / limits.rate - now
@@ -192,47 +202,28 @@ class Campaign:
         self._found(steps, effect)
 
     def _found(self, steps: list[Step], effect: Effect) -> None:
-        """Minimise it, confirm it, keep it. Whatever happens meanwhile, what is known of it is kept."""
-        minimiser = Minimiser(
+        """Make it small, and keep it. Whatever happens meanwhile, what is known of it is kept."""
+        reduction = Reduction(
             self.target.run,
-            effect,
             self.codec,
+            fresh=self.fresh,
+            model=self.model.run if self.model is not None else None,
             budget=self.budget,
             seconds=self.seconds,
             known=self._is_known if self.by_cause else None,
         )
-        trouble: BaseException | None = None
-        confirmed = True
         try:
-            found = self._in_process(steps, effect) or minimiser.minimise(steps)
-            if found is not None and self.by_cause and not self._is_known(found.steps, found.effect):
-                # Once more, from where it begins: what the attempts before have left behind is gone then.
-                again = self.target.run(found.steps)
-                confirmed = again is not None and again.signature == effect.signature
-        except (ConformanceError, KeyboardInterrupt) as error:
-            # The implementation is gone for good, or nobody wants to wait: what is known must not go with it.
-            trouble, found = error, minimiser.found
-            confirmed = found is not None
-        kept, shown = (steps, effect) if found is None else (found.steps, found.effect)
-        if found is None and trouble is not None:
-            # What came after it cannot have been it.
-            kept = steps[: effect.step + 1]
-        if self._is_known(kept, shown):
-            self.state.again += 1
-        else:
-            self._keep(kept, shown, minimised=found is not None, confirmed=found is not None and confirmed)
-        if trouble is not None:
-            raise trouble
-
-    def _in_process(self, steps: list[Step], effect: Effect) -> Minimised | None:
-        """Minimised in process, if it shows there and the result is confirmed on the target itself."""
-        if self.model is None or (like := self.model.run(steps)) is None:
-            return None
-        found = Minimiser(self.model.run, like, self.codec, budget=self.budget).minimise(steps)
-        again = self.target.run(found.steps) if found is not None else None
-        if found is None or again is None or again.signature != effect.signature:
-            return None
-        return Minimised(found.steps, again, found.tries + 1)
+            reduction.reduce(steps, effect, [*self._history])
+        finally:
+            # Also when the implementation is gone for good, or nobody wants to wait.
+            found = reduction.found
+            if found is not None and self._is_known(found.steps, found.effect):
+                self.state.again += 1
+            elif found is not None:
+                self._keep(found.steps, found.effect, minimised=True, confirmed=reduction.confirmed)
+            else:
+                # What came after it cannot have been it.
+                self._keep(steps[: effect.step + 1], effect, minimised=False, confirmed=False)
 
     def _keep(self, steps: list[Step], effect: Effect, *, minimised: bool, confirmed: bool) -> None:
         artefact = make_artefact(

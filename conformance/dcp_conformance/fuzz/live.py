@@ -59,6 +59,7 @@ class LiveTarget:
         self._differential = differential
         self._probes = probes
         self._checked = False
+        self._was_well = False
         self._spoilt = False
         """Whether the last steps have left an effect behind."""
         self.observer: Observer | None = None
@@ -76,6 +77,11 @@ class LiveTarget:
         self._checked = effect is None
         self._spoilt = effect is not None
         return effect
+
+    def run_afresh(self, steps: list[Step]) -> Effect | None:
+        """As :meth:`run`, after a restart: nothing that was sent before has a part in it."""
+        self._spoilt = True
+        return self.run(steps)
 
     def prepare(self) -> Bench:
         """Bring the implementation to where it begins, alive and answering; the bench for what comes next.
@@ -160,18 +166,32 @@ class LiveTarget:
 
     def _require_health(self, bench: Bench) -> None:
         """Raise :class:`UnhealthyError` unless it is well; one that was just restarted gets time to begin."""
-        deadline = bench.now() + (round(PATIENCE * 1e9) if self.restarts else 0)
-        why = ailing(bench, self.control, self._probes)
-        while why is not None and why.kind != "dead" and bench.now() < deadline:
-            why = ailing(bench, self.control, self._probes)
+        why = self._ailing(bench)
+        if why is not None and not self.restarts and self.control is not None and self.control.can_restart:
+            # It may be what an earlier campaign has left.
+            self._restart()
+            why = self._ailing(bench)
         if why is None:
-            return
-        if self.restarts:
+            self._was_well = True
+        elif self.restarts:
             raise UnhealthyError(f"the implementation is not healthy after its restart: {why.detail}")
-        raise UnhealthyError(
-            f"the implementation is not healthy, so nothing was sent to it: {why.detail}; is it running, on this link, "
-            "with this profile?"
-        )
+        elif self._was_well:
+            raise UnhealthyError(
+                f"the implementation does not come back by itself: {why.detail}; give a command that restarts it "
+                "(--restart, or --start) to go on, and to have findings made small"
+            )
+        else:
+            raise UnhealthyError(
+                f"the implementation is not healthy, so nothing was sent to it: {why.detail}; is it running, on this "
+                "link, with this profile?"
+            )
+
+    def _ailing(self, bench: Bench) -> Effect | None:
+        deadline = bench.now() + (round(PATIENCE * 1e9) if self.restarts else 0)
+        while True:
+            why = ailing(bench, self.control, self._probes)
+            if why is None or why.kind == "dead" or bench.now() >= deadline:
+                return why
 
     def _comparison(self, bench: Bench) -> Comparison | None:
         if not self._differential:

@@ -18,7 +18,7 @@ from .steps import Effect
 
 #: Markers of which one must be answered.
 PROBES: Final = 4
-#: Beacon periods that an answer may take of one who beacons and did not answer sooner.
+#: Beacon periods that an answer may take of one who has much to say.
 _LONG: Final = 100.0
 #: Beacon periods without a beacon, for those who have nothing else to show.
 _SILENCE: Final = 10.0
@@ -37,12 +37,12 @@ def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Ef
         if (gone := dead(control)) is not None:
             return gone
     beacons = len(bench.heard) - begun
-    # With much to say an answer stands at the end of a long row.
-    if beacons and _answers(bench, _LONG):
+    if _is_busy(bench, begun) and _answers(bench, _LONG):
         return None
     came = f"{beacons} beacons came" if beacons else "no beacon came"
     detail = f"none of {probes} markers was answered; {came}{_upper_tester(bench)}"
-    return Effect("mute", detail, 0, "beacons" if beacons else "silent")
+    # Who has nothing to say sends no beacons either, so that their absence is no effect of its own.
+    return Effect("mute", detail, 0, "mute")
 
 
 def dead(control: SutControl | None, at: int = 0) -> Effect | None:
@@ -64,6 +64,12 @@ def begun_again(bench: Bench, at: int = 0) -> Effect | None:
             return Effect("dead", f"it has begun anew: sequence number {number} follows {before}", at, "begun again")
         before = number
     return None
+
+
+def _is_busy(bench: Bench, since: int) -> bool:
+    """Whether it has so much to say that an answer stands at the end of a long row."""
+    most = bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    return any(len(heard.octets) > most // 2 for heard in bench.heard[since:])
 
 
 def _answers(bench: Bench, periods: float | None = None) -> bool:

@@ -58,16 +58,23 @@ class Minimiser:
         self._deadline = None if seconds is None else time.monotonic() + seconds
         self._known = known
         self._tries = 0
-        self._in_vain: set[bytes] = set()
+        self._in_vain: set[int] = set()
         """Steps that have not shown the effect."""
         self._best: tuple[list[Step], Effect] | None = None
 
-    def minimise(self, steps: list[Step]) -> Minimised | None:
-        """The smallest that was found; None if the steps do not show the effect at all."""
+    def minimise(self, steps: list[Step], least: int = 1) -> Minimised | None:
+        """The smallest that was found; None if the steps do not show the effect at all.
+
+        ``least``: how many of the last steps may be enough.
+        """
         try:
             shown = steps[: self._first.step + 1]
-            if not (self._last(shown) or self._shows(shown) or (len(shown) < len(steps) and self._shows(steps))):
+            if not (self._last(shown, least) or self._shows(shown) or (len(shown) < len(steps) and self._shows(steps))):
                 return None
+            frames: list[Step] = [step for step in self._steps if isinstance(step, Frame)]
+            if 0 < len(frames) < len(self._steps):
+                # Without waiting everything else goes faster.
+                self._shows(frames)
             before = -1
             while before != len(self._steps):
                 before = len(self._steps)
@@ -100,7 +107,7 @@ class Minimiser:
         """Whether these steps show the effect; if so they are the best so far."""
         if self._tries >= self._budget or (self._deadline is not None and time.monotonic() > self._deadline):
             raise _Spent
-        key = msgspec.msgpack.encode(steps)
+        key = hash(repr(steps))
         if key in self._in_vain:
             return False
         self._tries += 1
@@ -113,9 +120,9 @@ class Minimiser:
 
     # -- fewer steps -------------------------------------------------------------------------------------------
 
-    def _last(self, steps: list[Step]) -> bool:
+    def _last(self, steps: list[Step], least: int) -> bool:
         """What is at fault has most often come last: one step, two, four, as long as nothing is seen of it."""
-        size = 1
+        size = least
         while size < len(steps) // 2:
             if self._shows(steps[-size:]):
                 return True
