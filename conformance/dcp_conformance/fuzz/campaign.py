@@ -6,6 +6,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -203,6 +204,7 @@ class Campaign:
 
     def _found(self, steps: list[Step], effect: Effect) -> None:
         """Make it small, and keep it. Whatever happens meanwhile, what is known of it is kept."""
+        alike = self.by_cause and effect.kind in _SILENT
         reduction = Reduction(
             self.target.run,
             self.codec,
@@ -210,7 +212,8 @@ class Campaign:
             model=self.model.run if self.model is not None else None,
             budget=self.budget,
             seconds=self.seconds,
-            known=self._is_known if self.by_cause else None,
+            known=self._is_known if alike else None,
+            cause=partial(cause_of, self.codec) if alike else None,
         )
         try:
             reduction.reduce(steps, effect, [*self._history])

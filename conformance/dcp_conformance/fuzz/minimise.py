@@ -20,6 +20,7 @@ from .steps import Effect, Frame, Step, Wait
 
 Run = Callable[[list[Step]], Effect | None]
 Known = Callable[[list[Step], Effect], bool]
+Cause = Callable[[list[Step]], str]
 
 
 class Minimised(NamedTuple):
@@ -46,9 +47,11 @@ class Minimiser:
         budget: int = 600,
         seconds: float | None = None,
         known: Known | None = None,
+        cause: Cause | None = None,
     ) -> None:
         """``budget``, ``seconds``: how often steps may be carried out, and how long. ``codec``: takes beacons apart;
         octets are octets without. ``known``: whether what is left after leaving out steps is worth no more work.
+        ``cause``: what octets may be at fault for; effects that look alike must not turn into each other on the way.
         """
         self._run = run
         self._first = effect
@@ -57,6 +60,7 @@ class Minimiser:
         self._budget = budget
         self._deadline = None if seconds is None else time.monotonic() + seconds
         self._known = known
+        self._cause = cause
         self._tries = 0
         self._in_vain: set[int] = set()
         """Steps that have not shown the effect."""
@@ -166,10 +170,19 @@ class Minimiser:
         steps = self._steps
         return self._shows([*steps[:at], step, *steps[at + 1 :]])
 
-    def _with(self, at: int, octets: bytes) -> bool:
+    def _with(self, at: int, octets: bytes, *, other: bool = False) -> bool:
+        """Try other octets in a frame. ``other``: the cause may be another one then, but none that is known."""
         frame = self._steps[at]
         assert isinstance(frame, Frame)
-        return octets != frame.octets and self._replaced(at, msgspec.structs.replace(frame, octets=octets))
+        if octets == frame.octets:
+            return False
+        steps = self._steps
+        tried = [*steps[:at], msgspec.structs.replace(frame, octets=octets), *steps[at + 1 :]]
+        if self._cause is not None and not other and self._cause(tried) != self._cause(steps):
+            return False
+        if other and self._known is not None and self._known(tried, self._effect):
+            return False
+        return self._shows(tried)
 
     def _octets(self, at: int) -> bytes:
         frame = self._steps[at]
@@ -179,11 +192,11 @@ class Minimiser:
     def _smaller_frame(self, at: int) -> None:
         frame = self._steps[at]
         assert isinstance(frame, Frame)
-        if frame.valid and self._with(at, frame.valid):
+        if frame.valid and self._with(at, frame.valid, other=True):
             frame = msgspec.structs.replace(frame, octets=frame.valid)
         if frame.valid:
             for octets in self._towards(at, frame.valid):
-                self._with(at, octets)
+                self._with(at, octets, other=True)
         going = True
         while going:
             going = any(self._with(at, octets) for octets in self._parts_left_out(self._octets(at)))

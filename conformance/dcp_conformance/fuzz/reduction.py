@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from dcp_codec.codec import Codec
 
-from .minimise import Known, Minimised, Minimiser, Run
+from .minimise import Cause, Known, Minimised, Minimiser, Run
 from .steps import Effect, Step
 
 
@@ -28,6 +28,7 @@ class Reduction:
         budget: int = 600,
         seconds: float | None = None,
         known: Known | None = None,
+        cause: Cause | None = None,
     ) -> None:
         self._run = run
         self._codec = codec
@@ -36,6 +37,7 @@ class Reduction:
         self._budget = budget
         self._seconds = seconds
         self._known = known
+        self._cause = cause
         self._minimiser: Minimiser | None = None
         self._found: Minimised | None = None
         self.confirmed = False
@@ -66,7 +68,15 @@ class Reduction:
 
     def _by_itself(self, run: Run, steps: list[Step], effect: Effect, seconds: float | None, least: int = 1) -> bool:
         self._found = self.found
-        self._minimiser = Minimiser(run, effect, self._codec, budget=self._budget, seconds=seconds, known=self._known)
+        self._minimiser = Minimiser(
+            run,
+            effect,
+            self._codec,
+            budget=self._budget,
+            seconds=seconds,
+            known=self._known,
+            cause=self._cause,
+        )
         found = self._minimiser.minimise(steps, least)
         self.confirmed = found is not None and self._shows_again(found)
         return self.confirmed
