@@ -198,8 +198,6 @@ class Campaign:
         if effect.signature in self.state.findings:
             self.state.again += 1
             return
-        if self.on_effect is not None:
-            self.on_effect(effect)
         self._found(steps, effect)
 
     def _found(self, steps: list[Step], effect: Effect) -> None:
@@ -216,6 +214,8 @@ class Campaign:
             cause=partial(cause_of, self.codec) if alike else None,
         )
         try:
+            if self.on_effect is not None:
+                self.on_effect(effect)
             reduction.reduce(steps, effect, [*self._history])
         finally:
             # Also when the implementation is gone for good, or nobody wants to wait.

@@ -15,10 +15,11 @@ from dcp_conformance.control import SutControl
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
 from dcp_conformance.heard import var_id_of
 from dcp_conformance.oracle import Limits
+from dcp_conformance.runner import DEATH_PATIENCE
 from dcp_conformance.target import Target as Opened
 
 from .differential import Comparison
-from .liveness import PROBES, ailing, begun_again, dead
+from .liveness import PROBES, ailing, begun_again, dead, last_number
 from .observing import Observer
 from .steps import Call, Effect, Frame, Step, Wait
 
@@ -62,6 +63,8 @@ class LiveTarget:
         self._probes = probes
         self._checked = False
         self._was_well = False
+        self._number: int | None = None
+        """The sequence number of the last beacon that was heard."""
         self._spoilt = False
         """Whether the last steps have left an effect behind."""
         self.observer: Observer | None = None
@@ -73,7 +76,12 @@ class LiveTarget:
         """See :class:`~dcp_conformance.fuzz.steps.Target`. Raises :class:`UnhealthyError`, ``LowerTesterError``."""
         bench = self.prepare()
         self.session.lower.health()
-        effect = carry_out(bench, steps, self.control, self._interval, self._probes, self._comparison(bench))
+        comparison = self._comparison(bench)
+        effect = carry_out(bench, steps, self.control, self._interval, self._probes, comparison)
+        # The bench has the numbers of this test only; in between nothing has begun anew that is known of.
+        effect = effect or begun_again(bench, self._number)
+        number = last_number(bench)
+        self._number = self._number if number is None else number
         self.frames += sum(isinstance(step, Frame) for step in steps)
         # The next steps need a healthy implementation; after an effect that has to be shown first.
         self._checked = effect is None
@@ -165,6 +173,7 @@ class LiveTarget:
         self.session.known.clear()
         self.session.summarised.clear()
         self.session.leaving.clear()
+        self._number = None
 
     def _require_health(self, bench: Bench) -> None:
         """Raise :class:`UnhealthyError` unless it is well; one that was just restarted gets time to begin."""
@@ -240,9 +249,9 @@ def carry_out(
             effect = _step(bench, step, pace, at, comparison) or dead(control, at)
             if effect is not None:
                 return effect
+        why = ailing(bench, control, probes) or begun_again(bench)
     except UpperTesterError as error:
-        return (ailing(bench, control, probes) or Effect("mute", str(error), at, "upper"))._replace(step=at)
-    why = ailing(bench, control, probes) or begun_again(bench)
+        return _without_upper_tester(control, at, error)
     if why is not None:
         return why._replace(step=at)
     bad = next((heard for heard in bench.heard if heard.problem is not None), None)
@@ -252,6 +261,14 @@ def carry_out(
         return comparison.round(at) if comparison is not None and not bench.own_losses() else None
     except UpperTesterError as error:
         return Effect("mute", str(error), at, "upper")
+
+
+def _without_upper_tester(control: SutControl | None, at: int, error: UpperTesterError) -> Effect:
+    """What it means that the upper tester is gone; a process closes its connections before it is gone itself."""
+    deadline = time.monotonic() + DEATH_PATIENCE
+    while control is not None and control.alive() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return dead(control, at) or Effect("mute", str(error), at, "upper")
 
 
 class _Pace:

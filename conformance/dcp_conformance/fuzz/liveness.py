@@ -52,18 +52,29 @@ def dead(control: SutControl | None, at: int = 0) -> Effect | None:
     return Effect("dead", control.why_dead() or "the process is gone", at, "dead")
 
 
-def begun_again(bench: Bench, at: int = 0) -> Effect | None:
-    """The effect of an implementation that somebody else starts again: its sequence numbers begin anew."""
+def begun_again(bench: Bench, before: int | None = None) -> Effect | None:
+    """The effect of an implementation that somebody else starts again: its sequence numbers begin anew, or its upper
+    tester has hung up. ``before``: the last number before this bench.
+    """
     half = seqno_modulus(bench.profile.types.bp_seqno.width) // 2
-    before: int | None = None
     for heard in bench.heard:
         number = heard.seqno
         if number is None:
             continue
         if before is not None and number < min(before, _BEGINNING) and before - number < half:
-            return Effect("dead", f"it has begun anew: sequence number {number} follows {before}", at, "begun again")
+            return Effect("dead", f"it has begun anew: sequence number {number} follows {before}", 0, "begun anew")
         before = number
+    if bench.session.upper is not None:
+        try:
+            bench.session.upper.poll()
+        except UpperTesterError as error:
+            return Effect("dead", f"it answers, but has begun anew or hung up: {error}", 0, "begun anew")
     return None
+
+
+def last_number(bench: Bench) -> int | None:
+    """The sequence number of the last beacon that was heard; None if there was none."""
+    return next((heard.seqno for heard in reversed(bench.heard) if heard.seqno is not None), None)
 
 
 def _is_busy(bench: Bench, since: int) -> bool:
