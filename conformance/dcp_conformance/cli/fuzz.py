@@ -85,6 +85,12 @@ _SEED = click.option("--seed", type=int, default=1, metavar="N", help="For what 
 @_PROFILE
 @_SEED
 @click.option("--guided", is_flag=True, help="Keep inputs that reach new lines of the code (slower).")
+@click.option(
+    "--engine",
+    type=click.Choice(["own", "atheris"]),
+    default="own",
+    help="atheris: libFuzzer, guided by branches, for one part (extra atheris).  [default: own]",
+)
 @campaign_options
 def codec_command(parts: tuple[str, ...], **options: Any) -> int:
     """Fuzz our own functions in process.
@@ -106,9 +112,22 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
         campaign = Campaign(
             codec, target, inputs, saved, options["seed"], mutator=mutator, profile_text=_profile_text(options)
         )
+        if options["engine"] == "atheris":
+            from dcp_conformance.fuzz.engine import run_engine
+
+            part = _only(parts)
+            seeds = inputs.seeds(part)
+            return _run(campaign, options, lambda limits: run_engine(campaign, part, options["profile"], seeds, limits))
         return _run(campaign, options)
     finally:
         target.close()
+
+
+def _only(parts: tuple[str, ...]) -> str:
+    """The one part for an engine that knows octets, not parts."""
+    if len(parts) > 1:
+        raise UsageError(f"--engine atheris fuzzes one part at a time, not {len(parts)}")
+    return parts[0] if parts else "beacon"
 
 
 @command.command("stack", epilog=EXIT_STATUS)
@@ -333,8 +352,8 @@ def _limits(options: dict[str, Any]) -> Limits:
     return Limits(seconds, options["max_cases"], options["max_findings"], options["rate"])
 
 
-def _run(campaign: Campaign, options: dict[str, Any]) -> int:
-    """Run a campaign, tell what happens, return the exit status."""
+def _run(campaign: Campaign, options: dict[str, Any], run: Callable[[Limits], Any] | None = None) -> int:
+    """Run a campaign, tell what happens, return the exit status. ``run``: what runs it, unless it does so itself."""
     from dcp_conformance.errors import LowerTesterError
     from dcp_conformance.fuzz.coverage import shown
     from dcp_conformance.fuzz.live import UnhealthyError
@@ -379,7 +398,7 @@ def _run(campaign: Campaign, options: dict[str, Any]) -> int:
     status = 0
     try:
         with _stopped_by_sigterm():
-            campaign.run(_limits(options))
+            (run or campaign.run)(_limits(options))
     except KeyboardInterrupt:
         click.echo("stopped", err=True)
         status = _STOPPED

@@ -223,12 +223,13 @@ class Campaign:
             if found is not None and self._is_known(found.steps, found.effect):
                 self.state.again += 1
             elif found is not None:
-                self._keep(found.steps, found.effect, minimised=True, confirmed=reduction.confirmed)
+                self.keep(found.steps, found.effect, minimised=True, confirmed=reduction.confirmed)
             else:
                 # What came after it cannot have been it.
-                self._keep(steps[: effect.step + 1], effect, minimised=False, confirmed=False)
+                self.keep(steps[: effect.step + 1], effect, minimised=False, confirmed=False)
 
-    def _keep(self, steps: list[Step], effect: Effect, *, minimised: bool, confirmed: bool) -> None:
+    def keep(self, steps: list[Step], effect: Effect, *, minimised: bool = False, confirmed: bool = False) -> None:
+        """Keep a finding: as an artefact, and as known from now on. Raises :class:`UsageError`."""
         artefact = make_artefact(
             self.codec,
             steps,

@@ -12,7 +12,7 @@ from dcp_codec.errors import DecodeError
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind
 from dcp_conformance.control import SutControl
-from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
+from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
 from dcp_conformance.heard import var_id_of
 from dcp_conformance.oracle import Limits
 from dcp_conformance.runner import DEATH_PATIENCE
@@ -120,8 +120,14 @@ class LiveTarget:
             raise UnhealthyError(
                 f"the implementation is dead, and there is no command to restart it: {control.why_dead()}"
             )
-        # After an effect without death nothing else surely brings it back to where it began.
-        return self._spoilt and control.can_restart
+        # After an effect without death nothing else surely brings it back to where it began; and the model knows
+        # nothing of what rounds before have left.
+        return control.can_restart and (self._spoilt or (self._differential and not self._can_reset))
+
+    @property
+    def _can_reset(self) -> bool:
+        upper = self.session.upper
+        return upper is not None and "UT-Reset" in upper.methods
 
     def _restart(self) -> None:
         """Restart it; its upper tester may need some time to be there again."""
@@ -139,7 +145,12 @@ class LiveTarget:
     def _reset(self) -> None:
         """Reset it by its upper tester, which may have gone away with an implementation that somebody restarts."""
         upper = self.session.upper
-        if upper is None or "UT-Reset" not in upper.methods:
+        if upper is None or not self._can_reset:
+            if self._differential:
+                raise UsageError(
+                    "each comparison begins at an implementation that knows nothing: give an upper tester with UT-Reset "
+                    "(--ut), or a command that restarts it (--restart, or --start)"
+                )
             return
         try:
             try:
