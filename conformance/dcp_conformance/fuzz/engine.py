@@ -47,9 +47,9 @@ class _Gathered:
 
 
 def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[bytes], limits: Limits) -> None:
-    """Let atheris fuzz ``part`` in a profile (name or path), beginning with ``seeds``, and give the campaign what it has found.
+    """Let atheris fuzz ``part`` in a profile (name or path), and give the campaign what it has found.
 
-    With a folder for artefacts the corpus is kept there (``corpus-PART``), for the next time. Ctrl-C ends it with what
+    It begins with ``seeds``. With a folder for artefacts the corpus is kept there (``corpus-PART``), for the next time. Ctrl-C ends it with what
     was found. Raises :class:`UsageError` without the extra.
     """
     if importlib.util.find_spec("atheris") is None:
@@ -68,7 +68,7 @@ def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[byte
                 campaign.state.cases += runs
         except KeyboardInterrupt as error:
             interrupted = error
-        inputs, hangs = _found(folder)
+        inputs, hangs = gathered(folder)
     campaign.state.seconds += time.monotonic() - begun
     for octets in hangs:
         # Doing it again here would end here.
@@ -104,7 +104,7 @@ def _children(settings: ChildSettings, folder: Path, corpus: Path, limits: Limit
         yield int(found[1])
 
 
-def _found(folder: Path) -> tuple[list[bytes], list[bytes]]:
+def gathered(folder: Path) -> tuple[list[bytes], list[bytes]]:
     """The inputs that have shown something, and those that libFuzzer has ended itself for."""
     path = folder / "findings"
     lines = path.read_text().splitlines() if path.exists() else []

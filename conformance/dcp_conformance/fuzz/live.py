@@ -148,8 +148,8 @@ class LiveTarget:
         if upper is None or not self._can_reset:
             if self._differential:
                 raise UsageError(
-                    "each comparison begins at an implementation that knows nothing: give an upper tester with UT-Reset "
-                    "(--ut), or a command that restarts it (--restart, or --start)"
+                    "each comparison begins at an implementation that knows nothing: give an upper tester with "
+                    "UT-Reset (--ut), or a command that restarts it (--restart, or --start)"
                 )
             return
         try:
