@@ -22,6 +22,7 @@ from .options import target_of, target_options
 if TYPE_CHECKING:
     from dcp_codec.codec import Codec
     from dcp_conformance.fuzz import Artefact, Campaign, Limits
+    from dcp_conformance.fuzz.coverage import Coverage
     from dcp_conformance.fuzz.steps import Target
     from dcp_conformance.target import TargetOptions
 
@@ -68,6 +69,12 @@ def campaign_options(function: F) -> F:
                 "--out", type=click.Path(path_type=Path), metavar="FILE", help="For --dry-run: .mcap, .pcap or .pcapng."
             ),
             click.option("--resume", is_flag=True, help="Go on with the campaign in --artefacts."),
+            click.option(
+                "--coverage",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="Write what was reached, how often, and what was not (JSON).",
+            ),
             click.option("--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Where findings go."),
             click.option("--quiet", "-q", is_flag=True, help="Only the findings."),
         ]
@@ -140,12 +147,14 @@ def stack_command(**options: Any) -> int:
     """Fuzz our own node in process, compared with an independent model after every step."""
     from dcp_conformance.fuzz.artefact import SavedTarget
     from dcp_conformance.fuzz.campaign import Campaign
+    from dcp_conformance.fuzz.directed import Directed
     from dcp_conformance.fuzz.replaying import stack_target
     from dcp_conformance.fuzz.sequences import Sequences
 
     codec, rng, mutator, recorded = _material(options)
     target = stack_target(codec, options["mutant"] or "")
-    sequences = Sequences(codec, rng, target.own_id, mutator, recorded)
+    reached: Counter[tuple[str, str]] = Counter()
+    sequences = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
     saved = SavedTarget("stack", target.name, options["mutant"] or "")
     campaign = Campaign(
         codec,
@@ -155,6 +164,7 @@ def stack_command(**options: Any) -> int:
         options["seed"],
         mutator=mutator,
         states=lambda: target.observer.reached,
+        reached_states=reached,
         profile_text=_profile_text(options),
     )
     return _run(campaign, options)
@@ -164,6 +174,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     """A campaign against an implementation that was opened as 'run' opens it."""
     from dcp_conformance.fuzz.artefact import SavedTarget
     from dcp_conformance.fuzz.campaign import Campaign
+    from dcp_conformance.fuzz.directed import Directed
     from dcp_conformance.fuzz.live import RATE, LiveTarget, UnhealthyError
     from dcp_conformance.fuzz.replaying import stack_target
     from dcp_conformance.fuzz.sequences import Joined, Sequences
@@ -195,14 +206,16 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
             click.echo(f"dcp-conformance: {error}", err=True)
             return 3
         sequences = Sequences(codec, rng, opened.runner.session.sut_id or NOBODY, mutator, recorded)
+        reached: Counter[tuple[str, str]] = Counter()
         saved = SavedTarget(mode, target.name, options=_target_words(where, own_node=options["own_node"]))
         campaign = Campaign(
             codec,
             target,
-            Joined(sequences, size),
+            Directed(sequences, reached) if differential else Joined(sequences, size),
             saved,
             options["seed"],
             mutator=mutator,
+            reached_states=reached,
             model=None if differential else stack_target(codec),
             profile_text=_profile_text(options),
             budget=200,
@@ -411,6 +424,8 @@ def _run(campaign: Campaign, options: dict[str, Any], run: Callable[[Limits], An
     if terminal and not quiet:
         click.echo("", err=True)
     state = campaign.state
+    if options["coverage"] is not None:
+        _write_coverage(state.coverage, options["coverage"])
     if not quiet:
         for line in shown(state.coverage):
             click.echo(line)
@@ -426,6 +441,15 @@ def _run(campaign: Campaign, options: dict[str, Any], run: Callable[[Limits], An
         f"({shlex.join(['--seed', str(campaign.seed)])})"
     )
     return 1 if state.findings else status
+
+
+def _write_coverage(coverage: Coverage, path: Path) -> None:
+    import msgspec
+
+    try:
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(coverage), indent=1) + b"\n")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager

@@ -19,6 +19,7 @@ from dcp_conformance.errors import UsageError
 from .artefact import Artefact, SavedTarget, make_artefact, save
 from .causes import cause_of, problems_of
 from .coverage import Coverage, tables
+from .directed import possible_states
 from .minimise import Run
 from .reduction import Reduction
 from .steps import Effect, Frame, Step, Target
@@ -184,7 +185,8 @@ class Campaign:
         """What was reached so far."""
         fields: Counter[Touch] = self.mutator.reached if self.mutator is not None else Counter()
         possible = self.mutator.possible if self.mutator is not None else frozenset[Touch]()
-        return tables(fields, self.reached_states, possible, self.lines() if self.lines is not None else 0)
+        states = possible_states(self.codec) if self.states is not None else frozenset[Touch]()
+        return tables(fields, self.reached_states, possible, self.lines() if self.lines is not None else 0, states)
 
     def _over(self, limits: Limits, begun: float, first: int) -> bool:
         if limits.seconds is not None and time.monotonic() - begun >= limits.seconds:

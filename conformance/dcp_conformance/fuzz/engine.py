@@ -49,8 +49,8 @@ class _Gathered:
 def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[bytes], limits: Limits) -> None:
     """Let atheris fuzz ``part`` in a profile (name or path), and give the campaign what it has found.
 
-    It begins with ``seeds``. With a folder for artefacts the corpus is kept there (``corpus-PART``), for the next time. Ctrl-C ends it with what
-    was found. Raises :class:`UsageError` without the extra.
+    It begins with ``seeds``. With a folder for artefacts the corpus is kept there (``corpus-PART``), for the next time.
+    Ctrl-C ends it with what was found. Raises :class:`UsageError` without the extra.
     """
     if importlib.util.find_spec("atheris") is None:
         raise UsageError("--engine atheris: it is not installed: pip install 'dcp-conformance-kit[atheris]'")
