@@ -8,7 +8,7 @@ from .sequences import Joined, Sequences
 from .steps import Step, Wait
 
 #: One test in so many waits between its frames.
-_UNHURRIED: Final = 4
+_UNHURRIED: Final = 8
 
 
 class Batches:
