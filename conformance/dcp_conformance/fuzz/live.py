@@ -81,7 +81,8 @@ class LiveTarget:
         # The bench has the numbers of this test only; in between nothing has begun anew that is known of.
         effect = effect or begun_again(bench, self._number)
         number = last_number(bench)
-        self._number = self._number if number is None else number
+        # What comes after an effect may have begun anew without being another one.
+        self._number = None if effect is not None else self._number if number is None else number
         self.frames += sum(isinstance(step, Frame) for step in steps)
         # The next steps need a healthy implementation; after an effect that has to be shown first.
         self._checked = effect is None
