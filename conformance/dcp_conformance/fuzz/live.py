@@ -27,6 +27,8 @@ from .steps import Call, Effect, Frame, Step, Wait
 RATE: Final = 500.0
 #: Seconds that an implementation may take until it answers after its restart.
 PATIENCE: Final = 30.0
+#: Seconds that one may take which may have been started a moment ago, before it is restarted.
+_FIRST: Final = 10.0
 #: Seconds that an upper tester may stay away which nobody is known to have restarted.
 _RECONNECT: Final = 10.0
 _PAUSE: Final = 0.1
@@ -210,7 +212,9 @@ class LiveTarget:
             )
 
     def _ailing(self, bench: Bench) -> Effect | None:
-        deadline = bench.now() + (round(PATIENCE * 1e9) if self.restarts else 0)
+        can_restart = self.control is not None and self.control.can_restart
+        patience = PATIENCE if self.restarts else _FIRST if can_restart and not self._was_well else 0
+        deadline = bench.now() + round(patience * 1e9)
         while True:
             why = ailing(bench, self.control, self._probes)
             if why is None or why.kind == "dead" or bench.now() >= deadline:
