@@ -20,12 +20,16 @@ import time
 from pathlib import Path
 from typing import Any
 
+from dcp_conformance.bench import Session
 from dcp_conformance.fuzz.live import LiveTarget
 from dcp_conformance.fuzz.sequences import Sequences
 from dcp_conformance.fuzz.stack import StackTarget
 from dcp_conformance.fuzz.steps import Frame
+from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.target import TargetOptions, open_target
+from dcp_conformance.reference.process import reference_process
+from dcp_conformance.runner import Runner
+from dcp_conformance.target import Target
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
@@ -85,41 +89,60 @@ def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
 
 
 def live_rate(profile: str, seconds: float) -> dict[str, Any]:
-    """Frames as fast as the fuzzer can, with a look at the node after each 2000; then a flood without looks."""
-    found: dict[str, Any] = {}
-    with open_target(TargetOptions(profile=profile)) as opened:
-        opened.runner.prepare()
-        session = opened.runner.session
-        codec, upper = session.codec, session.upper
-        assert upper is not None
+    """What the fuzzer sends to our node as a process, with a look at it after each 2000 frames, beside its limit."""
+    return {kind: live_rate_on(kind, profile, seconds) for kind in ("ethernet", "udp")}
+
+
+def live_rate_on(kind: Any, profile: str, seconds: float) -> dict[str, Any]:
+    """On one kind of link. Costs are CPU time, since tester and node share the machine with others."""
+    codec = Codec(profile)
+    with reference_process(codec, beacon_period_ms=20, link=kind) as node:
+        pixit = Testing(beacon_period_ms=20)
+        runner = Runner(Session(codec, node.lower, node.upper, Pics(pixit=pixit)), node.control)
+        runner.prepare()
         mutator = mutator_of(codec)
-        target = LiveTarget(opened, rate=1e9)
-        begun, frames = time.monotonic(), 0
+        target = LiveTarget(Target(codec, runner.session.pics, runner, []), rate=1e9)
+        batches = [[Frame(mutator.mutate().octets) for _ in range(2000)] for _ in range(5)]
+        status = lambda: node.upper.call("UT-Status", {}).result["runtime"]  # noqa: E731 - short
+        begun, tester, before, sent = time.monotonic(), time.process_time(), status(), 0
         while time.monotonic() - begun < seconds:
-            effect = target.run([Frame(mutator.mutate().octets) for _ in range(2000)])
-            if effect is not None:
-                sys.exit(f"our own node: {effect}")
-            frames += 2000
-        found["fuzzer_frames_per_second"] = frames / (time.monotonic() - begun)
-        batch = [mutator.mutate().octets[:1400] for _ in range(500)]
-        before = upper.call("UT-Status", {}).result["runtime"]["link"]
-        begun, sent = time.monotonic(), 0
-        while time.monotonic() - begun < seconds:
-            for octets in batch:
-                session.lower.send(octets, b"\x02\xdc\x90\0\0\1")
-            sent += len(batch)
-        spent = time.monotonic() - begun
-        # What waits in its socket is still looked at.
-        time.sleep(1.0)
-        after = upper.call("UT-Status", {}).result["runtime"]["link"]
-        taken = after["received"] - before["received"]
-        lost = after["kernel_drops"] - before["kernel_drops"]
-        found |= {"flood_per_second": sent / spent, "taken_per_second": taken / spent, "lost_in_its_kernel": lost}
+            for batch in batches:
+                effect = target.run([*batch])
+                if effect is not None:
+                    sys.exit(f"our own node: {effect}")
+                sent += len(batch)
+        spent, tester, after = time.monotonic() - begun, time.process_time() - tester, status()
+        found = _taken(before, after) | {"frames": sent, "per_second": sent / spent, "tester_us": 1e6 * tester / sent}
+        flood = _flood(node, [frame.octets[:1400] for frame in batches[0]], seconds, status)
     print(
-        f"  live: {found['fuzzer_frames_per_second']:,.0f} frames/s with looks; in a flood of "
-        f"{found['flood_per_second']:,.0f}/s the node took {found['taken_per_second']:,.0f}/s"
+        f"  {kind}: {found['per_second']:,.0f} frames/s with looks; the tester needs {found['tester_us']:.0f} us for a "
+        f"frame, the node {found['node_us']:.0f} us; {found['dropped']} of {sent} lost in the node's kernel"
     )
-    return found
+    print(
+        f"  {kind}, flood of {flood['per_second']:,.0f}/s: the node took {flood['taken_per_second']:,.0f}/s at "
+        f"{flood['node_us']:.0f} us each, which is {1e6 / flood['node_us']:,.0f}/s at most; {flood['dropped']} lost"
+    )
+    return {"looked_at": found, "flood": flood}
+
+
+def _flood(node: Any, octets: list[bytes], seconds: float, status: Any) -> dict[str, Any]:
+    before, begun, sent = status(), time.monotonic(), 0
+    while time.monotonic() - begun < seconds:
+        for each in octets:
+            node.lower.send(each, b"\x02\xdc\x90\0\0\1")
+        sent += len(octets)
+    spent = time.monotonic() - begun
+    # What waits in its socket is still looked at.
+    time.sleep(1.0)
+    found = _taken(before, status())
+    return found | {"per_second": sent / spent, "taken_per_second": found["taken"] / spent}
+
+
+def _taken(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    """What the node took, what its kernel dropped, and CPU time for each that it took."""
+    taken = after["link"]["received"] - before["link"]["received"]
+    dropped = after["link"]["kernel_drops"] - before["link"]["kernel_drops"]
+    return {"taken": taken, "dropped": dropped, "node_us": 1e3 * (after["cpu_ms"] - before["cpu_ms"]) / max(1, taken)}
 
 
 def soak(codec: Codec, frames: int) -> dict[str, Any]:

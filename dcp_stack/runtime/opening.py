@@ -7,6 +7,7 @@ import logging
 import random
 import time
 from collections.abc import Iterator
+from typing import Protocol
 
 import msgspec
 
@@ -30,16 +31,27 @@ log = logging.getLogger(__name__)
 STDIO = "stdio"
 
 
+class MakeNode(Protocol):
+    """Makes a node."""
+
+    def __call__(self, config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> Node:
+        """As the constructor of :class:`~dcp_stack.node.Node`."""
+        ...
+
+
 class NodeError(Exception):
     """The node cannot be started; the message says what is in the way."""
 
 
 @contextlib.contextmanager
-def open_node(settings: Settings) -> Iterator[Driver]:
-    """A node that is ready to run. Raises NodeError, and leaves nothing behind then."""
+def open_node(settings: Settings, make: MakeNode = Node) -> Iterator[Driver]:
+    """A node that is ready to run. Raises NodeError, and leaves nothing behind then.
+
+    ``make`` is called as :class:`~dcp_stack.node.Node` is, for nodes that differ from it.
+    """
     try:
         with contextlib.ExitStack() as stack:
-            driver = _open(settings, stack)
+            driver = _open(settings, make, stack)
             # From here on the driver closes everything, in its own order.
             stack.pop_all()
         yield driver
@@ -47,7 +59,7 @@ def open_node(settings: Settings) -> Iterator[Driver]:
         raise NodeError(str(error)) from None
 
 
-def _open(settings: Settings, stack: contextlib.ExitStack) -> Driver:
+def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Driver:
     user = None if settings.user is None else find_user(settings.user)
     if settings.control == STDIO and settings.position == "stdin":
         raise SettingsError("control and position cannot both be standard input")
@@ -60,7 +72,7 @@ def _open(settings: Settings, stack: contextlib.ExitStack) -> Driver:
     rng = random.Random(settings.seed)  # noqa: S311 - jitter, no secret
     now, wall = time.monotonic_ns(), time.time_ns()
     try:
-        node = Node(config, rng=rng, now=now, wall=wall)
+        node = make(config, rng=rng, now=now, wall=wall)
     except ValueError as error:
         raise SettingsError(str(error)) from None
     control: ControlSocket | None = None

@@ -80,6 +80,16 @@ def test_findings_are_saved_replayed_and_gone_on_from(tmp_path):
     assert len(state["findings"]) == 1
 
 
+def test_coverage_is_written_with_what_is_missing(tmp_path):
+    path = tmp_path / "coverage.json"
+    done = fuzz("stack", "--max-cases", "5", "--coverage", str(path))
+    assert done.returncode == 0, done.stderr
+    coverage = json.loads(path.read_text())
+    assert len(coverage["missing_states"]) > 10
+    assert f"message: {coverage['possible_states'] - len(coverage['missing_states'])} of" in done.stdout
+    assert fuzz("stack", "--max-cases", "1", "--coverage", "/nonexistent/x").returncode == 2
+
+
 def test_a_recording_and_lines_of_code_guide(tmp_path):
     out = tmp_path / "frames.mcap"
     assert fuzz("stack", "--dry-run", "--max-cases", "20", "--out", str(out)).returncode == 0

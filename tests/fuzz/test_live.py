@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import random
 
+import msgspec
 import pytest
-from dcp_conformance.bench import Session
+from dcp_conformance.bench import Bench, Session
+from dcp_conformance.case import all_cases
+from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
 from dcp_conformance.fuzz.artefact import SavedTarget
 from dcp_conformance.fuzz.live import LiveTarget, UnhealthyError
+from dcp_conformance.fuzz.liveness import ailing
 from dcp_conformance.fuzz.replaying import stack_target
 from dcp_conformance.fuzz.sequences import Joined, Sequences
 from dcp_conformance.mutants import all_mutants
@@ -166,3 +170,101 @@ def test_a_finding_is_kept_although_the_peer_stays_dead(tmp_path):
     [artefact] = campaign.artefacts
     assert not artefact.minimised
     assert (tmp_path / f"{artefact.id}.json").exists()
+
+
+#: A frame that the nodes below cannot stand.
+BAD = b"the last straw"
+
+
+class Frail(Node):
+    """Hears nothing any more after a bad frame; not in its first seconds either, from its second life on."""
+
+    lives = 0
+    slow_ns = 0
+
+    def __init__(self, config, *, rng, now, wall):
+        super().__init__(config, rng=rng, now=now, wall=wall)
+        type(self).lives += 1
+        self.deaf_until = now + self.slow_ns if self.lives > 1 else 0
+
+    def handle_frame(self, octets, *, now, wall):
+        if octets == BAD:
+            self.deaf_until = 1 << 62
+        if now >= self.deaf_until:
+            super().handle_frame(octets, now=now, wall=wall)
+
+
+def frail(slow_ns: int = 0) -> Target:
+    kind = type("Frail", (Frail,), {"lives": 0, "slow_ns": slow_ns})
+    return opened(lambda c, r, n, w: kind(c, rng=r, now=n, wall=w), upper=False)
+
+
+@pytest.mark.parametrize("slow", [0, 3])
+def test_one_that_fell_silent_is_restarted_once_and_waited_for(slow):
+    target = LiveTarget(frail(slow * 1_000_000_000))
+    assert target.run([Frame(b"\1")]) is None
+    effect = target.run([Frame(b"\1"), Frame(BAD)])
+    assert effect is not None
+    assert effect.signature == "mute: mute"
+    assert target.run([Frame(b"\1")]) is None
+    assert target.restarts == 1
+
+
+def test_one_that_is_not_healthy_after_its_restart_ends_the_campaign_with_what_was_found(tmp_path):
+    target = LiveTarget(frail(1 << 62))
+    generator = type("Drawn", (), {"last": "drawn", "draw": lambda self: [Frame(b"\1"), Frame(BAD)]})()
+    campaign = Campaign(CODEC, target, generator, SavedTarget("live"), 1, directory=tmp_path, by_cause=True)
+    with pytest.raises(UnhealthyError, match="not healthy after its restart"):
+        campaign.run(Limits(cases=5))
+    assert len(list(tmp_path.glob("mute-*.json"))) == 1
+
+
+def test_what_an_earlier_campaign_has_left_is_restarted_before_it_is_called_unhealthy():
+    where = frail()
+    where.runner.session.lower.send(BAD, b"\x02\xdc\x90\0\0\1")
+    target = LiveTarget(where)
+    assert target.run([Frame(b"\1")]) is None
+    assert target.restarts == 1
+
+
+def test_a_restart_that_fails_is_said():
+    target = LiveTarget(opened(all_mutants()["M-BP-RX-15-dies"].make, upper=False))
+    assert target.run([Frame(TOO_LONG)]) is not None
+
+    class Broken:
+        can_restart = True
+
+        def alive(self):
+            return False
+
+        def why_dead(self):
+            return "it is dead"
+
+        def restart(self):
+            raise ConformanceError("--restart: the command ended with exit status 1")
+
+    target.control = Broken()
+    with pytest.raises(UnhealthyError, match="cannot be restarted: --restart: the command ended with exit status 1"):
+        target.run([Frame(b"\1")])
+
+
+def test_a_comparison_needs_a_way_back_to_the_beginning():
+    where = opened(upper=False)
+    target = LiveTarget(where, differential=True)
+    assert target.run(sequences().creation_times()) is None
+    assert target.run(sequences().creation_times()) is None
+    # Each began at a node that knew nothing.
+    assert target.restarts == 2
+    where.runner.control = None
+    with pytest.raises(UsageError, match="UT-Reset"):
+        LiveTarget(where, differential=True).run([])
+
+
+def test_a_node_without_vardis_is_alive_when_it_beacons():
+    where = opened(upper=False)
+    where.runner.session.pics = msgspec.structs.replace(
+        where.runner.session.pics, pics=msgspec.structs.replace(where.runner.session.pics.pics, vardis=False)
+    )
+    upper = where.runner.control.upper_tester()
+    upper.call("SRP-UpdateSafetyData", {"sData": {"x": 1.0, "y": 2.0, "z": 3.0}})
+    assert ailing(Bench(where.runner.session, next(iter(all_cases().values()))), None) is None

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import random
 import shlex
+import signal
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,17 +22,22 @@ from .options import target_of, target_options
 if TYPE_CHECKING:
     from dcp_codec.codec import Codec
     from dcp_conformance.fuzz import Artefact, Campaign, Limits
+    from dcp_conformance.fuzz.coverage import Coverage
     from dcp_conformance.fuzz.steps import Target
     from dcp_conformance.target import TargetOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 EXIT_STATUS = (
-    "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy to begin with; "
-    "4 the tester's own trouble."
+    "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy to begin with, or "
+    "did not come back; 4 the tester's own trouble; 130 stopped by Ctrl-C or SIGTERM, nothing found so far."
 )
 #: Tests that are written when nothing is said about how many.
 _DRY_RUN = 1000
+#: Seconds for minimising a finding of an implementation on the air.
+_MINIMISING = 30.0
+#: Exit status of what was stopped, as shells give it.
+_STOPPED = 130
 
 
 @click.group("fuzz", epilog=EXIT_STATUS)
@@ -61,6 +69,12 @@ def campaign_options(function: F) -> F:
                 "--out", type=click.Path(path_type=Path), metavar="FILE", help="For --dry-run: .mcap, .pcap or .pcapng."
             ),
             click.option("--resume", is_flag=True, help="Go on with the campaign in --artefacts."),
+            click.option(
+                "--coverage",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="Write what was reached, how often, and what was not (JSON).",
+            ),
             click.option("--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Where findings go."),
             click.option("--quiet", "-q", is_flag=True, help="Only the findings."),
         ]
@@ -78,6 +92,12 @@ _SEED = click.option("--seed", type=int, default=1, metavar="N", help="For what 
 @_PROFILE
 @_SEED
 @click.option("--guided", is_flag=True, help="Keep inputs that reach new lines of the code (slower).")
+@click.option(
+    "--engine",
+    type=click.Choice(["own", "atheris"]),
+    default="own",
+    help="atheris: libFuzzer, guided by branches, for one part (extra atheris).  [default: own]",
+)
 @campaign_options
 def codec_command(parts: tuple[str, ...], **options: Any) -> int:
     """Fuzz our own functions in process.
@@ -99,9 +119,22 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
         campaign = Campaign(
             codec, target, inputs, saved, options["seed"], mutator=mutator, profile_text=_profile_text(options)
         )
+        if options["engine"] == "atheris":
+            from dcp_conformance.fuzz.engine import run_engine
+
+            part = _only(parts)
+            seeds = inputs.seeds(part)
+            return _run(campaign, options, lambda limits: run_engine(campaign, part, options["profile"], seeds, limits))
         return _run(campaign, options)
     finally:
         target.close()
+
+
+def _only(parts: tuple[str, ...]) -> str:
+    """The one part for an engine that knows octets, not parts."""
+    if len(parts) > 1:
+        raise UsageError(f"--engine atheris fuzzes one part at a time, not {len(parts)}")
+    return parts[0] if parts else "beacon"
 
 
 @command.command("stack", epilog=EXIT_STATUS)
@@ -114,12 +147,14 @@ def stack_command(**options: Any) -> int:
     """Fuzz our own node in process, compared with an independent model after every step."""
     from dcp_conformance.fuzz.artefact import SavedTarget
     from dcp_conformance.fuzz.campaign import Campaign
+    from dcp_conformance.fuzz.directed import Directed
     from dcp_conformance.fuzz.replaying import stack_target
     from dcp_conformance.fuzz.sequences import Sequences
 
     codec, rng, mutator, recorded = _material(options)
     target = stack_target(codec, options["mutant"] or "")
-    sequences = Sequences(codec, rng, target.own_id, mutator, recorded)
+    reached: Counter[tuple[str, str]] = Counter()
+    sequences = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
     saved = SavedTarget("stack", target.name, options["mutant"] or "")
     campaign = Campaign(
         codec,
@@ -129,6 +164,7 @@ def stack_command(**options: Any) -> int:
         options["seed"],
         mutator=mutator,
         states=lambda: target.observer.reached,
+        reached_states=reached,
         profile_text=_profile_text(options),
     )
     return _run(campaign, options)
@@ -137,10 +173,12 @@ def stack_command(**options: Any) -> int:
 def _live(options: dict[str, Any], *, differential: bool) -> int:
     """A campaign against an implementation that was opened as 'run' opens it."""
     from dcp_conformance.fuzz.artefact import SavedTarget
+    from dcp_conformance.fuzz.batches import Batches
     from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.live import LiveTarget, UnhealthyError
+    from dcp_conformance.fuzz.directed import Directed
+    from dcp_conformance.fuzz.live import RATE, LiveTarget, UnhealthyError
     from dcp_conformance.fuzz.replaying import stack_target
-    from dcp_conformance.fuzz.sequences import Joined, Sequences
+    from dcp_conformance.fuzz.sequences import Sequences
     from dcp_conformance.target import describe, open_target
 
     where = target_of(options)
@@ -157,36 +195,44 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     if options["dry_run"]:
         drawn = Sequences(codec, rng, NOBODY, mutator, recorded)
         saved = SavedTarget(mode, "nothing")
-        return _write(Campaign(codec, stack_target(codec), Joined(drawn, size), saved, options["seed"]), options)
+        return _write(Campaign(codec, stack_target(codec), Batches(drawn, size), saved, options["seed"]), options)
     with open_target(where) as opened:
         opened.runner.prepare()
-        target = LiveTarget(opened, rate=options["rate"] or 500.0, differential=differential)
+        target = LiveTarget(opened, rate=options["rate"] or RATE, differential=differential)
         options["rate"] = None
+        # Also tells who it is: sequences are about its own identifier, too.
+        try:
+            target.prepare()
+        except UnhealthyError as error:
+            click.echo(f"dcp-conformance: {error}", err=True)
+            return 3
         sequences = Sequences(codec, rng, opened.runner.session.sut_id or NOBODY, mutator, recorded)
+        reached: Counter[tuple[str, str]] = Counter()
         saved = SavedTarget(mode, target.name, options=_target_words(where, own_node=options["own_node"]))
         campaign = Campaign(
             codec,
             target,
-            Joined(sequences, size),
+            Directed(sequences, reached) if differential else Batches(sequences, size),
             saved,
             options["seed"],
             mutator=mutator,
+            reached_states=reached,
             model=None if differential else stack_target(codec),
             profile_text=_profile_text(options),
             budget=200,
+            seconds=_MINIMISING,
+            by_cause=not differential,
         )
+        if target.control is not None and target.control.can_restart:
+            campaign.fresh = target.run_afresh
         if differential:
             campaign.states = lambda: target.observer.reached if target.observer is not None else Counter()
-        try:
-            return _run(campaign, options)
-        except UnhealthyError as error:
-            click.echo(f"dcp-conformance: {error}", err=True)
-            return 1 if campaign.artefacts else 3
+        return _run(campaign, options)
 
 
 def _target_words(where: TargetOptions, *, own_node: bool) -> str:
-    """The options that reach the implementation again."""
-    words = shlex.split(where.command_line())[2:]
+    """The options that reach the implementation again; its process has another number then."""
+    words = shlex.split(dataclasses.replace(where, pid=None).command_line())[2:]
     return shlex.join([*words, *(["--own-node"] if own_node else [])])
 
 
@@ -234,8 +280,6 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
 
     ARTEFACTS are files or folders. Those of live implementations need to be told where that is.
     """
-    import contextlib
-
     from dcp_conformance.fuzz.artefact import found_in
     from dcp_conformance.fuzz.replaying import replay, target_in_process
 
@@ -322,9 +366,11 @@ def _limits(options: dict[str, Any]) -> Limits:
     return Limits(seconds, options["max_cases"], options["max_findings"], options["rate"])
 
 
-def _run(campaign: Campaign, options: dict[str, Any]) -> int:
-    """Run a campaign, tell what happens, return the exit status."""
+def _run(campaign: Campaign, options: dict[str, Any], run: Callable[[Limits], Any] | None = None) -> int:
+    """Run a campaign, tell what happens, return the exit status. ``run``: what runs it, unless it does so itself."""
+    from dcp_conformance.errors import LowerTesterError
     from dcp_conformance.fuzz.coverage import shown
+    from dcp_conformance.fuzz.live import UnhealthyError
 
     if options["dry_run"]:
         return _write(campaign, options)
@@ -350,30 +396,71 @@ def _run(campaign: Campaign, options: dict[str, Any]) -> int:
     def finding(artefact: Artefact) -> None:
         if terminal:
             click.echo("", err=True)
-        kept = "" if artefact.minimised else ", not seen again"
+        kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
         click.echo(f"{artefact.id}: {artefact.effect.detail} ({artefact.frames} frames{kept})")
         if options["artefacts"] is not None:
             click.echo(f"  again: {artefact.command}")
 
+    def effect(now: Any) -> None:
+        if terminal:
+            click.echo("", err=True)
+        click.echo(f"{now.kind}: {now.detail}; making it small", err=True)
+
     campaign.on_progress = None if quiet else progress
     campaign.on_finding = finding
+    campaign.on_effect = None if quiet else effect
+    status = 0
     try:
-        campaign.run(_limits(options))
+        with _stopped_by_sigterm():
+            (run or campaign.run)(_limits(options))
     except KeyboardInterrupt:
         click.echo("stopped", err=True)
+        status = _STOPPED
+    except UnhealthyError as error:
+        click.echo(f"dcp-conformance: {error}", err=True)
+        status = 3
+    except LowerTesterError as error:
+        click.echo(f"dcp-conformance: {error}", err=True)
+        status = 4
     if terminal and not quiet:
         click.echo("", err=True)
     state = campaign.state
+    if options["coverage"] is not None:
+        _write_coverage(state.coverage, options["coverage"])
     if not quiet:
         for line in shown(state.coverage):
             click.echo(line)
         kinds = ", ".join(f"{name} {count}" for name, count in sorted(state.kinds.items()))
         click.echo(f"kinds: {kinds}")
+        if state.again:
+            click.echo(f"known findings have shown again {state.again} times")
+        if state.left_out:
+            avoided = ", ".join(state.avoided)
+            click.echo(f"{state.left_out} frames were not sent, since they show known findings: {avoided}")
     click.echo(
         f"{state.cases} cases, {state.frames} frames, {state.seconds:.1f} s, {len(state.findings)} findings "
         f"({shlex.join(['--seed', str(campaign.seed)])})"
     )
-    return 1 if state.findings else 0
+    return 1 if state.findings else status
+
+
+def _write_coverage(coverage: Coverage, path: Path) -> None:
+    import msgspec
+
+    try:
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(coverage), indent=1) + b"\n")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def _stopped_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end a campaign as Ctrl-C does: with everything saved, and what was started ended."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _write(campaign: Campaign, options: dict[str, Any]) -> int:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -13,15 +14,22 @@ import msgspec
 
 from dcp_codec.codec import Codec
 from dcp_codec.mutation import Mutator, Touch
-from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.errors import UsageError
 
 from .artefact import Artefact, SavedTarget, make_artefact, save
+from .causes import cause_of, problems_of
 from .coverage import Coverage, tables
-from .minimise import Minimised, Minimiser
+from .directed import possible_states
+from .minimise import Run
+from .reduction import Reduction
 from .steps import Effect, Frame, Step, Target
 
 STATE_FILE = "campaign.json"
 """In the folder of artefacts: what ``--resume`` goes on from."""
+#: Effects that look alike whatever has caused them.
+_SILENT = ("dead", "mute")
+#: Steps before those of a finding that are remembered, for those that they have a part in.
+_HISTORY = 4000
 
 
 class Generator(Protocol):
@@ -49,7 +57,13 @@ class State(msgspec.Struct):
     frames: int = 0
     seconds: float = 0.0
     findings: dict[str, str] = {}
-    """Signature of the effect -> artefact."""
+    """Signature of the effect, with its cause where effects look alike -> artefact."""
+    again: int = 0
+    """How often known findings have shown again."""
+    avoided: list[str] = []
+    """Problems of frames that are known to show a finding by themselves: such frames are not sent any more."""
+    left_out: int = 0
+    """Frames that were not sent for that."""
     kinds: dict[str, int] = {}
     coverage: Coverage = msgspec.field(default_factory=Coverage)
 
@@ -95,11 +109,21 @@ class Campaign:
     lines: Callable[[], int] | None = None
     profile_text: str = ""
     budget: int = 600
+    """How often steps of a finding may be carried out to minimise it."""
+    seconds: float | None = None
+    """The same in seconds."""
+    fresh: Run | None = None
+    """Carries steps out on a target that was just restarted, where it is not always: what was sent before counts."""
+    by_cause: bool = False
+    """Whether findings of a silent death are told apart by their frames, and such frames are not sent again."""
+    on_effect: Callable[[Effect], None] | None = None
     on_progress: Callable[[Progress], None] | None = None
     on_finding: Callable[[Artefact], None] | None = None
     state: State = field(init=False)
     artefacts: list[Artefact] = field(default_factory=list)
     reached_states: Counter[tuple[str, str]] = field(default_factory=Counter)
+    _history: deque[Step] = field(default_factory=lambda: deque(maxlen=_HISTORY))
+    """What was sent since the last effect."""
 
     def __post_init__(self) -> None:
         self.state = State(self.codec.profile.name, self.saved_target.mode, self.seed)
@@ -125,7 +149,7 @@ class Campaign:
         kinds = Counter(self.state.kinds)
         try:
             while not self._over(limits, begun, first):
-                steps = self.generator.draw()
+                steps = self._drawn()
                 effect = self.target.run(steps)
                 self.state.cases += 1
                 kinds[self.generator.last] += 1
@@ -134,8 +158,11 @@ class Campaign:
                     self.reached_states.update(self.states())
                 if self.after_case is not None:
                     self.after_case(steps)
-                if effect is not None and effect.signature not in self.state.findings:
-                    self._found(steps, effect)
+                if effect is not None:
+                    self._seen(steps, effect)
+                    self._history.clear()
+                elif self.fresh is not None:
+                    self._history.extend(steps)
                 now = time.monotonic()
                 if limits.rate is not None:
                     ahead = begun + (self.state.cases - first) / limits.rate - now
@@ -158,7 +185,8 @@ class Campaign:
         """What was reached so far."""
         fields: Counter[Touch] = self.mutator.reached if self.mutator is not None else Counter()
         possible = self.mutator.possible if self.mutator is not None else frozenset[Touch]()
-        return tables(fields, self.reached_states, possible, self.lines() if self.lines is not None else 0)
+        states = possible_states(self.codec) if self.states is not None else frozenset[Touch]()
+        return tables(fields, self.reached_states, possible, self.lines() if self.lines is not None else 0, states)
 
     def _over(self, limits: Limits, begun: float, first: int) -> bool:
         if limits.seconds is not None and time.monotonic() - begun >= limits.seconds:
@@ -167,45 +195,88 @@ class Campaign:
             return True
         return limits.findings is not None and len(self.artefacts) >= limits.findings
 
+    def _seen(self, steps: list[Step], effect: Effect) -> None:
+        """An effect: one of those that are known, or a finding."""
+        if effect.signature in self.state.findings:
+            self.state.again += 1
+            return
+        self._found(steps, effect)
+
     def _found(self, steps: list[Step], effect: Effect) -> None:
-        """Minimise it, confirm it, keep it."""
-        trouble: ConformanceError | None = None
-        minimised: Minimised | None = None
+        """Make it small, and keep it. Whatever happens meanwhile, what is known of it is kept."""
+        alike = self.by_cause and effect.kind in _SILENT
+        reduction = Reduction(
+            self.target.run,
+            self.codec,
+            fresh=self.fresh,
+            model=self.model.run if self.model is not None else None,
+            budget=self.budget,
+            seconds=self.seconds,
+            known=self._is_known if alike else None,
+            cause=partial(cause_of, self.codec) if alike else None,
+        )
         try:
-            minimised = self._small(steps, effect)
-        except ConformanceError as error:
-            # The implementation is gone for good: what is known must not go with it.
-            trouble = error
-        kept, shown = (steps, effect) if minimised is None else (minimised.steps, minimised.effect)
+            if self.on_effect is not None:
+                self.on_effect(effect)
+            reduction.reduce(steps, effect, [*self._history])
+        finally:
+            # Also when the implementation is gone for good, or nobody wants to wait.
+            found = reduction.found
+            if found is not None and self._is_known(found.steps, found.effect):
+                self.state.again += 1
+            elif found is not None:
+                self.keep(found.steps, found.effect, minimised=True, confirmed=reduction.confirmed)
+            else:
+                # What came after it cannot have been it.
+                self.keep(steps[: effect.step + 1], effect, minimised=False, confirmed=False)
+
+    def keep(self, steps: list[Step], effect: Effect, *, minimised: bool = False, confirmed: bool = False) -> None:
+        """Keep a finding: as an artefact, and as known from now on. Raises :class:`UsageError`."""
         artefact = make_artefact(
             self.codec,
-            kept,
-            shown,
+            steps,
+            effect,
             self.saved_target,
             seed=self.seed,
             directory=self.directory or Path(),
             profile_text=self.profile_text,
-            minimised=minimised is not None,
-            confirmed=minimised is not None,
+            minimised=minimised,
+            confirmed=confirmed,
         )
-        self.state.findings[effect.signature] = artefact.id
+        self.state.findings[self._key(steps, effect)] = artefact.id
         self.artefacts.append(artefact)
+        frames = [step for step in steps if isinstance(step, Frame)]
+        if self.by_cause and confirmed and len(steps) == len(frames) == 1:
+            self.state.avoided += problems_of(self.codec, frames[0].octets)[:1]
         if self.directory is not None:
             save(artefact, self.directory)
         if self.on_finding is not None:
             self.on_finding(artefact)
-        if trouble is not None:
-            raise trouble
 
-    def _small(self, steps: list[Step], effect: Effect) -> Minimised | None:
-        """Minimise in process if it shows there and the result is confirmed, else on the target itself."""
-        if self.model is not None and (like := self.model.run(steps)) is not None:
-            found = Minimiser(self.model.run, like, self.codec, budget=self.budget).minimise(steps)
-            if found is not None:
-                again = self.target.run(found.steps)
-                if again is not None and again.signature == effect.signature:
-                    return Minimised(found.steps, again, found.tries + 1)
-        return Minimiser(self.target.run, effect, self.codec, budget=self.budget).minimise(steps)
+    # -- telling findings apart --------------------------------------------------------------------------------
+
+    def _key(self, steps: list[Step], effect: Effect) -> str:
+        """What tells this finding apart. Deaths from outside look all alike; their causes do not."""
+        if not (self.by_cause and effect.kind in _SILENT):
+            return effect.signature
+        return f"{effect.signature} by {cause_of(self.codec, steps)}"
+
+    def _is_known(self, steps: list[Step], effect: Effect) -> bool:
+        return self._key(steps, effect) in self.state.findings
+
+    def _drawn(self) -> list[Step]:
+        """The next test, without the frames that show what is known already."""
+        steps = self.generator.draw()
+        if not self.state.avoided:
+            return steps
+        avoided = set(self.state.avoided)
+        kept = [
+            step
+            for step in steps
+            if not isinstance(step, Frame) or avoided.isdisjoint(problems_of(self.codec, step.octets))
+        ]
+        self.state.left_out += len(steps) - len(kept)
+        return kept
 
 
 def read_state(directory: Path) -> State:

@@ -14,7 +14,8 @@ from dcp_conformance.case import Case, Kind
 
 from .artefact import Artefact, found_in, load
 from .differential import Comparison
-from .live import PROBES, RATE, REQUIREMENTS, ailing, carry_out, observer_of
+from .live import RATE, REQUIREMENTS, carry_out, observer_of
+from .liveness import PROBES, ailing
 
 BASE = "TC_DCP_FUZZ_BI_01"
 

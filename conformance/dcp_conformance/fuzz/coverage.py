@@ -7,9 +7,6 @@ from collections.abc import Collection, Iterable
 
 import msgspec
 
-#: States of a variable and the messages that are told apart in each.
-STATES = ("unknown", "alive own", "alive foreign", "deleted own", "deleted foreign")
-
 
 class Pair(msgspec.Struct, frozen=True):
     """A row of a table: what, in which class, how often."""
@@ -26,6 +23,10 @@ class Coverage(msgspec.Struct):
     states: list[Pair] = []
     possible: int = 0
     missing: list[str] = []
+    """Those that were not reached."""
+    possible_states: int = 0
+    """How many pairs of state and message there are; 0 if they were not counted."""
+    missing_states: list[str] = []
     lines: int = 0
     """Lines of the target that were run, if they were counted."""
 
@@ -35,6 +36,7 @@ def tables(
     states: Counter[tuple[str, str]],
     possible: Collection[tuple[str, str]],
     lines: int = 0,
+    possible_states: Collection[tuple[str, str]] = (),
 ) -> Coverage:
     """The tables of counters."""
     return Coverage(
@@ -42,6 +44,8 @@ def tables(
         list(_pairs(states)),
         len(possible),
         sorted(f"{what or 'message'} {how}" for what, how in possible if not fields[what, how]),
+        len(possible_states),
+        sorted(f"{what}: {how}" for what, how in possible_states if not states[what, how]),
         lines,
     )
 
@@ -59,15 +63,20 @@ def shown(coverage: Coverage, *, most: int = 40) -> list[str]:
         reached = coverage.possible - len(coverage.missing)
         lines.append(f"field x class of value: {reached} of {coverage.possible} pairs")
         lines += _grouped(coverage.fields, most)
-        if coverage.missing:
-            more = f" and {len(coverage.missing) - 8} more" if len(coverage.missing) > 8 else ""
-            lines.append(f"  not reached: {', '.join(coverage.missing[:8])}{more}")
-    if coverage.states:
-        lines.append(f"state of a variable x message: {len(coverage.states)} pairs")
+        lines += _not_reached(coverage.missing)
+    if coverage.possible_states:
+        reached = coverage.possible_states - len(coverage.missing_states)
+        lines.append(f"state of a variable x message: {reached} of {coverage.possible_states} pairs")
         lines += _grouped(coverage.states, most)
+        lines += _not_reached(coverage.missing_states)
     if coverage.lines:
         lines.append(f"lines of the target: {coverage.lines}")
     return lines
+
+
+def _not_reached(missing: list[str]) -> list[str]:
+    more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""
+    return [f"  not reached: {', '.join(missing[:8])}{more}"] if missing else []
 
 
 def _grouped(pairs: Iterable[Pair], most: int) -> list[str]:

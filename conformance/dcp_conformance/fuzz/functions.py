@@ -204,6 +204,12 @@ class FunctionInputs:
         """The part of the last input."""
         self._codec = codec
 
+    def seeds(self, part: str) -> list[bytes]:
+        """The inputs of a part that are mutated."""
+        if part == "beacon":
+            return [source.octets for source in self._mutator.sources]
+        return self._havoc[part].pool
+
     def draw(self) -> list[Step]:
         """The next input: one step."""
         part = self.last = self._rng.choices(self._parts, self._weights)[0]

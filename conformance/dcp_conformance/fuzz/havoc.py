@@ -19,22 +19,23 @@ class Havoc:
         if not pool:
             raise ValueError("there is nothing to mutate: the pool is empty")
         self._rng = rng
-        self._pool = list(pool)
+        self.pool = list(pool)
+        """What is mutated."""
         self._words = (*words, *_EDGES)
 
     def add(self, octets: bytes) -> None:
         """Mutate this, too."""
-        if len(self._pool) < _MOST:
-            self._pool.append(octets)
+        if len(self.pool) < _MOST:
+            self.pool.append(octets)
         else:
-            self._pool[self._rng.randrange(_MOST)] = octets
+            self.pool[self._rng.randrange(_MOST)] = octets
 
     def mutate(self) -> bytes:
         """The next octets: one of the pool, changed in one to six places; now and then only chance."""
         rng = self._rng
         if rng.random() < 0.02:
             return rng.randbytes(rng.randrange(80))
-        octets = bytearray(rng.choice(self._pool))
+        octets = bytearray(rng.choice(self.pool))
         for _ in range(rng.choice((1, 1, 2, 3, 6))):
             self._change(octets)
         return bytes(octets)
@@ -57,7 +58,7 @@ class Havoc:
             case 5:
                 del octets[start:]
             case 6:
-                other = rng.choice(self._pool)
+                other = rng.choice(self.pool)
                 begin = rng.randrange(len(other) + 1)
                 octets[start:stop] = other[begin : begin + rng.choice((4, 16, 64))]
             case _ if size:

@@ -6,6 +6,7 @@ with less. What it returns has shown the same effect (by its signature) when it 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -18,6 +19,8 @@ from dcp_codec.errors import DecodeError, EncodeError
 from .steps import Effect, Frame, Step, Wait
 
 Run = Callable[[list[Step]], Effect | None]
+Known = Callable[[list[Step], Effect], bool]
+Cause = Callable[[list[Step]], str]
 
 
 class Minimised(NamedTuple):
@@ -35,32 +38,64 @@ class _Spent(Exception):  # noqa: N818 - not an error
 class Minimiser:
     """Minimises one finding."""
 
-    def __init__(self, run: Run, effect: Effect, codec: Codec | None = None, *, budget: int = 600) -> None:
-        """``budget``: how often steps may be carried out. ``codec``: takes beacons apart; octets are octets without."""
+    def __init__(
+        self,
+        run: Run,
+        effect: Effect,
+        codec: Codec | None = None,
+        *,
+        budget: int = 600,
+        seconds: float | None = None,
+        known: Known | None = None,
+        cause: Cause | None = None,
+    ) -> None:
+        """``budget``, ``seconds``: how often steps may be carried out, and how long. ``codec``: takes beacons apart;
+        octets are octets without. ``known``: whether what is left after leaving out steps is worth no more work.
+        ``cause``: what octets may be at fault for; effects that look alike must not turn into each other on the way.
+        """
         self._run = run
+        self._first = effect
         self._signature = effect.signature
         self._codec = codec
         self._budget = budget
+        self._deadline = None if seconds is None else time.monotonic() + seconds
+        self._known = known
+        self._cause = cause
         self._tries = 0
+        self._in_vain: set[int] = set()
+        """Steps that have not shown the effect."""
         self._best: tuple[list[Step], Effect] | None = None
 
-    def minimise(self, steps: list[Step]) -> Minimised | None:
-        """The smallest that was found; None if the steps do not show the effect at all."""
-        if not self._shows(steps):
-            return None
+    def minimise(self, steps: list[Step], least: int = 1) -> Minimised | None:
+        """The smallest that was found; None if the steps do not show the effect at all.
+
+        ``least``: how many of the last steps may be enough.
+        """
         try:
-            self._shows(steps[: self._effect.step + 1])
+            shown = steps[: self._first.step + 1]
+            if not (self._last(shown, least) or self._shows(shown) or (len(shown) < len(steps) and self._shows(steps))):
+                return None
+            frames: list[Step] = [step for step in self._steps if isinstance(step, Frame)]
+            if 0 < len(frames) < len(self._steps):
+                # Without waiting everything else goes faster.
+                self._shows(frames)
             before = -1
             while before != len(self._steps):
                 before = len(self._steps)
                 self._fewer()
                 self._single()
-            for _ in range(2):
-                self._smaller()
-            self._fewer()
+            if self._known is None or not self._known(self._steps, self._effect):
+                for _ in range(2):
+                    self._smaller()
+                self._fewer()
         except _Spent:
             pass
-        return Minimised(self._steps, self._effect, self._tries)
+        return self.found
+
+    @property
+    def found(self) -> Minimised | None:
+        """The best so far, also when :meth:`minimise` was interrupted; None if nothing has shown the effect again."""
+        return None if self._best is None else Minimised(self._steps, self._effect, self._tries)
 
     @property
     def _steps(self) -> list[Step]:
@@ -74,16 +109,29 @@ class Minimiser:
 
     def _shows(self, steps: list[Step]) -> bool:
         """Whether these steps show the effect; if so they are the best so far."""
-        if self._tries >= self._budget:
+        if self._tries >= self._budget or (self._deadline is not None and time.monotonic() > self._deadline):
             raise _Spent
+        key = hash(repr(steps))
+        if key in self._in_vain:
+            return False
         self._tries += 1
         effect = self._run(steps)
         if effect is None or effect.signature != self._signature:
+            self._in_vain.add(key)
             return False
         self._best = (steps, effect)
         return True
 
     # -- fewer steps -------------------------------------------------------------------------------------------
+
+    def _last(self, steps: list[Step], least: int) -> bool:
+        """What is at fault has most often come last: one step, two, four, as long as nothing is seen of it."""
+        size = least
+        while size < len(steps) // 2:
+            if self._shows(steps[-size:]):
+                return True
+            size *= 2
+        return False
 
     def _fewer(self) -> None:
         """Delta debugging: leave out parts, from halves down to single steps."""
@@ -122,10 +170,19 @@ class Minimiser:
         steps = self._steps
         return self._shows([*steps[:at], step, *steps[at + 1 :]])
 
-    def _with(self, at: int, octets: bytes) -> bool:
+    def _with(self, at: int, octets: bytes, *, other: bool = False) -> bool:
+        """Try other octets in a frame. ``other``: the cause may be another one then, but none that is known."""
         frame = self._steps[at]
         assert isinstance(frame, Frame)
-        return octets != frame.octets and self._replaced(at, msgspec.structs.replace(frame, octets=octets))
+        if octets == frame.octets:
+            return False
+        steps = self._steps
+        tried = [*steps[:at], msgspec.structs.replace(frame, octets=octets), *steps[at + 1 :]]
+        if self._cause is not None and not other and self._cause(tried) != self._cause(steps):
+            return False
+        if other and self._known is not None and self._known(tried, self._effect):
+            return False
+        return self._shows(tried)
 
     def _octets(self, at: int) -> bytes:
         frame = self._steps[at]
@@ -135,11 +192,11 @@ class Minimiser:
     def _smaller_frame(self, at: int) -> None:
         frame = self._steps[at]
         assert isinstance(frame, Frame)
-        if frame.valid and self._with(at, frame.valid):
+        if frame.valid and self._with(at, frame.valid, other=True):
             frame = msgspec.structs.replace(frame, octets=frame.valid)
         if frame.valid:
             for octets in self._towards(at, frame.valid):
-                self._with(at, octets)
+                self._with(at, octets, other=True)
         going = True
         while going:
             going = any(self._with(at, octets) for octets in self._parts_left_out(self._octets(at)))

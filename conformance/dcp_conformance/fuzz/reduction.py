@@ -1,0 +1,102 @@
+"""The ways in which a finding is made small and confirmed, the cheap ones first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dcp_codec.codec import Codec
+
+from .minimise import Cause, Known, Minimised, Minimiser, Run
+from .steps import Effect, Step
+
+
+class Reduction:
+    """One finding on its way to its smallest form. What it has come to is there also after an interruption.
+
+    ``run`` carries steps out on the target. ``fresh`` does so on a target that was just restarted, where ``run`` does
+    not always; ``model`` on something fast, on which findings may show, too. ``budget`` (attempts) and ``seconds`` are
+    for one way; ways that restart before each attempt have four times the seconds.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        codec: Codec,
+        *,
+        fresh: Run | None = None,
+        model: Run | None = None,
+        budget: int = 600,
+        seconds: float | None = None,
+        known: Known | None = None,
+        cause: Cause | None = None,
+    ) -> None:
+        self._run = run
+        self._codec = codec
+        self._fresh = fresh
+        self._model = model
+        self._budget = budget
+        self._seconds = seconds
+        self._known = known
+        self._cause = cause
+        self._minimiser: Minimiser | None = None
+        self._found: Minimised | None = None
+        self.confirmed = False
+        """Whether what is left was seen again from the beginning."""
+
+    @property
+    def found(self) -> Minimised | None:
+        """The smallest so far; None if the effect was not seen again."""
+        return (self._minimiser.found if self._minimiser is not None else None) or self._found
+
+    def reduce(self, steps: list[Step], effect: Effect, history: Sequence[Step] = ()) -> None:
+        """Try one way after the other until one is confirmed. ``history``: what was sent before the steps.
+
+        Raises what the target raises.
+        """
+        if self._model is not None and self._in_process(self._model, steps, effect):
+            return
+        if self._by_itself(self._run, steps, effect, self._seconds) or self._fresh is None:
+            return
+        # What was sent before had a part in it: each attempt needs a beginning of its own, which takes its time.
+        seconds = None if self._seconds is None else 4 * self._seconds
+        if self.found is not None and self._by_itself(self._fresh, steps, effect, seconds):
+            return
+        if history:
+            both = [*history, *steps]
+            shown = effect._replace(step=len(history) + effect.step)
+            self._by_itself(self._fresh, both, shown, seconds, least=2 * len(steps))
+
+    def _by_itself(self, run: Run, steps: list[Step], effect: Effect, seconds: float | None, least: int = 1) -> bool:
+        self._found = self.found
+        self._minimiser = Minimiser(
+            run,
+            effect,
+            self._codec,
+            budget=self._budget,
+            seconds=seconds,
+            known=self._known,
+            cause=self._cause,
+        )
+        found = self._minimiser.minimise(steps, least)
+        self.confirmed = found is not None and self._shows_again(found)
+        return self.confirmed
+
+    def _in_process(self, model: Run, steps: list[Step], effect: Effect) -> bool:
+        """Minimised on the model, if it shows there and the result shows on the target itself."""
+        like = model(steps)
+        if like is None:
+            return False
+        found = Minimiser(model, like, self._codec, budget=self._budget).minimise(steps)
+        again = self._run(found.steps) if found is not None else None
+        if found is None or again is None or again.signature != effect.signature:
+            return False
+        self._found = Minimised(found.steps, again, found.tries + 1)
+        self.confirmed = True
+        return True
+
+    def _shows_again(self, found: Minimised) -> bool:
+        """Once more, from the beginning; not for what is known."""
+        if self._fresh is None or (self._known is not None and self._known(found.steps, found.effect)):
+            return True
+        again = self._fresh(found.steps)
+        return again is not None and again.signature == found.effect.signature

@@ -1,0 +1,156 @@
+"""Deaths that look alike are told apart by their frames, are not sought again, and do not turn into each other."""
+
+from __future__ import annotations
+
+import pytest
+from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
+from dcp_conformance.fuzz.artefact import SavedTarget
+from dcp_conformance.fuzz.causes import cause_of, problems_of
+from dcp_conformance.fuzz.reduction import Reduction
+from dcp_conformance.fuzz.steps import Call
+
+from dcp_codec import Codec
+
+CODEC = Codec("dcp-2.0")
+DEAD = Effect("dead", "the process is gone", 0, "dead")
+
+
+def dead(step: int = 0) -> Effect:
+    return DEAD._replace(step=step)
+
+
+def test_causes_name_the_first_problem_and_its_field_or_what_is_in_a_beacon():
+    assert problems_of(CODEC, b"\x01\x49")[0].startswith("truncated at bp.")
+    short = cause_of(CODEC, [Frame(b"\x01\x49"), Wait(1.0), Call("RTDB-Read", {"varId": 1})])
+    assert short == problems_of(CODEC, b"\x01\x49")[0]
+    assert cause_of(CODEC, [Call("RTDB-Read", {"varId": 1})]) == "RTDB-Read"
+    assert cause_of(CODEC, []) == "nothing at all"
+
+
+class Dying:
+    """Dies of frames that begin so; forgets with each test."""
+
+    name = "dying"
+
+    def __init__(self, *words: bytes) -> None:
+        self.words = words
+        self.sent: list[bytes] = []
+
+    def run(self, steps):
+        for at, step in enumerate(steps):
+            self.sent.append(step.octets)
+            if step.octets.startswith(self.words):
+                return dead(at)
+        return None
+
+
+class Drawn:
+    last = "drawn"
+
+    def __init__(self, *tests: list[bytes]) -> None:
+        self.tests = [list(map(Frame, test)) for test in tests]
+
+    def draw(self):
+        return self.tests.pop(0)
+
+
+def campaign_of(target, generator) -> Campaign:
+    return Campaign(CODEC, target, generator, SavedTarget("live"), 1, by_cause=True)
+
+
+def test_a_second_death_of_another_cause_is_another_finding_and_the_first_is_not_sent_again():
+    target = Dying(b"\x01\x49", b"\x02")
+    first, second = b"\x01\x49", b"\x02" * 40
+    campaign = campaign_of(target, Drawn([b"", first], [first, b"\x03" * 30, second], [first, first]))
+    campaign.run(Limits(cases=2))
+    assert len(campaign.artefacts) == 2
+    assert len(set(campaign.state.findings)) == 2
+    assert campaign.state.left_out == 1
+    target.sent.clear()
+    campaign.run(Limits(cases=1))
+    assert first not in target.sent
+    assert campaign.state.left_out == 3
+
+
+def test_making_a_frame_shorter_does_not_turn_a_death_into_another():
+    """Every frame that is cut off kills, too: octets must not be left out until that is what remains."""
+
+    def run(steps):
+        octets = steps[0].octets
+        return dead() if len(octets) < 16 or octets[:1] == b"\xff" else None
+
+    frame = Frame(b"\xff" + bytes(59))
+    cause = lambda steps: cause_of(CODEC, steps)  # noqa: E731 - short
+    found = Minimiser(run, DEAD, CODEC, cause=cause).minimise([frame])
+    assert found is not None
+    assert cause(found.steps) == cause([frame])
+    assert found.steps[0].octets[:1] == b"\xff"
+
+
+def test_a_finding_is_kept_when_minimising_is_interrupted(tmp_path):
+    class Interrupted(Dying):
+        runs = 0
+
+        def run(self, steps):
+            self.runs += 1
+            if self.runs == 4:
+                raise KeyboardInterrupt
+            return super().run(steps)
+
+    campaign = campaign_of(Interrupted(b"\x02"), Drawn([b"\x01", b"\x02" * 40, b"\x01"] * 8))
+    campaign.directory = tmp_path
+    with pytest.raises(KeyboardInterrupt):
+        campaign.run(Limits(cases=1))
+    [artefact] = campaign.artefacts
+    assert (tmp_path / f"{artefact.id}.json").exists()
+    # What was tried so far has made it smaller.
+    assert 1 <= artefact.frames < 3
+
+
+class Counting:
+    """Falls silent after five bad frames since its last start."""
+
+    name = "counting"
+
+    def __init__(self) -> None:
+        self.bad = 0
+        self.starts = 0
+
+    def run(self, steps):
+        if self.bad >= 5:
+            self.bad, self.starts = 0, self.starts + 1
+        for at, step in enumerate(steps):
+            self.bad += step.octets == b"bad"
+            if self.bad >= 5:
+                return Effect("mute", "mute", at, "mute")
+        return None
+
+    def fresh(self, steps):
+        self.bad, self.starts = 0, self.starts + 1
+        return self.run(steps)
+
+
+def test_what_was_sent_before_belongs_to_a_finding_that_it_has_a_part_in():
+    target = Counting()
+    history = [Frame(b"bad"), Frame(b"good")] * 4
+    assert target.run(history) is None
+    steps = [Frame(b"good"), Frame(b"bad"), Frame(b"good")]
+    effect = target.run(steps)
+    assert effect is not None
+    reduction = Reduction(target.run, CODEC, fresh=target.fresh)
+    reduction.reduce(steps, effect, history)
+    assert reduction.confirmed
+    assert reduction.found is not None
+    assert [step.octets for step in reduction.found.steps] == [b"bad"] * 5
+
+
+def test_what_only_an_earlier_attempt_made_possible_is_not_taken_for_the_finding():
+    target = Counting()
+    steps = [Frame(b"bad"), Frame(b"good")] * 6
+    effect = target.fresh(steps)
+    assert effect is not None
+    reduction = Reduction(target.run, CODEC, fresh=target.fresh)
+    reduction.reduce(steps, effect)
+    assert reduction.confirmed
+    assert reduction.found is not None
+    assert [step.octets for step in reduction.found.steps] == [b"bad"] * 5

@@ -1,0 +1,65 @@
+"""Coverage of states by messages: it is complete where sequences aim at what is missing, and says what is not there."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+
+import pytest
+from dcp_conformance.fuzz.coverage import shown, tables
+from dcp_conformance.fuzz.directed import Directed, possible_states
+from dcp_conformance.fuzz.sequences import Sequences
+from dcp_conformance.fuzz.stack import StackTarget
+
+from dcp_codec import Codec
+from dcp_codec.mutation import Mutator, drawn_pool
+
+
+@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.1", "cpp-2.0"])
+def test_every_pair_of_state_and_message_is_reached_by_aiming_at_it(profile):
+    codec = Codec(profile)
+    target = StackTarget(codec)
+    rng = random.Random(1)
+    reached: Counter[tuple[str, str]] = Counter()
+    sequences = Sequences(codec, rng, target.own_id, Mutator(codec, rng, drawn_pool(codec, rng, 40)))
+    directed = Directed(sequences, reached)
+    possible = possible_states(codec)
+    for pair in sorted(possible):
+        assert target.run(directed.towards(*pair)) is None
+        assert target.observer.reached[pair], pair
+    assert len(possible) > 60
+
+
+def test_what_is_missing_is_aimed_at_until_nothing_is_missing():
+    codec = Codec("dcp-2.0")
+    rng = random.Random(1)
+    possible = possible_states(codec)
+    reached = Counter(possible)
+    sequences = Sequences(codec, rng, b"\x02\0\0\0\0\x01", Mutator(codec, rng, drawn_pool(codec, rng, 40)))
+    directed = Directed(sequences, reached)
+    kinds = Counter()
+    for _ in range(200):
+        directed.draw()
+        kinds[directed.last] += 1
+    assert kinds["directed"] == 0
+    del reached["deleted own", "create later"]
+    for _ in range(200):
+        directed.draw()
+        kinds[directed.last] += 1
+    assert 20 <= kinds["directed"] <= 80
+
+
+def test_the_tables_say_how_much_was_reached_and_what_was_not():
+    coverage = tables(
+        Counter({("bp.length", "max"): 3}),
+        Counter({("unknown", "delete"): 2}),
+        {("bp.length", "max"), ("", "bomb")},
+        0,
+        {("unknown", "delete"), ("alive own", "summary newer")},
+    )
+    assert coverage.missing == ["message bomb"]
+    assert coverage.missing_states == ["alive own: summary newer"]
+    text = "\n".join(shown(coverage))
+    assert "field x class of value: 1 of 2 pairs" in text
+    assert "state of a variable x message: 1 of 2 pairs" in text
+    assert "not reached: alive own: summary newer" in text

@@ -1,0 +1,125 @@
+"""The fuzzer against processes that really die, hang and fall silent."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from dcp_conformance.fuzz import Frame
+from dcp_conformance.fuzz.live import LiveTarget
+from dcp_conformance.target import TargetOptions, open_target
+
+from .conftest import PATIENCE, Namespace
+from .faulty_node import WORD
+
+LINK = f"udp:239.73.126.79:{30_000 + os.getpid() % 10_000}"
+HARMLESS = Frame(b"\x01\x49\x7e")
+BAD = Frame(b"\x01\x49\x7e" + WORD)
+
+
+def faulty(folder: Path, fault: str, link: str = LINK, identifier: str = "02:00:00:00:00:01") -> str:
+    script = Path(__file__).with_name("faulty_node.py")
+    return shlex.join([sys.executable, str(script), fault, str(folder / "n.sock"), link, identifier])
+
+
+@contextlib.contextmanager
+def live(folder: Path, start: str, *, upper: bool | None = None) -> Iterator[LiveTarget]:
+    """A process over UDP. ``upper``: somebody else looks after it, with an upper tester or without."""
+    options = TargetOptions(link=LINK, start=start, beacon_period_ms=20)
+    with contextlib.ExitStack() as stack:
+        if upper is not None:
+            started = subprocess.Popen(shlex.split(start), start_new_session=True, stderr=subprocess.DEVNULL)
+            stack.callback(started.wait, PATIENCE)
+            stack.callback(os.killpg, started.pid, signal.SIGKILL)
+            path = folder / "n.sock"
+            deadline = time.monotonic() + PATIENCE
+            while not path.exists():
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+            options = TargetOptions(link=LINK, ut=f"unix:{path}" if upper else None, beacon_period_ms=20)
+        opened = stack.enter_context(open_target(options))
+        opened.runner.prepare()
+        yield LiveTarget(opened, rate=5000)
+
+
+@pytest.mark.parametrize("position", [0, 1000])
+def test_a_death_is_seen_where_it_happens_and_costs_one_restart(tmp_path, position):
+    steps = [HARMLESS] * 2000
+    steps[position] = BAD
+    with live(tmp_path, faulty(tmp_path, "dies")) as target:
+        effect = target.run(steps)
+        assert effect is not None
+        assert effect.kind == "dead"
+        assert "a frame that it cannot stand" in effect.detail
+        # A process needs a moment to die; it must not take the rest of the frames.
+        assert position <= effect.step < 1999
+        assert target.run([HARMLESS]) is None
+        assert target.restarts == 1
+
+
+@pytest.mark.parametrize("fault", ["hangs", "mute"])
+def test_a_process_that_is_there_and_does_not_answer_is_found_and_restarted(tmp_path, fault):
+    with live(tmp_path, faulty(tmp_path, fault)) as target:
+        effect = target.run([HARMLESS, BAD])
+        assert effect is not None
+        assert effect.signature == "mute: mute"
+        assert target.run([HARMLESS]) is None
+        assert target.restarts == 1
+
+
+def test_one_that_draws_a_new_identifier_with_each_start_is_known_again(tmp_path):
+    with live(tmp_path, faulty(tmp_path, "dies", identifier="")) as target:
+        assert target.run([BAD]) is not None
+        before = target.session.sut_id
+        assert target.run([HARMLESS]) is None
+        assert target.session.sut_id != before
+
+
+@pytest.mark.parametrize("upper", [True, False])
+def test_one_that_somebody_else_starts_again_is_found_by_what_it_says_and_goes_on(tmp_path, upper):
+    again = shlex.join(["sh", "-c", f"while true; do {faulty(tmp_path, 'dies')}; done"])
+    with live(tmp_path, again, upper=upper) as target:
+        # Each look brings a beacon, so that numbers have something to begin again from.
+        for _ in range(4):
+            assert target.run([HARMLESS]) is None
+        effect = target.run([BAD])
+        assert effect is not None
+        # On a busy machine it may not be back before four markers have gone unanswered.
+        assert effect.signature in (("mute: upper",) if upper else ("dead: begun anew", "mute: mute"))
+        assert target.run([HARMLESS]) is None
+        assert target.restarts == 0
+
+
+def test_what_was_found_is_kept_when_a_campaign_is_ended_and_it_can_be_gone_on_with(namespace: Namespace, tmp_path):
+    words = ["--interface", "near", "--start", faulty(tmp_path, "dies", "eth:far"), "--beacon-period", "20"]
+    folder = tmp_path / "findings"
+    python = [sys.executable, "-c", "from dcp_conformance.cli import main; main()"]
+    around = ["ip", "netns", "exec", namespace.name, *python]
+    fuzz = [*around, "fuzz", "live", *words, "--artefacts", str(folder), "--rate", "5000"]
+    campaign = subprocess.Popen([*fuzz, "--max-time", "60"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert campaign.stderr is not None
+    for line in campaign.stderr:
+        if "making it small" in line:
+            campaign.send_signal(signal.SIGTERM)
+            break
+    out, err = campaign.communicate(timeout=PATIENCE)
+    assert campaign.returncode == 1, out + err
+    assert "stopped" in err
+    [artefact] = folder.glob("dead-*.json")
+    cases = json.loads((folder / "campaign.json").read_text())["cases"]
+    fuzz[fuzz.index("--start") + 1] = faulty(tmp_path, "none", "eth:far")
+    done = subprocess.run([*fuzz, "--resume", "--max-cases", "1"], capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert json.loads((folder / "campaign.json").read_text())["cases"] == cases + 1
+    replay = [*around, "fuzz", "replay", str(artefact), *words, "--attempts", "1"]
+    done = subprocess.run(replay, capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stdout[:6]) == (1, "failed"), done.stdout + done.stderr
