@@ -84,6 +84,7 @@ class BeaconingProtocol:
         self._seqno = 1 if config.reading("X03") == "increment-then-write" else self._features.first_beacon_seqno
         self._refuses_modes = config.reading("X06") == "refuse-at-registration"
         self._counts_header = config.reading("X04") == "with-header"
+        self._largest_protocol = (1 << (8 * config.profile.types.protocol_id.width)) - 1
         self._counters = Counters()
         self._losses = LossTable()
         self._receiver = self.receiver_class(
@@ -396,9 +397,8 @@ class BeaconingProtocol:
     def _protocol(self, prot_id: int) -> int:
         """Raise for what no protocol identifier of the profile can be."""
         _integer("prot_id", prot_id)
-        largest = (1 << (8 * self._config.profile.types.protocol_id.width)) - 1
-        if not 0 <= prot_id <= largest:
-            raise ValueError(f"prot_id must be in 0..{largest}, not {prot_id}")
+        if not 0 <= prot_id <= self._largest_protocol:
+            raise ValueError(f"prot_id must be in 0..{self._largest_protocol}, not {prot_id}")
         return prot_id
 
     def _client(self, prot_id: int) -> Client | None:

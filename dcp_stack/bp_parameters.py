@@ -7,7 +7,7 @@ from typing import Any, Final
 from dcp_spec.constants import SpecVersion
 from dcp_spec.parameters import UnknownParameterError, Violation, parameter, validate
 
-from .config import MS, NodeConfig, sizes
+from .config import MS, NodeConfig
 
 PERIOD: Final = "BPPAR_BEACON_PERIOD"
 MAX_PACKET: Final = "BPPAR_MAXIMUM_PACKET_SIZE"
@@ -26,7 +26,7 @@ class BPParameters:
     def __init__(self, config: NodeConfig) -> None:
         """Raises ValueError, naming the parameter and its bound, for a configuration that is out of bounds."""
         profile, settings = config.profile, config.bp
-        self._sizes = sizes(config)
+        self._sizes = config.sizes
         self._usable_minimum = config.reading("X05") == "usable-minimum" and config.features.version >= SpecVersion.V1_1
         ##= BP-PAR-08
         ##= BP-PAR-09

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Literal
 
 import msgspec
 from dcp_spec.bp import header_size
-from dcp_spec.constants import Features, features
+from dcp_spec.constants import Features, ICType, features
 from dcp_spec.parameters import Sizes
 from dcp_spec.profile import Opaque, Profile
 from dcp_spec.readings import reading
 
 from dcp_codec.codec import Codec
+
+from .positions.fields import SafetyFields
+from .vardis_sizes import RecordSizes
 
 MS = 1_000_000
 """ns in a millisecond."""
@@ -60,8 +64,11 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """maxEntries with which VarDis registers (VD-INI-02): one payload, so that what is sent is fresh."""
 
 
-class NodeConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """A whole node. ``readings`` chooses among the alternatives of disputed text (``dcp_spec.readings``) by id."""
+class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+    """A whole node. ``readings`` chooses among the alternatives of disputed text (``dcp_spec.readings``) by id.
+
+    What follows from it alone is found out once, so that many nodes can be made of one configuration.
+    """
 
     node_id: bytes
     codec: Codec
@@ -85,10 +92,31 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True):
         """The wire profile."""
         return self.codec.profile
 
-    @property
+    @functools.cached_property
     def features(self) -> Features:
         """What the specification version of the profile has (C.7)."""
         return features(self.profile.spec_version)
+
+    @functools.cached_property
+    def sizes(self) -> Sizes:
+        """The serialized sizes that bounds of parameters depend on."""
+        return _sizes(self)
+
+    @functools.cached_property
+    def record_sizes(self) -> RecordSizes:
+        """Sizes of VarDis records, and the ranges of their fields."""
+        return RecordSizes(self.profile)
+
+    @functools.cached_property
+    def safety_fields(self) -> SafetyFields:
+        """The safety data of the profile."""
+        return SafetyFields(self.profile)
+
+    @functools.cached_property
+    def container_numbers(self) -> Mapping[ICType, int]:
+        """How the profile numbers the types of instruction containers (VD-IC-02)."""
+        numbers = self.profile.vardis.container_types.by_name()
+        return {kind: numbers[kind.label] for kind in ICType}
 
     def reading(self, identifier: str) -> str:
         """The chosen alternative of a disputed text; ours unless ``readings`` says otherwise."""
@@ -99,8 +127,7 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True):
 Layer = Literal["bp", "srp", "vardis"]
 
 
-def sizes(config: NodeConfig) -> Sizes:
-    """The serialized sizes that bounds of parameters depend on, for the profile of a node."""
+def _sizes(config: NodeConfig) -> Sizes:
     profile, types = config.profile, config.profile.types
     widths = {
         "varId": types.var_id.width,

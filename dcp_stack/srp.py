@@ -19,11 +19,10 @@ from dcp_spec.status import BPStatus, SRPStatus
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import ExtendedSafetyData, SafetyData
 
-from .config import MS, NodeConfig, SRPConfig, sizes
+from .config import MS, NodeConfig, SRPConfig
 from .drops import DROPS
 from .effects import Dropped, Effect, NeighbourExpired, NeighbourSeen
 from .neighbours import NeighbourTable, seqno_modulus
-from .positions.fields import SafetyFields
 from .positions.geometry import Motion, velocity_between
 from .timestamps import StampClock
 
@@ -99,12 +98,15 @@ class StateReporting:
         self._bp = bp
         self._emit = emit
         self._settings = config.srp or SRPConfig()
-        self._sizes = sizes(config)
+        self._sizes = config.sizes
         self._stamps = StampClock(profile.types.timestamp, origin=wall)
-        self._fields = SafetyFields(profile)
+        self._fields = config.safety_fields
         room = self._settings.max_neighbours
         self._table = self.table_class(
-            profile, capacity=min(room, profile.limits.max_neighbours or room), stamps=self._stamps
+            profile,
+            capacity=min(room, profile.limits.max_neighbours or room),
+            stamps=self._stamps,
+            fields=self._fields,
         )
         self._node_id = config.node_id
         self._node_id_offset = _node_id_offset(profile)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 from dcp_spec.parameters import Sizes, UnknownParameterError, Violation, parameter, parameters, validate
 
-from .config import NodeConfig, sizes
+from .config import NodeConfig
 
 VALUE_LENGTH = "VARDISPAR_MAX_VALUE_LENGTH"
 DESCRIPTION_LENGTH = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
@@ -39,7 +39,7 @@ class VardisParameters:
         if settings is None:
             raise ValueError("the node is configured without VarDis")
         limits = config.profile.limits
-        self._sizes = sizes(config)
+        self._sizes = config.sizes
         self._record_bound = config.reading("X23") == "record-bound"
         ##= VD-CRE-04
         # The parameter of 1.0 counts the terminating NUL, the limit of a profile is what a description may have.
@@ -105,11 +105,12 @@ class VardisParameters:
 
     def _with(self, name: str, value: int) -> Sizes:
         """The sizes that bounds depend on, after a change."""
-        if name == PAYLOAD_SIZE:
-            return msgspec.structs.replace(self._sizes, max_payload_size=value)
-        if name == VALUE_LENGTH:
-            return msgspec.structs.replace(self._sizes, max_value_length=value)
-        return self._sizes
+        sizes = self._sizes
+        if name == PAYLOAD_SIZE and value != sizes.max_payload_size:
+            return msgspec.structs.replace(sizes, max_payload_size=value)
+        if name == VALUE_LENGTH and value != sizes.max_value_length:
+            return msgspec.structs.replace(sizes, max_value_length=value)
+        return sizes
 
     @property
     def max_value_length(self) -> int:

@@ -7,7 +7,7 @@ from dcp_spec.profile_loading import profile_names
 
 from dcp_codec import Codec
 from dcp_codec.values import Container, VarDelete
-from dcp_stack.config import NodeConfig, sizes
+from dcp_stack.config import NodeConfig
 
 
 def config(profile: str, **rest: object) -> NodeConfig:
@@ -26,13 +26,13 @@ def config(profile: str, **rest: object) -> NodeConfig:
     ],
 )
 def test_sizes_of_records(profile, header, block, spec):
-    found = sizes(config(profile))
+    found = config(profile).sizes
     assert (found.bp_header, found.bp_payload_header, found.var_spec_fixed) == (header, block, spec)
 
 
 @pytest.mark.parametrize("profile", profile_names())
 def test_every_profile_has_sizes(profile):
-    assert sizes(config(profile)).version == Codec(profile).profile.spec_version
+    assert config(profile).sizes.version == Codec(profile).profile.spec_version
 
 
 @pytest.mark.parametrize("profile", profile_names())
@@ -41,7 +41,7 @@ def test_a_container_has_the_octets_that_fitting_counts_on(profile):
     found, codec = config(profile), Codec(profile)
     delete = codec.profile.vardis.container_types.by_name()["DELETE-VARIABLES"]
     octets = codec.encode_containers((Container(delete, (VarDelete(1),)),))
-    assert len(octets) == sizes(found).ic_header + codec.profile.types.var_id.width
+    assert len(octets) == found.sizes.ic_header + codec.profile.types.var_id.width
 
 
 def test_readings_are_chosen_by_name():
