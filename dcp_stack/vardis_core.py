@@ -10,7 +10,6 @@ from .effects import Effect, VariableChanged
 from .timestamps import StampClock
 from .vardis_db import Database, DBEntry
 from .vardis_parameters import VardisParameters
-from .vardis_sizes import RecordSizes
 from .vardis_table import Cell, Event, State, table
 
 #: A name of the module is found ten times as fast as a member of an enumeration, and each record needs a cell.

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import msgspec
-from dcp_spec.constants import ICType, features
+from dcp_spec.constants import features
 
 from dcp_codec.codec import Codec
 from dcp_codec.dissect import dissect
@@ -25,6 +24,7 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_conformance.circular import Circle
+from dcp_conformance.heard import KIND_OF
 from dcp_conformance.oracle import Limits, Oracle, Version
 
 from .steps import Effect
@@ -51,14 +51,20 @@ class Observer:
         network: int | None,
         limits: Limits | None = None,
         window: float = WINDOW,
+        scrubbing: int | None = None,
+        room: int | None = None,
     ) -> None:
         """``period``: of beacons, ns. ``network``: of the node, None where beacons name none.
 
-        ``window``: beacon periods until something that is owed must have been said.
+        ``window``: beacon periods until something that is owed must have been said. ``scrubbing``: the node's period
+        of scrubbing in ns, None leaves variables with a timeout in doubt. ``room``: octets of its largest VarDis
+        payload; None if that is not known, and it is not known either when all has been said.
         """
         self.codec = codec
         self.own_id = own_id
         self.reached: Counter[tuple[str, str]] = Counter()
+        self.requested: set[int] = set()
+        """Variables that the node has requested."""
         profile = codec.profile
         self._skips = profile.behaviour.vardis_receive_error == "skip-element"
         self._id_width, self._id_order = profile.types.var_id.width, profile.types.var_id.byte_order
@@ -75,9 +81,11 @@ class Observer:
             limits,
             latency=self._latency,
             window=round(window * period),
+            scrubbing=scrubbing,
         )
-        numbers = profile.vardis.container_types.by_name()
-        self._kinds = {numbers[kind.label]: kind for kind in ICType}
+        self._judges_timeouts = scrubbing is not None
+        # In half of a payload there is room for any record.
+        self._roomy = 0 if room is None else room // 2
 
     # -- what the node hears -----------------------------------------------------------------------------------
 
@@ -111,10 +119,16 @@ class Observer:
 
     def _doubtful(self, octets: bytes) -> list[int]:
         """What a node takes of a damaged beacon is open (X34)."""
+        # Whatever it takes, it is none of a later creation.
+        ids, latest = set[int](), -1
         for each in dissect(self.codec.beacon_plan, octets).root.walk():
             if each.name == "varId" and isinstance(each.value, int):
-                self.oracle.doubt(each.value)
+                ids.add(each.value)
                 self.reached["any", "damaged"] += 1
+            elif each.name == "creationTime" and isinstance(each.value, int):
+                latest = max(latest, each.value)
+        for var_id in ids:
+            self.oracle.doubt(var_id, latest)
         if self._skips:
             # Who goes on behind what is wrong may find a record anywhere.
             for start in range(len(octets) - self._id_width + 1):
@@ -148,10 +162,11 @@ class Observer:
     def _open_questions(self, record: VarCreate) -> None:
         """What a node makes of these is left open, or depends on its clock."""
         spec = record.spec
+        creation = spec.creation_time or 0
         if record.upd.var_id != spec.var_id:
-            self.oracle.doubt(spec.var_id)
-            self.oracle.doubt(record.upd.var_id)
-        if spec.timeout:
+            self.oracle.doubt(spec.var_id, creation)
+            self.oracle.doubt(record.upd.var_id, creation)
+        if spec.timeout and not self._judges_timeouts:
             self.oracle.doubt(spec.var_id)
         known = self.oracle.variables.get(spec.var_id)
         own = known.now.spec if known is not None else None
@@ -219,32 +234,24 @@ class Observer:
             return Effect("bad-beacon", f"a beacon of {beacon.bp.sender_id.hex(':')}", step, "sender")
         for payload in beacon.payloads:
             if isinstance(payload.content, tuple):
-                effect = self._judged(payload.content, time, number, step)
+                effect = self._judged(payload.content, len(octets) <= self._roomy, time, number, step)
                 if effect is not None:
                     return effect
         return None
 
-    def _judged(self, containers: tuple[Container, ...], time: int, number: int, step: int) -> Effect | None:
-        said = [(self._kinds[each.ic_type], record) for each in containers for record in each.records]
-        for each in self.oracle.said(said, time, number):
-            if each.requirement == "VD-SCP-02" and self._hasty(each.var_id):
-                continue
+    def _judged(
+        self, containers: tuple[Container, ...], roomy: bool, time: int, number: int, step: int
+    ) -> Effect | None:
+        said = [(KIND_OF[type(record)], record) for each in containers for record in each.records]
+        self.requested.update(record.var_id for _, record in said if isinstance(record, VarReqCreate))
+        for each in self.oracle.said(said, time, number, roomy=roomy):
             detail = f"variable {each.var_id}: expected {each.expected}, said {each.observed}"
             return Effect("said", detail, step, each.requirement)
         return None
 
-    def _hasty(self, var_id: int) -> bool:
-        """Whether a payload about an earlier life of a variable may have been counted for its present one."""
-        versions = self.oracle.variables[var_id].versions
-        stamps = [version.since for version in versions]
-        if any(after - before < self._latency for before, after in itertools.pairwise(stamps)):
-            return True
-        lives = [(version.state, version.seqno) for version in versions]
-        return len(set(lives)) < len(lives)
-
-    def certain(self, var_ids: Iterable[int]) -> Iterable[tuple[int, Version]]:
-        """What the model says of these variables, as far as it is sure."""
+    def certain(self, var_ids: Iterable[int], time: int | None = None) -> Iterator[tuple[int, Version]]:
+        """What the model says of these variables at a time (None: now), as far as it is sure."""
         for var_id in var_ids:
-            variable = self.oracle.variables.get(var_id)
-            if variable is not None and not variable.uncertain:
-                yield var_id, variable.now
+            version = self.oracle.certain(var_id, time)
+            if version is not None:
+                yield var_id, version

@@ -84,7 +84,15 @@ class StackTarget:
         self._probe_number = 0
 
     def _observer(self) -> Observer:
-        return Observer(self.codec, self.own_id, self._period, network=self._network)
+        vardis = self.config.vardis
+        return Observer(
+            self.codec,
+            self.own_id,
+            self._period,
+            network=self._network,
+            scrubbing=None if vardis is None else vardis.scrubbing_period_ms * 1_000_000,
+            room=self.codec.profile.limits.max_vardis_payload,
+        )
 
     def run(self, steps: list[Step]) -> Effect | None:
         """See :class:`~dcp_conformance.fuzz.steps.Target`."""
@@ -150,7 +158,7 @@ class StackTarget:
     def _compare(self, var_ids: list[int], at: int) -> Effect | None:
         """What the node holds of these variables, against the model."""
         vardis = self._sut.node.vardis
-        for var_id, version in self.observer.certain(dict.fromkeys(var_ids)):
+        for var_id, version in self.observer.certain(dict.fromkeys(var_ids), self._sut.now):
             entry = vardis.describe_variable(var_id).entry
             alive = entry is not None and not entry.is_deleted
             if alive != (version.state == "alive"):
@@ -233,19 +241,10 @@ class StackTarget:
             effect = self._died(at)
             if effect is not None:
                 return effect
-            answered = any(self._requests(arrival.octets, var_id) for arrival in sut.arrivals)
             effect = self._drained(at)
-            if effect is not None or answered:
+            if effect is not None or var_id in self.observer.requested:
                 return effect
         return Effect("mute", "VarDis does not answer a summary of a variable that it cannot know", at)
-
-    def _requests(self, octets: bytes, var_id: int) -> bool:
-        from dcp_spec.constants import ICType
-
-        from dcp_conformance.heard import Heard
-
-        heard = Heard(self.codec, 0, 0, 0, octets, b"")
-        return heard.about(ICType.REQUEST_VARCREATES, var_id) is not None
 
 
 def _overtime(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
