@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from typing import Literal
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, TypeVar
 
 import msgspec
 from dcp_spec.bp import header_size
@@ -20,6 +20,9 @@ from .vardis_sizes import RecordSizes
 
 MS = 1_000_000
 """ns in a millisecond."""
+
+
+Found = TypeVar("Found")
 
 
 class BPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -118,10 +121,30 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         numbers = self.profile.vardis.container_types.by_name()
         return {kind: numbers[kind.label] for kind in ICType}
 
+    def once(self, find: Callable[[NodeConfig], Found]) -> Found:
+        """What ``find`` makes of this configuration, the first time it is asked for; nobody may change it."""
+        if find not in self._once:
+            self._once[find] = find(self)
+        found: Found = self._once[find]
+        return found
+
+    @functools.cached_property
+    def _once(self) -> dict[Callable[[NodeConfig], Any], Any]:
+        return {}
+
     def reading(self, identifier: str) -> str:
         """The chosen alternative of a disputed text; ours unless ``readings`` says otherwise."""
-        default = reading(identifier).default
-        return self.readings.get(identifier) or (default.name if default is not None else "")
+        chosen = self._chosen.get(identifier)
+        if chosen is None:
+            default = reading(identifier).default
+            chosen = self._chosen[identifier] = self.readings.get(identifier) or (
+                "" if default is None else default.name
+            )
+        return chosen
+
+    @functools.cached_property
+    def _chosen(self) -> dict[str, str]:
+        return {}
 
 
 Layer = Literal["bp", "srp", "vardis"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from typing import Final
 
 import msgspec
 from dcp_spec.constants import features
@@ -32,6 +33,15 @@ from .steps import Effect
 #: How old a payload may be when it is seen on the air, and how long a reaction may take, in beacon periods.
 LATENCY, WINDOW = 1.6, 8.0
 
+#: Records, by what they are called in what was reached.
+_NAMES: Final = {
+    VarCreate: "create",
+    VarDelete: "delete",
+    VarUpdate: "update",
+    VarSumm: "summary",
+    VarReqUpdate: "request-update",
+    VarReqCreate: "request-create",
+}
 #: What octets break that no node may take anything of.
 _IGNORED = frozenset({"BP-RX-01", "BP-RX-02"})
 
@@ -141,7 +151,11 @@ class Observer:
         for record in records:
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             touched.append(var_id)
-            self._note(record, var_id)
+            known = self.oracle.variables.get(var_id)
+            if known is None or known.now.state == "unknown":
+                self.reached["unknown", _NAMES[type(record)]] += 1
+            else:
+                self.reached[self._state(known.now), self._message(record, known.now)] += 1
             if isinstance(record, VarCreate):
                 self._open_questions(record)
             if self._features.removed_after_deletion and self._was_deleted(var_id):
@@ -173,41 +187,24 @@ class Observer:
         if own is not None and own.prod_id == self.own_id and own.creation_time is None and self.compares_creations:
             self.oracle.doubt(spec.var_id)
 
-    def _note(self, record: VardisRecord, var_id: int) -> None:
-        known = self.oracle.variables.get(var_id)
-        version = known.now if known is not None else None
-        self.reached[self._state(version), self._message(record, version)] += 1
-
-    def _state(self, version: Version | None) -> str:
-        if version is None or version.state == "unknown":
-            return "unknown"
+    def _state(self, version: Version) -> str:
         own = version.spec is not None and version.spec.prod_id == self.own_id
         return f"{version.state} {'own' if own else 'foreign'}"
 
-    def _message(self, record: VardisRecord, version: Version | None) -> str:
-        match record:
-            case VarDelete():
-                return "delete"
-            case VarReqCreate():
-                return "request-create"
-            case VarCreate():
-                return f"create {self._compared(record, version)}".rstrip()
-            case VarUpdate():
-                name = "update"
-            case VarSumm():
-                name = "summary"
-            case VarReqUpdate():
-                name = "request-update"
-        if version is None or version.state == "unknown":
+    def _message(self, record: VardisRecord, version: Version) -> str:
+        name = _NAMES[type(record)]
+        if isinstance(record, VarDelete | VarReqCreate):
             return name
+        if isinstance(record, VarCreate):
+            return f"{name} {self._compared(record, version)}".rstrip()
         if record.seqno == version.seqno:
             return f"{name} equal"
         if self._circle.newer(record.seqno, version.seqno):
             return f"{name} newer"
         return f"{name} older" if self._circle.newer(version.seqno, record.seqno) else f"{name} opposite"
 
-    def _compared(self, record: VarCreate, version: Version | None) -> str:
-        if version is None or version.spec is None or record.spec.creation_time is None:
+    def _compared(self, record: VarCreate, version: Version) -> str:
+        if version.spec is None or record.spec.creation_time is None:
             return ""
         before = version.spec.creation_time or 0
         if record.spec.creation_time == before:

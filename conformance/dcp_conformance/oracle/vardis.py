@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final
 
 from dcp_spec.constants import Features, ICType
@@ -94,9 +94,9 @@ class Oracle:
 
     # -- what the node hears -----------------------------------------------------------------------------------
 
-    def hear(self, records: Iterable[VardisRecord], time: int, frame: int) -> None:
+    def hear(self, records: Sequence[VardisRecord], time: int, frame: int) -> None:
         """A payload reaches the node: all records of it, in order."""
-        for record in sorted(records, key=_place):
+        for record in records if len(records) == 1 else sorted(records, key=_place):
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             variable = self._variable(var_id)
             if time < variable.due or self._ageing(record, variable, var_id, time):
