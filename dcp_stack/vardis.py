@@ -246,6 +246,10 @@ class Vardis(VariableServices):
             **self._database.snapshot(),
         }
 
+    def queue_lengths(self) -> dict[str, int]:
+        """How many variables wait in each queue, by the specification's names."""
+        return {name: len(queue) for name, queue in self._database.queues.items()}
+
     def check_invariants(self) -> None:
         """Raises AssertionError if the state contradicts itself (section C.5 of the protocol reference)."""
         assert self.registered or not self.active, "active without being registered"

@@ -73,6 +73,9 @@ class Observer:
         self.codec = codec
         self.own_id = own_id
         self.reached: Counter[tuple[str, str]] = Counter()
+        self._damaged = b""
+        self._named: tuple[set[int], int] = set(), -1
+        """What the last damaged beacon was, which often comes again and again, and what it named."""
         self.requested: set[int] = set()
         """Variables that the node has requested."""
         profile = codec.profile
@@ -101,6 +104,8 @@ class Observer:
 
     def hears(self, octets: bytes, time: int, number: int) -> list[int]:
         """The node has received this bearer payload; the variables that it is about."""
+        if octets == self._damaged:
+            return self._doubtful(octets)
         try:
             beacon = self.codec.decode(octets)
         except DecodeError as error:
@@ -129,21 +134,28 @@ class Observer:
 
     def _doubtful(self, octets: bytes) -> list[int]:
         """What a node takes of a damaged beacon is open (X34)."""
-        # Whatever it takes, it is none of a later creation.
-        ids, latest = set[int](), -1
-        for each in dissect(self.codec.beacon_plan, octets).root.walk():
-            if each.name == "varId" and isinstance(each.value, int):
-                ids.add(each.value)
-                self.reached["any", "damaged"] += 1
-            elif each.name == "creationTime" and isinstance(each.value, int):
-                latest = max(latest, each.value)
+        if octets != self._damaged:
+            self._damaged, self._named = octets, self._names_in(octets)
+        ids, latest = self._named
         for var_id in ids:
             self.oracle.doubt(var_id, latest)
+            self.reached["any", "damaged"] += 1
         if self._skips:
             # Who goes on behind what is wrong may find a record anywhere.
             for start in range(len(octets) - self._id_width + 1):
                 self.oracle.doubt(int.from_bytes(octets[start : start + self._id_width], self._id_order))
         return []
+
+    def _names_in(self, octets: bytes) -> tuple[set[int], int]:
+        """The variables that a damaged beacon is about, and the latest creation that a node may take of it."""
+        ids, latest = set[int](), -1
+        for each in dissect(self.codec.beacon_plan, octets).root.walk():
+            if isinstance(each.value, int):
+                if each.name == "varId":
+                    ids.add(each.value)
+                elif each.name == "creationTime":
+                    latest = max(latest, each.value)
+        return ids, latest
 
     def _payload(self, containers: tuple[Container, ...], time: int, number: int) -> list[int]:
         records: list[VardisRecord] = [record for container in containers for record in container.records]

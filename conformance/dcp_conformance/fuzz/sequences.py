@@ -5,6 +5,7 @@ Every sequence is drawn by a seeded generator and stands for itself: it begins a
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -94,7 +95,7 @@ class Sequences:
             self._kinds.append((15, "reports", self.reports))
         if recorded:
             self._kinds.append((10, "recording", self.recording))
-        self._weights = [weight for weight, _, _ in self._kinds]
+        self._weights = list(itertools.accumulate(weight for weight, _, _ in self._kinds))
         self.last = ""
         """The kind of the last sequence."""
 
@@ -103,7 +104,7 @@ class Sequences:
         if self.codec.report_plan is not None and self.rng.random() < 0.0002:
             self.last = "neighbour-flood"
             return self.neighbour_flood()
-        _, self.last, kind = self.rng.choices(self._kinds, self._weights)[0]
+        _, self.last, kind = self.rng.choices(self._kinds, cum_weights=self._weights)[0]
         return kind()
 
     def keep(self, steps: list[Step]) -> None:

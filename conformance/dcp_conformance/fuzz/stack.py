@@ -81,7 +81,8 @@ class StackTarget:
         """What watched the last sequence."""
         self.frames = 0
         """Frames that were delivered in all."""
-        self._probe_number = 0
+        self._probes: dict[int, bytes] = {}
+        """The beacons that probe it, by variable."""
 
     def _observer(self) -> Observer:
         vardis = self.config.vardis
@@ -180,7 +181,7 @@ class StackTarget:
     def _call(self, step: Call, at: int) -> tuple[Effect | None, list[int]]:
         sut, oracle = self._sut, self.observer.oracle
         if self._upper is None:
-            self._upper = sut.upper_tester()
+            self._upper = VirtualUpperTester(sut, greet=False)
         try:
             answer = self._upper.call(step.method, step.params)
         except UpperTesterError:
@@ -211,9 +212,9 @@ class StackTarget:
     def _unbounded(self, node: Any, at: int) -> Effect | None:
         """Whether queues hold more than there are variables."""
         most = 1 << (8 * min(self.codec.profile.types.var_id.width, 2))
-        for name, queue in node.vardis.snapshot()["queues"].items():
-            if len(queue) > min(most, 4096):
-                return Effect("unbounded", f"{name} has {len(queue)} entries", at, name)
+        for name, length in node.vardis.queue_lengths().items():
+            if length > min(most, 4096):
+                return Effect("unbounded", f"{name} has {length} entries", at, name)
         return None
 
     def _probed(self, sut: InProcess, at: int) -> Effect | None:
@@ -223,16 +224,9 @@ class StackTarget:
         var_id = next((number for number in range(top, -1, -1) if number not in known), None)
         if var_id is None:
             return self._wait(2.0, at)
-        profile = self.codec.profile
-        self._probe_number += 1
-        sender = _PROBER.hex(":").encode() if profile.types.node_id.representation == "text" else _PROBER
-        width = profile.types.node_id.width
-        octets = self._forge.beacon(
-            sender if profile.types.node_id.representation == "text" else sender[-width:].rjust(width, b"\2"),
-            1,
-            [self._forge.vardis(VarSumm(var_id, 1))],
-            network_id=self._network if profile.has_header_field("networkId") else None,
-        )
+        octets = self._probes.get(var_id)
+        if octets is None:
+            octets = self._probes[var_id] = self._probe(var_id)
         self.observer.hears(octets, sut.now, self._number)
         sut.deliver(octets)
         until = sut.now + _PATIENCE * self._period
@@ -245,6 +239,17 @@ class StackTarget:
             if effect is not None or var_id in self.observer.requested:
                 return effect
         return Effect("mute", "VarDis does not answer a summary of a variable that it cannot know", at)
+
+    def _probe(self, var_id: int) -> bytes:
+        profile = self.codec.profile
+        width = profile.types.node_id.width
+        text = profile.types.node_id.representation == "text"
+        return self._forge.beacon(
+            _PROBER.hex(":").encode() if text else _PROBER[-width:].rjust(width, b"\2"),
+            1,
+            [self._forge.vardis(VarSumm(var_id, 1))],
+            network_id=self._network if profile.has_header_field("networkId") else None,
+        )
 
 
 def _overtime(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers

@@ -18,56 +18,68 @@ IN_FLIGHT = 2
 _MOST = 128
 
 
+class _Instruction:
+    """One instruction: in how many beacons it may stand, and in how many it stood."""
+
+    __slots__ = ("allowed", "behind", "counted", "since")
+
+    def __init__(self) -> None:
+        self.allowed = self.counted = 0
+        self.since: int | None = None
+        """When there was a reason to say it, the last time."""
+        self.behind = 0
+        """In how many beacons it stood that were certainly composed behind that."""
+
+
 class Repetitions:
     """The instructions about one variable. Times are ns."""
 
-    __slots__ = ("_allowed", "_behind", "_counted", "_since")
+    __slots__ = ("_all",)
 
     def __init__(self) -> None:
-        self._allowed: dict[Key, int] = {}
-        self._counted: dict[Key, int] = {}
-        self._since: dict[Key, int] = {}
-        """When there was a reason to say it, the last time."""
-        self._behind: dict[Key, int] = {}
-        """In how many beacons it stood that were certainly composed behind that."""
+        self._all: dict[Key, _Instruction] = {}
+
+    def _one(self, key: Key) -> _Instruction:
+        one = self._all.get(key)
+        if one is None:
+            one = self._all[key] = _Instruction()
+            if len(self._all) > _MOST:
+                del self._all[next(iter(self._all))]
+        return one
 
     def clear(self) -> None:
         """Nothing is to be said of the variable, and nothing counts that was."""
-        self._allowed.clear()
-        self._counted.clear()
-        self._since.clear()
-        self._behind.clear()
+        self._all.clear()
 
     def arm(self, key: Key, times: int, time: int) -> None:
         """There is a reason to say it in so many beacons."""
-        counted = self._counted.get(key, 0)
-        self._allowed[key] = min(self._allowed.get(key, 0) + times, counted + times + IN_FLIGHT)
-        self._since[key] = time
-        self._behind.pop(key, None)
-        if len(self._allowed) > _MOST:
-            oldest = next(iter(self._allowed))
-            for each in (self._allowed, self._counted, self._since, self._behind):
-                each.pop(oldest, None)
+        one = self._one(key)
+        one.allowed = min(one.allowed, one.counted + IN_FLIGHT) + times
+        one.since, one.behind = time, 0
 
     def allowed(self, key: Key) -> int:
         """In how many beacons it may stand; 0 without a reason."""
-        return self._allowed.get(key, 0)
+        one = self._all.get(key)
+        return 0 if one is None else one.allowed
 
     def counted(self, key: Key) -> int:
         """In how many beacons it stood."""
-        return self._counted.get(key, 0)
+        one = self._all.get(key)
+        return 0 if one is None else one.counted
 
     def armed_at(self, key: Key) -> int | None:
         """When there was a reason to say it, the last time."""
-        return self._since.get(key)
+        one = self._all.get(key)
+        return None if one is None else one.since
 
     def count(self, key: Key) -> int:
         """It stands in a beacon, and is about what the variable is now; in how many it stood by then."""
-        number = self._counted[key] = self._counted.get(key, 0) + 1
-        return number
+        one = self._one(key)
+        one.counted += 1
+        return one.counted
 
     def stands_behind(self, key: Key) -> int:
         """It stands in a beacon that was composed behind the last reason; in how many such it stood before."""
-        before = self._behind.get(key, 0)
-        self._behind[key] = before + 1
-        return before
+        one = self._one(key)
+        one.behind += 1
+        return one.behind - 1

@@ -181,7 +181,8 @@ class VirtualLowerTester:
 class VirtualUpperTester:
     """A connection to the services of a node in process: the same messages as over a socket."""
 
-    def __init__(self, sut: InProcess) -> None:
+    def __init__(self, sut: InProcess, *, greet: bool = True) -> None:
+        """``greet``: ask at once what it can be asked for; otherwise nobody knows."""
         self.name = "in process"
         self._sut = sut
         self._last_id = 0
@@ -190,8 +191,9 @@ class VirtualUpperTester:
         self.connect()
         self.about: dict[str, Any] = {}
         self.methods: frozenset[str] = frozenset({"UT-Hello"})
-        self.about = self.call("UT-Hello", {}).result
-        self.methods = frozenset(self.about.get("methods", ()))
+        if greet:
+            self.about = self.call("UT-Hello", {}).result
+            self.methods = frozenset(self.about.get("methods", ()))
 
     def connect(self) -> None:
         """Open the connection, again after a restart."""
