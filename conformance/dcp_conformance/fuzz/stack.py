@@ -10,7 +10,7 @@ import contextlib
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import FrameType
 from typing import Any
 
@@ -18,6 +18,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.values import VarSumm
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.forge import Forge
+from dcp_conformance.oracle import Version
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
 
 from .observing import Observer
@@ -25,10 +26,45 @@ from .steps import Call, Effect, Frame, Step, Wait
 
 #: Seconds of CPU time for one sequence; those that are thousands of frames long take the most.
 TIME_LIMIT = 8.0
+#: ns in a millisecond.
+_MS = 1_000_000
 #: Beacon periods until a probe must be answered, behind everything else that a full database has to say.
 _PATIENCE = 300
 #: Beacons of a node that may have no place for a probe's answer.
 _PROBER = b"\x02\xdc\x91\x00\x00\x01"
+
+
+def observer_of(config: Any) -> Observer:
+    """A model of a node with this configuration."""
+    profile, vardis = config.profile, config.vardis
+    return Observer(
+        config.codec,
+        config.node_id,
+        config.bp.beacon_period_ms * _MS,
+        network=profile.bp.network_id,
+        scrubbing=None if vardis is None else vardis.scrubbing_period_ms * _MS,
+        room=profile.limits.max_vardis_payload,
+    )
+
+
+def difference(vardis: Any, certain: Iterable[tuple[int, Version]], own_id: bytes) -> str | None:
+    """In what a VarDis entity differs from what a model is certain of; None if in nothing."""
+    for var_id, version in certain:
+        entry = vardis.describe_variable(var_id).entry
+        alive = entry is not None and not entry.is_deleted
+        if alive != (version.state == "alive"):
+            observed = "alive" if alive else "not alive"
+            return f"variable {var_id} is {observed}, where the model has it {version.state}"
+        if not alive:
+            continue
+        if (entry.seqno, entry.value) != (version.seqno, version.value):
+            held = f"number {entry.seqno} value {entry.value.hex()!r}"
+            expected = f"number {version.seqno} value {version.value.hex()!r}"
+            return f"variable {var_id} has {held}, where the model has {expected}"
+        spec = version.spec
+        if spec is not None and spec.prod_id != own_id and entry.spec != spec:
+            return f"variable {var_id} has other attributes than the model"
+    return None
 
 
 class Overtime(BaseException):
@@ -74,7 +110,7 @@ class StackTarget:
         self._seed = seed
         self._time_limit = time_limit
         self._forge = Forge(codec)
-        self._period = self.config.bp.beacon_period_ms * 1_000_000
+        self._period = self.config.bp.beacon_period_ms * _MS
         self._network = codec.profile.bp.network_id
         self._most = codec.profile.limits.max_beacon_size
         self.observer = self._observer()
@@ -85,15 +121,7 @@ class StackTarget:
         """The beacons that probe it, by variable."""
 
     def _observer(self) -> Observer:
-        vardis = self.config.vardis
-        return Observer(
-            self.codec,
-            self.own_id,
-            self._period,
-            network=self._network,
-            scrubbing=None if vardis is None else vardis.scrubbing_period_ms * 1_000_000,
-            room=self.codec.profile.limits.max_vardis_payload,
-        )
+        return observer_of(self.config)
 
     def run(self, steps: list[Step]) -> Effect | None:
         """See :class:`~dcp_conformance.fuzz.steps.Target`."""
@@ -158,23 +186,9 @@ class StackTarget:
 
     def _compare(self, var_ids: list[int], at: int) -> Effect | None:
         """What the node holds of these variables, against the model."""
-        vardis = self._sut.node.vardis
-        for var_id, version in self.observer.certain(dict.fromkeys(var_ids), self._sut.now):
-            entry = vardis.describe_variable(var_id).entry
-            alive = entry is not None and not entry.is_deleted
-            if alive != (version.state == "alive"):
-                observed = "alive" if alive else "not alive"
-                return Effect("state", f"variable {var_id} is {observed}, where the model has it {version.state}", at)
-            if not alive:
-                continue
-            if (entry.seqno, entry.value) != (version.seqno, version.value):
-                held = f"number {entry.seqno} value {entry.value.hex()!r}"
-                expected = f"number {version.seqno} value {version.value.hex()!r}"
-                return Effect("state", f"variable {var_id} has {held}, where the model has {expected}", at)
-            spec = version.spec
-            if spec is not None and spec.prod_id != self.own_id and entry.spec != spec:
-                return Effect("state", f"variable {var_id} has other attributes than the model", at)
-        return None
+        certain = self.observer.certain(dict.fromkeys(var_ids), self._sut.now)
+        different = difference(self._sut.node.vardis, certain, self.own_id)
+        return None if different is None else Effect("state", different, at)
 
     # -- services ----------------------------------------------------------------------------------------------
 
@@ -271,4 +285,4 @@ def limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGVTALRM, before)
 
 
-__all__ = ["TIME_LIMIT", "Overtime", "StackTarget", "limited"]
+__all__ = ["TIME_LIMIT", "Overtime", "StackTarget", "difference", "limited", "observer_of"]
