@@ -3,11 +3,11 @@
     python benchmarks/stack.py [--flood] [--quiet-node] [--seconds N] [--json FILE]
 
 Without options: 100 nodes on a grid for 60 virtual seconds, twice (the digests have to be equal), and the CPU time of a
-node core for each received beacon: of neighbours that go on, and of known beacons again and again, which is most of what
-the air says; beside that the time that it takes to decode the same beacons and nothing else.
+node core for each received beacon: of neighbours that go on, and of known beacons again and again, which is most of
+what the air says; beside that the time that it takes to decode the same beacons and nothing else.
 
---flood and --quiet-node start nodes in network namespaces (root, or user namespaces): 10,000 frames a second for 30 s at
-one of two neighbours, and three nodes at 10 Hz for 60 s.
+--flood and --quiet-node start nodes in network namespaces (root, or user namespaces): 10,000 frames a second for 30 s
+at one of two neighbours, and three nodes at 10 Hz for 60 s.
 """
 
 from __future__ import annotations

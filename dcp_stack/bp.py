@@ -420,6 +420,8 @@ def _integer(name: str, value: object) -> None:
 
 def _mode(value: object) -> QueueingMode | str | int:
     """The mode of this name, or the value itself if it is none (X06)."""
+    if isinstance(value, QueueingMode):
+        return value
     if isinstance(value, bool) or not isinstance(value, str | int):
         raise TypeError(f"queueing_mode must be a QueueingMode, not {type(value).__name__}")
     if isinstance(value, int):
