@@ -27,6 +27,7 @@ from dcp_codec.values import (
 from dcp_conformance.circular import Circle
 from dcp_conformance.heard import KIND_OF
 from dcp_conformance.oracle import Limits, Oracle, Version
+from dcp_conformance.oracle.knowledge import NO_CREATION
 
 from .steps import Effect
 
@@ -74,7 +75,7 @@ class Observer:
         self.own_id = own_id
         self.reached: Counter[tuple[str, str]] = Counter()
         self._damaged = b""
-        self._named: tuple[set[int], int] = set(), -1
+        self._named: tuple[set[int], int] = set(), NO_CREATION
         """What the last damaged beacon was, which often comes again and again, and what it named."""
         self.requested: set[int] = set()
         """Variables that the node has requested."""
@@ -148,7 +149,7 @@ class Observer:
 
     def _names_in(self, octets: bytes) -> tuple[set[int], int]:
         """The variables that a damaged beacon is about, and the latest creation that a node may take of it."""
-        ids, latest = set[int](), -1
+        ids, latest = set[int](), NO_CREATION
         for each in dissect(self.codec.beacon_plan, octets).root.walk():
             if isinstance(each.value, int):
                 if each.name == "varId":

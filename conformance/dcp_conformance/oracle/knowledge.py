@@ -17,8 +17,8 @@ State = Literal["unknown", "alive", "deleted"]
 VERSIONS = 64
 #: A time that never comes, and one that was before all others.
 NEVER, EVER = 1 << 62, -(1 << 62)
-#: Later than any creation.
-ANY_CREATION = 1 << 128
+#: Earlier and later than any creation; times of some profiles are signed.
+NO_CREATION, ANY_CREATION = -(1 << 128), 1 << 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Variable:
     uncertain: bool = False
     settled: int = EVER
     """When it became certain; what was composed before that is not judged."""
-    latest: int = -1
+    latest: int = NO_CREATION
     """The latest creation that the node may hold of it, where creations have times."""
     foreign: bool = False
     """Whether the node surely has it as the variable of another node, alive or deleted."""

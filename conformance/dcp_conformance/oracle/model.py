@@ -19,7 +19,7 @@ from dcp_spec.constants import Features, ICType
 from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
 from dcp_conformance.circular import Circle
 
-from .knowledge import ANY_CREATION, NEVER, Limits, Owed, Variable, Version
+from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Owed, Variable, Version
 from .repetitions import Key
 
 # Names of the module: they are compared with for each record.
@@ -89,7 +89,7 @@ class Model:
     def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
         """A payload said something of a variable of which it is open whether the node has taken it.
 
-        ``creation``: the latest creation that the node may have taken; -1 if it was none.
+        ``creation``: the latest creation that the node may have taken, NO_CREATION if it was none.
         """
         variable = self._variable(var_id)
         self._lose(variable)
@@ -349,5 +349,5 @@ def key_of(kind: ICType, seqno: int) -> Key:
 
 
 def _creation(version: Version) -> int:
-    """When a variable was created, -1 if it was not."""
-    return -1 if version.spec is None else version.spec.creation_time or 0
+    """When a variable was created."""
+    return NO_CREATION if version.spec is None else version.spec.creation_time or 0
