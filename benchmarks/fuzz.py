@@ -3,9 +3,11 @@
     python benchmarks/fuzz.py [--profile NAME] [--seconds N] [--live] [--soak FRAMES] [--json FILE]
 
 Without options: mutated beacons a second through dissect and decode, and sequences a second against the node in
-process, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our node as a process, beside
-what that node takes at most. --soak: so many mutated frames through our own decoder and one node that lives all the
-time; nothing may be raised, and memory is written down ten times on the way.
+process with where their time goes, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our
+node as a process, beside what that node takes at most. --soak: so many mutated frames through our own decoder and one
+node that lives all the time; nothing may be raised, memory is written down ten times on the way, and one of ten epochs
+of 50 frames is followed by the model: what it is certain of (state, number, value and attributes of variables) must be
+what the node holds.
 """
 
 from __future__ import annotations
@@ -17,16 +19,20 @@ import json
 import random
 import sys
 import time
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from dcp_conformance.bench import Session
 from dcp_conformance.fuzz.live import LiveTarget
+from dcp_conformance.fuzz.observing import Observer
 from dcp_conformance.fuzz.sequences import Sequences
+from dcp_conformance.fuzz.soaking import Soak
 from dcp_conformance.fuzz.stack import StackTarget
 from dcp_conformance.fuzz.steps import Frame
 from dcp_conformance.pics import Pics, Testing
-from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
 from dcp_conformance.runner import Runner
 from dcp_conformance.target import Target
@@ -34,6 +40,7 @@ from dcp_conformance.target import Target
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_stack.node import Node
 
 SEED = 1
 
@@ -73,6 +80,64 @@ def codec_rate(codec: Codec, seconds: float) -> dict[str, Any]:
     return {"beacons_per_second": rate, "octets": octets / count}
 
 
+class Stopwatch:
+    """CPU time by the part that it was spent in; a part that calls another one does not count the time of that."""
+
+    def __init__(self) -> None:
+        self.spent: Counter[str] = Counter()
+        self._inner: list[float] = []
+
+    def timed(self, part: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        """The same callable, with its time counted."""
+
+        def run(*args: Any, **more: Any) -> Any:
+            begun = time.process_time()
+            self._inner.append(0.0)
+            try:
+                return call(*args, **more)
+            finally:
+                taken = time.process_time() - begun
+                self.spent[part] += taken - self._inner.pop()
+                if self._inner:
+                    self._inner[-1] += taken
+
+        return run
+
+
+class TimedTarget(StackTarget):
+    """The stack in process, with a watch on its parts."""
+
+    def __init__(self, codec: Codec, watch: Stopwatch) -> None:
+        self._watch = watch
+        super().__init__(codec, make=watch.timed("node made", self._node))
+        self._step = watch.timed("steps", self._step)  # type: ignore[method-assign]
+        self._compare = watch.timed("comparison", self._compare)  # type: ignore[method-assign]
+        self._probed = watch.timed("probe", self._probed)  # type: ignore[method-assign]
+
+    def _node(self, *args: Any) -> Node:
+        node = plain_node(*args)
+        for name in ("start", "handle_frame", "handle_timeout"):
+            setattr(node, name, self._watch.timed("node", getattr(node, name)))
+        return node
+
+    def _observer(self) -> Observer:
+        observer = super()._observer()
+        for name in ("hears", "says"):
+            setattr(observer, name, self._watch.timed("model", getattr(observer, name)))
+        return observer
+
+
+def where_the_time_goes(codec: Codec, count: int) -> dict[str, float]:
+    """us of CPU time for each part of a sequence, of so many; what the watch itself takes is among them."""
+    watch = Stopwatch()
+    target = TimedTarget(codec, watch)
+    sequences = Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec))
+    draw, run = watch.timed("drawing", sequences.draw), watch.timed("around it", target.run)
+    for _ in range(count):
+        run(draw())
+    return {part: 1e6 * spent / count for part, spent in watch.spent.most_common()}
+
+
 def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
     """Draw a sequence, run it on a fresh node, compare with the model, probe."""
     target = StackTarget(codec)
@@ -85,7 +150,13 @@ def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
         count += 1
     spent = time.process_time() - begun
     print(f"  {count / spent:,.0f} sequences/s against the stack in process ({target.frames / spent:,.0f} frames/s)")
-    return {"sequences_per_second": count / spent, "frames_per_second": target.frames / spent}
+    parts = where_the_time_goes(codec, min(count, 2000))
+    print("  us of a sequence, measured: " + ", ".join(f"{part} {spent:.0f}" for part, spent in parts.items()))
+    return {
+        "sequences_per_second": count / spent,
+        "frames_per_second": target.frames / spent,
+        "us_of_a_sequence": parts,
+    }
 
 
 def live_rate(profile: str, seconds: float) -> dict[str, Any]:
@@ -146,9 +217,9 @@ def _taken(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
 
 
 def soak(codec: Codec, frames: int) -> dict[str, Any]:
-    """One node, so many mutated frames; it is asked in the end whether it still answers."""
+    """One node, so many mutated frames; what it holds is compared with the model, and in the end it has to send."""
     mutator = mutator_of(codec)
-    sut = InProcess(reference_config(codec))
+    soaked = Soak(codec)
     decoded, memory, begun = 0, [_resident()], time.monotonic()
     spent = time.process_time()
     for number in range(1, frames + 1):
@@ -156,21 +227,32 @@ def soak(codec: Codec, frames: int) -> dict[str, Any]:
         with contextlib.suppress(DecodeError):
             codec.decode(octets)
             decoded += 1
-        sut.deliver(octets)
-        if sut.died:
-            sys.exit(f"frame {number}: {octets.hex()}: {sut.died}")
-        if not number % 50:
-            # A second of 5,000 frames has as many beacons as always.
-            sut.advance(sut.now + 10_000_000)
-            sut.arrivals.clear()
+        effect = soaked.hears(octets)
+        if effect is not None:
+            sys.exit(f"frame {number}: {octets.hex()}: {effect.detail}")
         if not number % max(1, frames // 10):
             gc.collect()
             memory.append(_resident())
             rate = number / (time.monotonic() - begun)
-            print(f"  {number:,} frames, {decoded:,} valid, {rate:,.0f}/s, {memory[-1]:.1f} MiB resident", flush=True)
-    answers = StackTarget(codec).run([]) is None and not sut.died
-    print(f"  {frames:,} frames in {time.process_time() - spent:.0f} s of CPU time; alive: {answers}")
-    return {"frames": frames, "valid": decoded, "resident_mib": memory, "cpu_s": time.process_time() - spent}
+            print(
+                f"  {number:,} frames, {decoded:,} valid, {rate:,.0f}/s, {memory[-1]:.1f} MiB resident; in "
+                f"{soaked.epochs:,} epochs {soaked.compared:,} states of variables compared",
+                flush=True,
+            )
+    spent = time.process_time() - spent
+    # It is the same node that has to send beacons still.
+    soaked.sut.advance(soaked.sut.now + 1_000_000_000)
+    if soaked.sut.died or not soaked.sut.arrivals:
+        sys.exit(f"it does not send any more: {soaked.sut.died}")
+    print(f"  {frames:,} frames in {spent:.0f} s of CPU time; alive and sending")
+    return {
+        "frames": frames,
+        "valid": decoded,
+        "resident_mib": memory,
+        "cpu_s": spent,
+        "epochs": soaked.epochs,
+        "compared": soaked.compared,
+    }
 
 
 def _resident() -> float:

@@ -50,6 +50,10 @@ __all__ = [
 ]
 
 
+# Asked for with each beacon and each look at a buffer; a member of an enumeration takes ten times as long to find.
+_OK = BPStatus.OK
+
+
 class BeaconingProtocol:
     """The BP entity of one node."""
 
@@ -84,6 +88,7 @@ class BeaconingProtocol:
         self._seqno = 1 if config.reading("X03") == "increment-then-write" else self._features.first_beacon_seqno
         self._refuses_modes = config.reading("X06") == "refuse-at-registration"
         self._counts_header = config.reading("X04") == "with-header"
+        self._largest_protocol = (1 << (8 * config.profile.types.protocol_id.width)) - 1
         self._counters = Counters()
         self._losses = LossTable()
         self._receiver = self.receiver_class(
@@ -220,7 +225,7 @@ class BeaconingProtocol:
         if not payload:
             if self._features.empty_payload_clears_buffer and queue is not None and queue.rule.on_empty == "clear":
                 queue.clear()
-                return BPStatus.OK
+                return _OK
             return BPStatus.EMPTY_PAYLOAD
         if queue is None:
             # Neither of the last two steps holds for a mode that does not exist (X06).
@@ -231,7 +236,7 @@ class BeaconingProtocol:
         if outcome != "discarded" and self._config.bp.triggered:
             self._schedule.trigger(now)
         ##= BP-TXP-09
-        return BPStatus.OK
+        return _OK
 
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         """``BP-ClearBuffer.request`` (dcp-bp.md#bp-service-bp-clear-buffer); raises UnknownServiceError in 1.0."""
@@ -256,7 +261,7 @@ class BeaconingProtocol:
             return NumberConfirm(BPStatus.UNKNOWN_PROTOCOL, None)
         ##= BP-QRY-02
         ##= BP-QRY-03
-        return NumberConfirm(BPStatus.OK, 0 if client.queue is None else len(client.queue))
+        return NumberConfirm(_OK, 0 if client.queue is None else len(client.queue))
 
     # -- management -------------------------------------------------------------------------------------------
 
@@ -395,11 +400,10 @@ class BeaconingProtocol:
 
     def _protocol(self, prot_id: int) -> int:
         """Raise for what no protocol identifier of the profile can be."""
+        if isinstance(prot_id, int) and not isinstance(prot_id, bool) and 0 <= prot_id <= self._largest_protocol:
+            return prot_id
         _integer("prot_id", prot_id)
-        largest = (1 << (8 * self._config.profile.types.protocol_id.width)) - 1
-        if not 0 <= prot_id <= largest:
-            raise ValueError(f"prot_id must be in 0..{largest}, not {prot_id}")
-        return prot_id
+        raise ValueError(f"prot_id must be in 0..{self._largest_protocol}, not {prot_id}")
 
     def _client(self, prot_id: int) -> Client | None:
         return self._clients.get(self._protocol(prot_id))
@@ -416,6 +420,8 @@ def _integer(name: str, value: object) -> None:
 
 def _mode(value: object) -> QueueingMode | str | int:
     """The mode of this name, or the value itself if it is none (X06)."""
+    if isinstance(value, QueueingMode):
+        return value
     if isinstance(value, bool) or not isinstance(value, str | int):
         raise TypeError(f"queueing_mode must be a QueueingMode, not {type(value).__name__}")
     if isinstance(value, int):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
 from dcp_spec.constants import SpecVersion
-from dcp_spec.parameters import UnknownParameterError, Violation, parameter, validate
+from dcp_spec.parameters import Sizes, UnknownParameterError, Violation, parameter, validate
 
-from .config import MS, NodeConfig, sizes
+from .config import MS, NodeConfig
 
 PERIOD: Final = "BPPAR_BEACON_PERIOD"
 MAX_PACKET: Final = "BPPAR_MAXIMUM_PACKET_SIZE"
@@ -25,9 +27,9 @@ class BPParameters:
 
     def __init__(self, config: NodeConfig) -> None:
         """Raises ValueError, naming the parameter and its bound, for a configuration that is out of bounds."""
-        profile, settings = config.profile, config.bp
-        self._sizes = sizes(config)
-        self._usable_minimum = config.reading("X05") == "usable-minimum" and config.features.version >= SpecVersion.V1_1
+        profile = config.profile
+        self._sizes = config.sizes
+        self._usable_minimum = _has_usable_minimum(config)
         ##= BP-PAR-08
         ##= BP-PAR-09
         ##= UWB-03
@@ -36,27 +38,11 @@ class BPParameters:
             UWB_MAX_PACKET: profile.limits.uwb_max_packet,
             OWN_NODE: config.node_id,
         }
-        if (violation := validate(UWB_MAX_PACKET, profile.limits.uwb_max_packet, self._sizes)) is not None:
-            raise ValueError(str(violation))
         ##= BP-PAR-10
         # The link puts it into frames; here it can be asked for.
         if profile.link.ether_type is not None:
             self._fixed[PROTOCOL_TYPE] = profile.link.ether_type
-        self._values: dict[str, Any] = {}
-        ##= BP-PAR-04
-        max_packet = settings.max_packet_size
-        initial: dict[str, Any] = {
-            ##= BP-PAR-03
-            PERIOD: settings.beacon_period_ms,
-            MAX_PACKET: profile.limits.max_beacon_size if max_packet is None else max_packet,
-        }
-        if config.features.network_id and profile.has_header_field("networkId"):
-            ##= BP-PAR-05
-            network = profile.bp.network_id if settings.network_id is None else settings.network_id
-            initial[NETWORK] = 0 if network is None else network
-        for name, value in initial.items():
-            if (violation := self.set(name, value)) is not None:
-                raise ValueError(str(violation))
+        self._values = dict(config.once(_initial))
 
     ##= BP-PAR-01
     def as_dict(self) -> dict[str, Any]:
@@ -74,20 +60,12 @@ class BPParameters:
         if not entry.configurable:
             bound = "left alone: it is determined once, during initialization"
             return Violation(parameter=name, value=value, bound=bound, requirement=entry.requirement)
-        violation = validate(name, value, self._sizes) or self._unusable(name, value)
+        violation = validate(name, value, self._sizes) or _unusable(name, value, self._sizes, self._usable_minimum)
         if violation is None:
             self._values[name] = value
         ##= BP-PAR-06
         ##= BP-PAR-07
         return violation
-
-    def _unusable(self, name: str, value: object) -> Violation | None:
-        """A violation under the reading X05 ``usable-minimum``: not one octet of payload fits."""
-        least = self._sizes.bp_header + self._sizes.bp_payload_header + 1
-        if name != MAX_PACKET or not self._usable_minimum or (isinstance(value, int) and value >= least):
-            return None
-        bound = f"at least {least} (BPHeaderT + BPPayloadHeaderT + 1 by reading X05)"
-        return Violation(parameter=name, value=value, bound=bound, requirement="BP-PAR-04")
 
     @property
     def period(self) -> int:
@@ -113,3 +91,39 @@ class BPParameters:
         """BPPAR_NETWORK_ID; None where beacons have no such field."""
         network: int | None = self._values.get(NETWORK)
         return network
+
+
+def _initial(config: NodeConfig) -> Mapping[str, Any]:
+    """The values that a node begins with."""
+    profile, settings = config.profile, config.bp
+    ##= BP-PAR-04
+    max_packet = settings.max_packet_size
+    initial: dict[str, Any] = {
+        ##= BP-PAR-03
+        PERIOD: settings.beacon_period_ms,
+        MAX_PACKET: profile.limits.max_beacon_size if max_packet is None else max_packet,
+    }
+    if config.features.network_id and profile.has_header_field("networkId"):
+        ##= BP-PAR-05
+        network = profile.bp.network_id if settings.network_id is None else settings.network_id
+        initial[NETWORK] = 0 if network is None else network
+    bearer = {UWB_MAX_PACKET: profile.limits.uwb_max_packet}
+    for name, value in (*bearer.items(), *initial.items()):
+        violation = validate(name, value, config.sizes)
+        violation = violation or _unusable(name, value, config.sizes, _has_usable_minimum(config))
+        if violation is not None:
+            raise ValueError(str(violation))
+    return MappingProxyType(initial)
+
+
+def _has_usable_minimum(config: NodeConfig) -> bool:
+    return config.reading("X05") == "usable-minimum" and config.features.version >= SpecVersion.V1_1
+
+
+def _unusable(name: str, value: object, sizes: Sizes, usable_minimum: bool) -> Violation | None:
+    """A violation under the reading X05 ``usable-minimum``: not one octet of payload fits."""
+    least = sizes.bp_header + sizes.bp_payload_header + 1
+    if name != MAX_PACKET or not usable_minimum or (isinstance(value, int) and value >= least):
+        return None
+    bound = f"at least {least} (BPHeaderT + BPPayloadHeaderT + 1 by reading X05)"
+    return Violation(parameter=name, value=value, bound=bound, requirement="BP-PAR-04")

@@ -68,7 +68,7 @@ class PayloadQueue:
         """``max_entries`` counts only for the modes with that many places (BP-QM-09)."""
         self.rule = rule
         ##= BP-QM-09
-        self._places = {Places.ONE: 1, Places.MAX_ENTRIES: max_entries, Places.UNLIMITED: None}[rule.places]
+        self._places = None if rule.places is Places.UNLIMITED else 1 if rule.places is Places.ONE else max_entries
         ##= DATA-12
         self._payloads: deque[bytes] = deque()
 

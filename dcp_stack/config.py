@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import msgspec
 from dcp_spec.bp import header_size
-from dcp_spec.constants import Features, features
+from dcp_spec.constants import Features, ICType, features
 from dcp_spec.parameters import Sizes
 from dcp_spec.profile import Opaque, Profile
 from dcp_spec.readings import reading
 
 from dcp_codec.codec import Codec
 
+from .positions.fields import SafetyFields
+from .vardis_sizes import RecordSizes
+
 MS = 1_000_000
 """ns in a millisecond."""
+
+
+Found = TypeVar("Found")
 
 
 class BPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -59,8 +67,11 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """maxEntries with which VarDis registers (VD-INI-02): one payload, so that what is sent is fresh."""
 
 
-class NodeConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """A whole node. ``readings`` chooses among the alternatives of disputed text (``dcp_spec.readings``) by id."""
+class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+    """A whole node. ``readings`` chooses among the alternatives of disputed text (``dcp_spec.readings``) by id.
+
+    What follows from it alone is found out once, so that many nodes can be made of one configuration.
+    """
 
     node_id: bytes
     codec: Codec
@@ -84,19 +95,59 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True):
         """The wire profile."""
         return self.codec.profile
 
-    @property
+    @functools.cached_property
     def features(self) -> Features:
         """What the specification version of the profile has (C.7)."""
         return features(self.profile.spec_version)
 
+    @functools.cached_property
+    def sizes(self) -> Sizes:
+        """The serialized sizes that bounds of parameters depend on."""
+        return _sizes(self)
+
+    @functools.cached_property
+    def record_sizes(self) -> RecordSizes:
+        """Sizes of VarDis records, and the ranges of their fields."""
+        return RecordSizes(self.profile)
+
+    @functools.cached_property
+    def safety_fields(self) -> SafetyFields:
+        """The safety data of the profile."""
+        return SafetyFields(self.profile)
+
+    @functools.cached_property
+    def container_numbers(self) -> Mapping[ICType, int]:
+        """How the profile numbers the types of instruction containers (VD-IC-02)."""
+        numbers = self.profile.vardis.container_types.by_name()
+        return {kind: numbers[kind.label] for kind in ICType}
+
+    def once(self, find: Callable[[NodeConfig], Found]) -> Found:
+        """What ``find`` makes of this configuration, the first time it is asked for; nobody may change it."""
+        if find not in self._once:
+            self._once[find] = find(self)
+        found: Found = self._once[find]
+        return found
+
+    @functools.cached_property
+    def _once(self) -> dict[Callable[[NodeConfig], Any], Any]:
+        return {}
+
     def reading(self, identifier: str) -> str:
         """The chosen alternative of a disputed text; ours unless ``readings`` says otherwise."""
-        default = reading(identifier).default
-        return self.readings.get(identifier) or (default.name if default is not None else "")
+        chosen = self._chosen.get(identifier)
+        if chosen is None:
+            default = reading(identifier).default
+            chosen = self._chosen[identifier] = self.readings.get(identifier) or (
+                "" if default is None else default.name
+            )
+        return chosen
+
+    @functools.cached_property
+    def _chosen(self) -> dict[str, str]:
+        return {}
 
 
-def sizes(config: NodeConfig) -> Sizes:
-    """The serialized sizes that bounds of parameters depend on, for the profile of a node."""
+def _sizes(config: NodeConfig) -> Sizes:
     profile, types = config.profile, config.profile.types
     widths = {
         "varId": types.var_id.width,

@@ -95,12 +95,22 @@ class NeighbourApproach(msgspec.Struct, frozen=True, gc=False):
 class NeighbourTable:
     """The neighbours of one node, at most ``capacity`` of them; see the module docstring for units."""
 
-    def __init__(self, profile: Profile, *, capacity: int, stamps: StampClock | None = None) -> None:
-        """Raises ValueError for a capacity below 1. ``stamps`` relates the stamps of reports to wall time."""
+    def __init__(
+        self,
+        profile: Profile,
+        *,
+        capacity: int,
+        stamps: StampClock | None = None,
+        fields: SafetyFields | None = None,
+    ) -> None:
+        """Raises ValueError for a capacity below 1.
+
+        ``stamps`` relates the stamps of reports to wall time. ``fields`` are those of the profile, if they are there.
+        """
         if capacity < 1:
             raise ValueError(f"a neighbour table has room for one entry at least, not {capacity}")
         self.capacity = capacity
-        self.fields = SafetyFields(profile)
+        self.fields = fields or SafetyFields(profile)
         self._modulus = seqno_modulus(profile)
         self.stamps = stamps or StampClock(profile.types.timestamp)
         self._entries: dict[bytes, NeighbourTableEntry] = {}

@@ -73,9 +73,12 @@ class Node:
 
     def poll_timeout(self) -> int | None:
         """When ``handle_timeout`` is due next (monotonic ns), None if nothing is pending."""
-        entities = (self.bp, self.srp, self.vardis)
-        due = [when for entity in entities if entity is not None and (when := entity.poll_timeout()) is not None]
-        return min(due, default=None)
+        due = self.bp.poll_timeout()
+        for client in (self.srp, self.vardis):
+            when = None if client is None else client.poll_timeout()
+            if when is not None and (due is None or when < due):
+                due = when
+        return due
 
     def settle(self, now: int, wall: int) -> None:
         """Carry on what service calls on ``bp``, ``srp`` or ``vardis`` have set off; call it after them."""
@@ -107,15 +110,13 @@ class Node:
         if not pending:
             return
         # The list grows while it is walked: a client that submits a payload may set off more.
+        tell = self._effects.append
         for effect in pending:
-            if isinstance(effect, PayloadReceived):
-                if not self._received(effect, now, wall):
-                    self._effects.append(effect)
-            elif isinstance(effect, PayloadTransmitted):
-                if not self._transmitted(effect.protocol_id, now, wall):
-                    self._effects.append(effect)
-            else:
-                self._effects.append(effect)
+            if (type(effect) is PayloadReceived and self._received(effect, now, wall)) or (
+                type(effect) is PayloadTransmitted and self._transmitted(effect.protocol_id, now, wall)
+            ):
+                continue
+            tell(effect)
         pending.clear()
 
     ##= BP-RXP-03

@@ -13,17 +13,15 @@ from typing import Any, ClassVar, Final, Protocol
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
 from dcp_spec.parameters import UnknownParameterError, Violation, validate
-from dcp_spec.profile import Profile
 from dcp_spec.status import BPStatus, SRPStatus
 
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import ExtendedSafetyData, SafetyData
 
-from .config import MS, NodeConfig, SRPConfig, sizes
+from .config import MS, NodeConfig, SRPConfig
 from .drops import DROPS
 from .effects import Dropped, Effect, NeighbourExpired, NeighbourSeen
 from .neighbours import NeighbourTable, seqno_modulus
-from .positions.fields import SafetyFields
 from .positions.geometry import Motion, velocity_between
 from .timestamps import StampClock
 
@@ -99,15 +97,18 @@ class StateReporting:
         self._bp = bp
         self._emit = emit
         self._settings = config.srp or SRPConfig()
-        self._sizes = sizes(config)
+        self._sizes = config.sizes
         self._stamps = StampClock(profile.types.timestamp, origin=wall)
-        self._fields = SafetyFields(profile)
+        self._fields = config.safety_fields
         room = self._settings.max_neighbours
         self._table = self.table_class(
-            profile, capacity=min(room, profile.limits.max_neighbours or room), stamps=self._stamps
+            profile,
+            capacity=min(room, profile.limits.max_neighbours or room),
+            stamps=self._stamps,
+            fields=self._fields,
         )
         self._node_id = config.node_id
-        self._node_id_offset = _node_id_offset(profile)
+        self._node_id_offset = config.once(_node_id_offset)
         self._registered = False
         self._initialized = False
         self._seqno = 0
@@ -172,8 +173,7 @@ class StateReporting:
     @property
     def record_size(self) -> int:
         """Octets of an ExtendedSafetyDataT of this node."""
-        blank = self._safety_data({field.name: 0 for field in self._fields.numbers()})
-        return len(self._config.codec.encode_report(ExtendedSafetyData(blank, self._node_id, 0, 0)))
+        return self._config.once(_record_size)
 
     # -- services ---------------------------------------------------------------------------------------------
 
@@ -344,8 +344,15 @@ def protocol_name(version: SpecVersion) -> str:
     return f"SRP -- State Reporting Protocol V{version}"
 
 
-def _node_id_offset(profile: Profile) -> int:
+def _record_size(config: NodeConfig) -> int:
+    fields = config.safety_fields
+    blank = config.codec.safety_data_type(**fields.complete({field.name: 0 for field in fields.numbers()}))
+    return len(config.codec.encode_report(ExtendedSafetyData(blank, config.node_id, 0, 0)))
+
+
+def _node_id_offset(config: NodeConfig) -> int:
     """The octet of a state report at which nodeId starts, -1 if a text in front of it moves it."""
+    profile = config.profile
     sizes_of = {
         "sData": sum(field.width for field in profile.srp.safety_data),
         "tStamp": profile.types.timestamp.width,

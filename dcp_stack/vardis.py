@@ -185,12 +185,14 @@ class Vardis(VariableServices):
 
     def poll_timeout(self) -> int | None:
         """When ``handle_timeout`` is due next (monotonic ns), None when VarDis is not running."""
-        due = []
-        if self.active:
-            due.append(self._last_check + self._parameters.buffer_check_period_ms * MS)
+        due = None
+        if self._core.active:
+            due = self._last_check + self._parameters.buffer_check_period_ms * MS
         if self._has_scrubbing and self.registered:
-            due.append(self._last_scrub + self._parameters.scrubbing_period_ms * MS)
-        return min(due, default=None)
+            scrub = self._last_scrub + self._parameters.scrubbing_period_ms * MS
+            if due is None or scrub < due:
+                due = scrub
+        return due
 
     def _generate(self, now: int, wall: int) -> None:
         """Compose the next payload and hand it to BP."""
@@ -243,6 +245,10 @@ class Vardis(VariableServices):
             "parameters": self.parameters(),
             **self._database.snapshot(),
         }
+
+    def queue_lengths(self) -> dict[str, int]:
+        """How many variables wait in each queue, by the specification's names."""
+        return {name: len(queue) for name, queue in self._database.queues.items()}
 
     def check_invariants(self) -> None:
         """Raises AssertionError if the state contradicts itself (section C.5 of the protocol reference)."""

@@ -21,6 +21,11 @@ from dcp_codec.values import (
 from .vardis_core import Core
 from .vardis_db import DBEntry, IdQueue
 
+# Names of the module: they are compared with for each record.
+_CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
+_SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
+_UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
+
 
 class Composer:
     """Fills payloads from the queues of a database, and counts down what it has filled in."""
@@ -31,10 +36,18 @@ class Composer:
         self._parameters = core.parameters
         self._sizes = core.sizes
         ##= VD-PAY-01
-        self._order = tuple((kind, self._queue(kind)) for kind in config.features.container_order)
+        database = core.database
+        self._queues = {
+            ICType.CREATE_VARIABLES: database.create_q,
+            ICType.DELETE_VARIABLES: database.delete_q,
+            ICType.REQUEST_VARCREATES: database.req_create_q,
+            ICType.SUMMARIES: database.summary_q,
+            ICType.UPDATES: database.update_q,
+            ICType.REQUEST_VARUPDATES: database.req_upd_q,
+        }
+        self._order = tuple((kind, self._queues[kind]) for kind in config.features.container_order)
         ##= VD-IC-02
-        numbers = config.profile.vardis.container_types.by_name()
-        self._numbers = {kind: numbers[kind.label] for kind in ICType}
+        self._numbers = config.container_numbers
         ##= VD-IC-04
         self._several = (
             config.features.several_containers_per_type and config.profile.behaviour.containers_per_type == "several"
@@ -65,17 +78,6 @@ class Composer:
                 containers.append(Container(ic_type=self._numbers[kind], records=group))
         return tuple(containers)
 
-    def _queue(self, kind: ICType) -> IdQueue:
-        database = self._database
-        return {
-            ICType.CREATE_VARIABLES: database.create_q,
-            ICType.DELETE_VARIABLES: database.delete_q,
-            ICType.REQUEST_VARCREATES: database.req_create_q,
-            ICType.SUMMARIES: database.summary_q,
-            ICType.UPDATES: database.update_q,
-            ICType.REQUEST_VARUPDATES: database.req_upd_q,
-        }[kind]
-
     def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         """``numberFittingRecords``: the identifiers whose records fit into ``room`` octets, and how many these take.
 
@@ -87,7 +89,7 @@ class Composer:
         ##= VD-PAY-06
         ##= VD-IC-05
         candidates: Iterable[int] = queue
-        if kind is ICType.SUMMARIES:
+        if kind is _SUMMARIES:
             ##= VD-CMP-01
             ##= VD-CMP-02
             candidates = islice(candidates, self._parameters.max_summaries)
@@ -111,14 +113,14 @@ class Composer:
         return chosen, used
 
     def _record_size(self, kind: ICType, var_id: int) -> int:
-        if kind is ICType.CREATE_VARIABLES:
+        if kind is _CREATES:
             entry = self._entry(var_id)
             return self._sizes.create(entry.spec, entry.value)
-        if kind is ICType.UPDATES:
+        if kind is _UPDATES:
             return self._sizes.update(self._entry(var_id).value)
-        if kind in (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES):
-            return self._sizes.var_id
-        return self._sizes.var_summ
+        size = self._sizes.fixed[kind]
+        assert size is not None
+        return size
 
     def _entry(self, var_id: int) -> DBEntry:
         return self._database.entries[var_id]
@@ -126,7 +128,7 @@ class Composer:
     def _take(self, kind: ICType, var_id: int) -> VardisRecord:
         """The record of a variable, which from now on counts as sent."""
         database = self._database
-        if kind is ICType.REQUEST_VARCREATES:
+        if kind is _CREATE_REQUESTS:
             ##= VD-CMP-12
             database.req_create_q.remove(var_id)
             return VarReqCreate(var_id)
@@ -134,7 +136,7 @@ class Composer:
         ##= VD-UPD-10
         ##= VD-SCP-02
         ##= VD-TYP-07
-        if kind is ICType.CREATE_VARIABLES:
+        if kind is _CREATES:
             ##= VD-CMP-06
             entry.count_create -= 1
             _rotate_or_leave(database.create_q, var_id, entry.count_create)
@@ -142,19 +144,19 @@ class Composer:
             ##= VD-TYP-06
             ##= VD-PC-10
             return VarCreate(entry.spec, VarUpdate(var_id, entry.seqno, entry.value))
-        if kind is ICType.UPDATES:
+        if kind is _UPDATES:
             ##= VD-CMP-09
             entry.count_update -= 1
             _rotate_or_leave(database.update_q, var_id, entry.count_update)
             return VarUpdate(var_id, entry.seqno, entry.value)
-        if kind is ICType.DELETE_VARIABLES:
+        if kind is _DELETES:
             ##= VD-CMP-10
             entry.count_delete -= 1
             _rotate_or_leave(database.delete_q, var_id, entry.count_delete)
             if not entry.count_delete:
                 database.after_last_delete(var_id)
             return VarDelete(var_id)
-        if kind is ICType.REQUEST_VARUPDATES:
+        if kind is _UPDATE_REQUESTS:
             ##= VD-CMP-11
             database.req_upd_q.remove(var_id)
             return VarReqUpdate(var_id, entry.seqno)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import msgspec
 from dcp_spec.parameters import Sizes, UnknownParameterError, Violation, parameter, parameters, validate
 
-from .config import NodeConfig, sizes
+from .config import NodeConfig
 
 VALUE_LENGTH = "VARDISPAR_MAX_VALUE_LENGTH"
 DESCRIPTION_LENGTH = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
@@ -35,41 +38,12 @@ class VardisParameters:
 
         What ``config.vardis`` leaves open comes from the limits of the profile, lowered where a bound asks for it.
         """
-        settings = config.vardis
-        if settings is None:
-            raise ValueError("the node is configured without VarDis")
-        limits = config.profile.limits
-        self._sizes = sizes(config)
+        values, self._sizes = config.once(_initial)
+        self._values = dict(values)
         self._record_bound = config.reading("X23") == "record-bound"
         ##= VD-CRE-04
         # The parameter of 1.0 counts the terminating NUL, the limit of a profile is what a description may have.
-        self._terminator = int(config.features.string_format == "nul-terminated")
-        chosen = {
-            VALUE_LENGTH: settings.max_value_length,
-            DESCRIPTION_LENGTH: settings.max_description_length,
-            REPETITIONS: settings.max_repetitions,
-            PAYLOAD_SIZE: settings.max_payload_size,
-            SUMMARIES: settings.max_summaries,
-            SCRUBBING_PERIOD: settings.scrubbing_period_ms,
-            BUFFER_CHECK_PERIOD: settings.buffer_check_period_ms,
-        }
-        fallback = {
-            VALUE_LENGTH: limits.max_value_length,
-            DESCRIPTION_LENGTH: limits.max_description_length + self._terminator,
-            REPETITIONS: limits.max_repetitions,
-            PAYLOAD_SIZE: limits.max_vardis_payload,
-            SUMMARIES: limits.max_summaries,
-        }
-        self._values: dict[str, int] = {}
-        for name in _ORDER:
-            if parameter(name).since > config.profile.spec_version:
-                continue
-            value = chosen[name]
-            if value is None:
-                highest = parameter(name).maximum(self._sizes)
-                value = fallback[name] if highest is None else min(fallback[name], highest)
-            if violation := self.set(name, value):
-                raise ValueError(str(violation))
+        self._terminator = _terminator(config)
 
     def as_dict(self) -> dict[str, int]:
         """All parameters that the version has, in the order of the specification."""
@@ -89,27 +63,14 @@ class VardisParameters:
         ##= VD-PAR-08
         if name not in _ORDER:
             raise UnknownParameterError(f"VarDis has no parameter {name!r}")
-        violation = validate(name, value, self._sizes)
-        if violation is not None:
-            return violation
+        changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)
+        if isinstance(changed, Violation):
+            return changed
         assert isinstance(value, int)
-        changed = self._with(name, value)
-        if self._record_bound and name == VALUE_LENGTH and DESCRIPTION_LENGTH in self._values:
-            violation = validate(DESCRIPTION_LENGTH, self._values[DESCRIPTION_LENGTH], changed)
-            if violation is not None:
-                return violation
         ##= VD-PAR-01
         self._sizes = changed
         self._values[name] = value
         return None
-
-    def _with(self, name: str, value: int) -> Sizes:
-        """The sizes that bounds depend on, after a change."""
-        if name == PAYLOAD_SIZE:
-            return msgspec.structs.replace(self._sizes, max_payload_size=value)
-        if name == VALUE_LENGTH:
-            return msgspec.structs.replace(self._sizes, max_value_length=value)
-        return self._sizes
 
     @property
     def max_value_length(self) -> int:
@@ -145,3 +106,62 @@ class VardisParameters:
     def buffer_check_period_ms(self) -> int:
         """Time between two looks at the buffer of BP in ms."""
         return self._values[BUFFER_CHECK_PERIOD]
+
+
+def _terminator(config: NodeConfig) -> int:
+    return int(config.features.string_format == "nul-terminated")
+
+
+def _initial(config: NodeConfig) -> tuple[Mapping[str, int], Sizes]:
+    """The values that a node begins with, and the sizes that bounds depend on then."""
+    settings = config.vardis
+    if settings is None:
+        raise ValueError("the node is configured without VarDis")
+    limits, sizes = config.profile.limits, config.sizes
+    chosen = {
+        VALUE_LENGTH: settings.max_value_length,
+        DESCRIPTION_LENGTH: settings.max_description_length,
+        REPETITIONS: settings.max_repetitions,
+        PAYLOAD_SIZE: settings.max_payload_size,
+        SUMMARIES: settings.max_summaries,
+        SCRUBBING_PERIOD: settings.scrubbing_period_ms,
+        BUFFER_CHECK_PERIOD: settings.buffer_check_period_ms,
+    }
+    fallback = {
+        VALUE_LENGTH: limits.max_value_length,
+        DESCRIPTION_LENGTH: limits.max_description_length + _terminator(config),
+        REPETITIONS: limits.max_repetitions,
+        PAYLOAD_SIZE: limits.max_vardis_payload,
+        SUMMARIES: limits.max_summaries,
+    }
+    record_bound = config.reading("X23") == "record-bound"
+    values: dict[str, int] = {}
+    for name in _ORDER:
+        if parameter(name).since > config.profile.spec_version:
+            continue
+        value = chosen[name]
+        if value is None:
+            highest = parameter(name).maximum(sizes)
+            value = fallback[name] if highest is None else min(fallback[name], highest)
+        changed = _changed(name, value, values, sizes, record_bound=record_bound)
+        if isinstance(changed, Violation):
+            raise ValueError(str(changed))
+        values[name], sizes = value, changed
+    return MappingProxyType(values), sizes
+
+
+def _changed(
+    name: str, value: object, values: Mapping[str, int], sizes: Sizes, *, record_bound: bool
+) -> Sizes | Violation:
+    """The sizes that bounds depend on with a new value, or why a parameter cannot have it."""
+    violation = validate(name, value, sizes)
+    if violation is not None:
+        return violation
+    assert isinstance(value, int)
+    if name == PAYLOAD_SIZE:
+        return msgspec.structs.replace(sizes, max_payload_size=value)
+    if name == VALUE_LENGTH:
+        sizes = msgspec.structs.replace(sizes, max_value_length=value)
+        if record_bound and DESCRIPTION_LENGTH in values:
+            violation = validate(DESCRIPTION_LENGTH, values[DESCRIPTION_LENGTH], sizes)
+    return violation or sizes

@@ -15,6 +15,15 @@ from .vardis_wire import Extracted
 
 #: What an extraction error violates, by the reason of the codec; all others are records that end too late.
 _EXTRACTION = {"unknown-type": "VD-RX-05", "zero-count": "VD-RX-06"}
+_REQUIREMENTS = {reason: requirement for reason, (requirement, _) in DROPS.items()}
+
+# Names of the module: what is looked up for each record should not be looked up in an enumeration, too.
+_CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
+_SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
+_UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
+_SUMMARY_EQUAL, _SUMMARY_OLDER, _SUMMARY_NEWER = Event.RX_SUMMARY_EQUAL, Event.RX_SUMMARY_OLDER, Event.RX_SUMMARY_NEWER
+_UPDATE_EQUAL, _UPDATE_OLDER, _UPDATE_NEWER = Event.RX_UPDATE_EQUAL, Event.RX_UPDATE_OLDER, Event.RX_UPDATE_NEWER
+_IGNORE = Action.IGNORE
 
 
 class Receiver:
@@ -36,17 +45,17 @@ class Receiver:
             self._emit(Dropped("vardis", problem.reason, requirement, problem.offset))
         records = extracted.records
         ##= VD-RX-08
-        for offset, record in records[ICType.CREATE_VARIABLES]:
+        for offset, record in records[_CREATES]:
             self._create(record, offset, now, wall)
-        for offset, record in records[ICType.DELETE_VARIABLES]:
+        for offset, record in records[_DELETES]:
             self._delete(record, offset)
-        for offset, record in records[ICType.UPDATES]:
+        for offset, record in records[_UPDATES]:
             self._update(record, offset, now, wall)
-        for offset, record in records[ICType.SUMMARIES]:
+        for offset, record in records[_SUMMARIES]:
             self._summary(record, offset)
-        for offset, record in records[ICType.REQUEST_VARCREATES]:
+        for offset, record in records[_CREATE_REQUESTS]:
             self._request_create(record, offset)
-        for offset, record in records[ICType.REQUEST_VARUPDATES]:
+        for offset, record in records[_UPDATE_REQUESTS]:
             self._request_update(record, offset)
 
     # -- one record of each type --------------------------------------------------------------------------------
@@ -131,24 +140,25 @@ class Receiver:
         if self._is_bad_value(record.value):
             return Event.RX_UPDATE_BAD_VALUE
         if entry is None:
-            return Event.RX_UPDATE_NEWER
+            return _UPDATE_NEWER
         ##= VD-PU-05
         if record.seqno == entry.seqno:
-            return Event.RX_UPDATE_EQUAL
+            return _UPDATE_EQUAL
         if self._core.sequence.received_is_older(record.seqno, entry.seqno):
-            return Event.RX_UPDATE_OLDER
-        return Event.RX_UPDATE_NEWER
+            return _UPDATE_OLDER
+        return _UPDATE_NEWER
 
     def _summary(self, record: VarSumm, offset: int) -> None:
         ##= VD-SCP-01
-        entry = self._database.lookup(record.var_id)
-        if entry is not None and record.seqno == entry.seqno:
-            event = Event.RX_SUMMARY_EQUAL
-        elif entry is not None and self._core.sequence.received_is_older(record.seqno, entry.seqno):
-            event = Event.RX_SUMMARY_OLDER
-        else:
-            event = Event.RX_SUMMARY_NEWER
-        self._answer(self._core.cell(event, entry), entry, record.var_id, offset)
+        var_id = record.var_id
+        entry = self._database.lookup(var_id)
+        event = _SUMMARY_NEWER
+        if entry is not None:
+            if record.seqno == entry.seqno:
+                event = _SUMMARY_EQUAL
+            elif self._core.sequence.received_is_older(record.seqno, entry.seqno):
+                event = _SUMMARY_OLDER
+        self._answer(self._core.cell(event, entry), entry, var_id, offset)
 
     def _request_update(self, record: VarReqUpdate, offset: int) -> None:
         entry = self._database.lookup(record.var_id)
@@ -166,7 +176,10 @@ class Receiver:
     def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
         """Schedule the instruction that a cell asks for, and report the record if it was ignored."""
         database, action = self._database, cell.action
-        if action is Action.REQUEST_CREATE:
+        if action is _IGNORE:
+            # Nearly everything that is on the air is known.
+            pass
+        elif action is Action.REQUEST_CREATE:
             self._request(var_id, offset)
         elif entry is not None:
             if action is Action.TEACH:
@@ -183,7 +196,8 @@ class Receiver:
             elif action is Action.REQUEST_UPDATE:
                 ##= VD-PS-04
                 database.req_upd_q.append(var_id)
-        self._drop(cell, offset, var_id)
+        if cell.reason is not None:
+            self._dropped(cell.reason, offset, var_id)
 
     def _request(self, var_id: int, offset: int) -> None:
         """Ask neighbours for a variable."""
@@ -205,4 +219,4 @@ class Receiver:
             self._dropped(cell.reason, offset, var_id)
 
     def _dropped(self, reason: str, offset: int, var_id: int) -> None:
-        self._emit(Dropped("vardis", reason, DROPS[reason][0], offset, var_id))
+        self._emit(Dropped("vardis", reason, _REQUIREMENTS[reason], offset, var_id))

@@ -175,8 +175,17 @@ class VariableServices:
         if entry is None:
             return DescribeVariableConfirm(VardisStatus.VARIABLE_DOES_NOT_EXIST)
         ##= VD-DVA-03
-        shown = {name: getattr(entry, name) for name in VariableEntry.__struct_fields__}
-        return DescribeVariableConfirm(VardisStatus.OK, VariableEntry(**shown))
+        shown = VariableEntry(
+            entry.spec,
+            entry.value,
+            entry.seqno,
+            entry.t_stamp,
+            entry.count_update,
+            entry.count_create,
+            entry.count_delete,
+            entry.is_deleted,
+        )
+        return DescribeVariableConfirm(VardisStatus.OK, shown)
 
     def _serving(self) -> bool:
         """Whether requests are carried out; otherwise they are confirmed with INACTIVE.

@@ -1,92 +1,20 @@
-"""What VarDis has to know about octets: sizes of records, limits of fields, and extracting a received payload.
-
-Layouts are the codec's business; the sizes here are sums over the widths that the profile states (DATA-02).
-"""
+"""The receive path of VarDis, first phase: a payload is taken apart (dcp-vardis.md, "Extraction Step")."""
 
 from __future__ import annotations
 
 import re
+from itertools import count
 from typing import Any, Final
 
 import msgspec
-from dcp_spec.constants import ICType, seqno_modulus
-from dcp_spec.profile import IntType, Profile, TextType
+from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, Problem
-from dcp_codec.values import Container, VarCreate, VarSpec, VarUpdate
+from dcp_codec.values import Container
 
 from .config import NodeConfig
-
-
-def _largest(layout: IntType) -> int:
-    bits = 8 * layout.width - layout.signed
-    return (1 << bits) - 1
-
-
-def _overhead(layout: TextType) -> int:
-    return sum(length.width for length in layout.lengths) + layout.terminated
-
-
-def _longest(layout: TextType) -> int | None:
-    return min((_largest(length) for length in layout.lengths), default=None)
-
-
-class RecordSizes:
-    """Sizes on the wire in octets, and the ranges of fields that applications fill."""
-
-    def __init__(self, profile: Profile) -> None:
-        types, layout = profile.types, profile.vardis
-        self.ic_header = 2 + sum(extra.extra.width for extra in layout.container_extra)
-        self.ic_header += layout.list_length.width if layout.list_length is not None else 0
-        self.var_id = types.var_id.width
-        self.var_summ = self.var_id + types.var_seqno.width
-        self._update = self.var_summ + _overhead(types.value)
-        node_id = types.node_id
-        self._id_varies = node_id.length is not None
-        widths = {
-            "varId": self.var_id,
-            "prodId": node_id.length.width if node_id.length is not None else node_id.width,
-            "repCnt": types.var_rep_cnt.width,
-            "creationTime": types.timestamp.width,
-            "timeout": types.var_timeout.width,
-            "descr": _overhead(types.string),
-        }
-        self._spec = sum(widths[name] for name in layout.var_spec)
-        self.node_id_width = None if self._id_varies else node_id.width
-        self.highest_var_id = _largest(types.var_id)
-        self.highest_rep_cnt = _largest(types.var_rep_cnt)
-        self.highest_timeout = _largest(types.var_timeout)
-        self.longest_value = _longest(types.value)
-        self.longest_description = _longest(types.string)
-        self.nul_terminated = types.string.terminated
-        self.highest_stamp = _largest(types.timestamp.as_int())
-        ##= VD-TYP-03
-        self.seqno_modulus = seqno_modulus(types.var_seqno.width)
-
-    def update(self, value: bytes) -> int:
-        """A VarUpdate with this value."""
-        return self._update + len(value)
-
-    def create(self, spec: VarSpec, value: bytes) -> int:
-        """A VarCreate of a variable with this value."""
-        producer = len(spec.prod_id) if self._id_varies else 0
-        return self._spec + producer + len(spec.descr) + self._update + len(value)
-
-    def record(self, kind: ICType, record: Any) -> int:
-        """Any decoded record."""
-        if kind is ICType.CREATE_VARIABLES:
-            create: VarCreate = record
-            return self.create(create.spec, create.upd.value)
-        if kind is ICType.UPDATES:
-            update: VarUpdate = record
-            return self.update(update.value)
-        return self.var_id if kind in _BARE else self.var_summ
-
-
-#: Going through an enumeration takes longer than through a tuple.
-_KINDS: Final = tuple(ICType)
-_BARE: Final = frozenset({ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES})
+from .vardis_sizes import RecordSizes
 
 
 class Extracted(msgspec.Struct, frozen=True):
@@ -96,6 +24,8 @@ class Extracted(msgspec.Struct, frozen=True):
     problems: tuple[Problem, ...] = ()
 
 
+#: Going through an enumeration takes longer than through a tuple.
+_KINDS: Final = tuple(ICType)
 #: Which record of which container a problem lies in.
 _PLACE: Final = re.compile(r"\[(\d+)\]\.records\[(\d+)\]")
 
@@ -107,8 +37,7 @@ class Extractor:
         self._codec: Codec = config.codec
         self._sizes = sizes
         self._policy = _receive_error_policy(config)
-        numbers = config.profile.vardis.container_types.by_name()
-        self._kinds = {numbers[kind.label]: kind for kind in ICType}
+        self._kinds = {number: kind for kind, number in config.container_numbers.items()}
         self._list_length = config.profile.vardis.list_length is not None
 
     def extract(self, payload: bytes) -> Extracted:
@@ -176,15 +105,19 @@ class Extractor:
         records: dict[ICType, list[tuple[int, Any]]],
     ) -> int:
         """Sort the records of ``containers`` that start at ``offset``; returns the offset behind them."""
-        size_of = self._sizes.record
+        sizes = self._sizes
         for container in containers:
             kind = self._kinds[container.ic_type]
-            offset += self._sizes.ic_header
-            found = records[kind]
+            offset += sizes.ic_header
             ##= VD-RX-09
-            for record in container.records:
+            found, listed = records[kind], container.records
+            if (size := sizes.fixed[kind]) is not None:
+                found.extend(zip(count(offset, size), listed, strict=False))
+                offset += size * len(listed)
+                continue
+            for record in listed:
                 found.append((offset, record))
-                offset += size_of(kind, record)
+                offset += sizes.record(kind, record)
         return offset
 
 

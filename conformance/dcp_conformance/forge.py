@@ -21,25 +21,13 @@ from dcp_codec.values import (
     Container,
     ExtendedSafetyData,
     Payload,
-    VarCreate,
     VarDelete,
     VardisRecord,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSumm,
-    VarUpdate,
 )
 
-Lies = Mapping[str, int | bytes]
+from .heard import KIND_OF
 
-_KINDS: dict[type, ICType] = {
-    VarSumm: ICType.SUMMARIES,
-    VarUpdate: ICType.UPDATES,
-    VarReqUpdate: ICType.REQUEST_VARUPDATES,
-    VarReqCreate: ICType.REQUEST_VARCREATES,
-    VarCreate: ICType.CREATE_VARIABLES,
-    VarDelete: ICType.DELETE_VARIABLES,
-}
+Lies = Mapping[str, int | bytes]
 
 
 class Block(NamedTuple):
@@ -77,7 +65,7 @@ class Forge:
 
         ``lies`` are paths below the container: ``{"records[0].upd.value.length": 200}``.
         """
-        honest = self.codec.encode_containers((Container(self.ic_type(_KINDS[type(records[0])]), tuple(records)),))
+        honest = self.codec.encode_containers((Container(self.ic_type(KIND_OF[type(records[0])]), tuple(records)),))
         wrong = {f"[0].{path}": value for path, value in (lies or {}).items()}
         if count is not None:
             wrong["[0].icNumRecords"] = count

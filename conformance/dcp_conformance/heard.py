@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, NamedTuple
 
 from dcp_spec.constants import ICType
-from dcp_spec.profile import ContainerTypes
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, Problem
-from dcp_codec.values import Beacon, Container, ExtendedSafetyData
+from dcp_codec.values import (
+    Beacon,
+    Container,
+    ExtendedSafetyData,
+    VarCreate,
+    VarDelete,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSumm,
+    VarUpdate,
+)
+
+KIND_OF: Final[Mapping[type, ICType]] = {
+    VarSumm: ICType.SUMMARIES,
+    VarUpdate: ICType.UPDATES,
+    VarReqUpdate: ICType.REQUEST_VARUPDATES,
+    VarReqCreate: ICType.REQUEST_VARCREATES,
+    VarCreate: ICType.CREATE_VARIABLES,
+    VarDelete: ICType.DELETE_VARIABLES,
+}
+"""The container that a record stands in, whatever numbers a profile has for containers."""
 
 
 class Instruction(NamedTuple):
@@ -50,13 +68,12 @@ class Heard:
             self.problem = error.problem
         self.sender: bytes | None = self._sender(codec)
         """The node identifier in the beacon, where there is one."""
-        self._instructions = tuple(self._taken_apart(codec))
+        self._instructions = tuple(self._taken_apart())
 
-    def _taken_apart(self, codec: Codec) -> Iterator[Instruction]:
-        kinds = _kinds(codec.profile.vardis.container_types)
+    def _taken_apart(self) -> Iterator[Instruction]:
         for number, container in enumerate(self.containers):
             for position, record in enumerate(container.records):
-                yield Instruction(self, number, position, kinds[container.ic_type], record)
+                yield Instruction(self, number, position, KIND_OF[type(record)], record)
 
     def _sender(self, codec: Codec) -> bytes | None:
         if self.beacon is not None:
@@ -112,12 +129,6 @@ class Heard:
     def about(self, kind: ICType, var_id: int) -> Any | None:
         """The first record of that kind about a variable, or None."""
         return next((each.record for each in self.instructions(kind, var_id)), None)
-
-
-@functools.lru_cache(maxsize=16)
-def _kinds(types: ContainerTypes) -> dict[int, ICType]:
-    """Number of a container type in a profile -> what it holds."""
-    return {number: ICType[label.replace("-", "_")] for label, number in types.by_name().items()}
 
 
 def var_id_of(record: Any) -> int:

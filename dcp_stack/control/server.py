@@ -192,7 +192,7 @@ class ControlServer:
     def __init__(self, node: Node, *, runtime: Callable[[], dict[str, Any]] = dict) -> None:
         """``runtime`` tells UT-Status about what is around the node."""
         self.node = node
-        self.drops: Counter[str] = Counter()
+        self._dropped: Counter[tuple[str, str]] = Counter()
         self.pressing = False
         """Much waits for a client. The transport should send before it lets more happen, and set this back."""
         self._runtime = runtime
@@ -204,6 +204,11 @@ class ControlServer:
     def sessions(self) -> tuple[ControlSession, ...]:
         """The open sessions."""
         return tuple(self._sessions)
+
+    @property
+    def drops(self) -> dict[str, int]:
+        """How often something received was ignored, by ``layer/reason``."""
+        return {f"{layer}/{reason}": number for (layer, reason), number in self._dropped.items()}
 
     @property
     def listening(self) -> bool:
@@ -246,16 +251,18 @@ class ControlServer:
             self._owners.pop(params.prot_id, None)
         elif call.method == "UT-Reset":
             self._owners.clear()
-            self.drops.clear()
+            self._dropped.clear()
         self.node.settle(times.now, times.wall)
         return result
 
     def indicate(self, effects: Iterable[Effect], *, now: int, wall: int) -> None:
         """Tell those whom it concerns what the node did; drops are counted."""
         for effect in effects:
+            if type(effect) is Dropped:
+                # Most of what there is: each record of a beacon that says nothing new.
+                self._dropped[effect.layer, effect.reason] += 1
+                continue
             match effect:
-                case Dropped():
-                    self.drops[f"{effect.layer}/{effect.reason}"] += 1
                 case PayloadReceived():
                     self._indicate_reception(effect)
                 case PayloadTransmitted():

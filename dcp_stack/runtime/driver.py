@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol
 
 from dcp_stack.config import MS
 from dcp_stack.control.server import ControlServer
-from dcp_stack.effects import Effect, NeighbourExpired, NeighbourSeen, SendBeacon
+from dcp_stack.effects import Dropped, Effect, NeighbourExpired, NeighbourSeen, SendBeacon
 from dcp_stack.links.base import Link, TimedLink
 from dcp_stack.links.recording import Recorder
 from dcp_stack.neighbour_file import NeighbourFileWriter
@@ -251,6 +251,9 @@ class Driver:
 
     def _carry_out(self, effects: list[Effect], now: int, wall: int) -> None:
         for effect in effects:
+            if type(effect) is Dropped:
+                # Most of what there is.
+                continue
             if isinstance(effect, SendBeacon):
                 self.link.send(effect.octets)
             elif isinstance(effect, _NEIGHBOURS):

@@ -52,3 +52,13 @@ def test_nothing_is_owed_of_a_variable_that_is_repeated_no_times():
     spec = VarSpec(4, PEER, 0, b"d")
     old.hear([VarCreate(spec, VarUpdate(4, 0, b"v"))], 0, 1)
     assert old.overdue(1000) == []
+
+
+def test_a_creation_before_the_epoch_of_the_clock_is_one():
+    oracle = Oracle(OWN, features(SpecVersion.V2_0), 1, Limits(32, 32, 15), latency=16, window=40)
+    for creation in (-(1 << 63), -5, 0):
+        spec = VarSpec(4, PEER, 1, b"d", creation, 0)
+        oracle.hear([VarCreate(spec, VarUpdate(4, 0, b"v"))], 0, 1)
+        version = oracle.certain(4)
+        assert version is not None
+        assert version.spec == spec

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 from dcp_spec.profile_loading import profile_names
 
 from dcp_codec import Codec
 from dcp_codec.values import Container, VarDelete
-from dcp_stack.config import NodeConfig, sizes
+from dcp_stack.config import BPConfig, NodeConfig, VardisConfig
+from dcp_stack.vardis_parameters import VardisParameters
 
 
 def config(profile: str, **rest: object) -> NodeConfig:
@@ -26,13 +28,13 @@ def config(profile: str, **rest: object) -> NodeConfig:
     ],
 )
 def test_sizes_of_records(profile, header, block, spec):
-    found = sizes(config(profile))
+    found = config(profile).sizes
     assert (found.bp_header, found.bp_payload_header, found.var_spec_fixed) == (header, block, spec)
 
 
 @pytest.mark.parametrize("profile", profile_names())
 def test_every_profile_has_sizes(profile):
-    assert sizes(config(profile)).version == Codec(profile).profile.spec_version
+    assert config(profile).sizes.version == Codec(profile).profile.spec_version
 
 
 @pytest.mark.parametrize("profile", profile_names())
@@ -41,7 +43,7 @@ def test_a_container_has_the_octets_that_fitting_counts_on(profile):
     found, codec = config(profile), Codec(profile)
     delete = codec.profile.vardis.container_types.by_name()["DELETE-VARIABLES"]
     octets = codec.encode_containers((Container(delete, (VarDelete(1),)),))
-    assert len(octets) == sizes(found).ic_header + codec.profile.types.var_id.width
+    assert len(octets) == found.sizes.ic_header + codec.profile.types.var_id.width
 
 
 def test_readings_are_chosen_by_name():
@@ -58,3 +60,39 @@ def test_readings_that_do_not_exist_are_refused(readings):
 def test_a_node_id_of_another_width_is_refused():
     with pytest.raises(ValueError, match="has 3 octets, not 6"):
         NodeConfig(node_id=b"abc", codec=Codec("dcp-2.0"))
+
+
+def test_what_follows_from_a_configuration_is_found_out_once_and_anew_for_another():
+    asked: list[NodeConfig] = []
+
+    def find(found: NodeConfig) -> int:
+        asked.append(found)
+        return found.bp.beacon_period_ms
+
+    first = config("dcp-2.0")
+    assert (first.once(find), first.once(find), len(asked)) == (100, 100, 1)
+    assert first.sizes is first.sizes
+    other = msgspec.structs.replace(
+        first, bp=BPConfig(beacon_period_ms=50, max_packet_size=300), readings={"X02": "frame-size"}
+    )
+    assert (other.once(find), len(asked)) == (50, 2)
+    assert (other.sizes.max_packet_size, other.reading("X02"), first.reading("X02")) == (
+        300,
+        "frame-size",
+        "length-field",
+    )
+
+
+def test_what_cannot_be_found_out_is_told_each_time():
+    wrong = config("dcp-2.0", vardis=VardisConfig(max_repetitions=0))
+    for _ in range(2):
+        with pytest.raises(ValueError, match="VARDISPAR_MAX_REPETITIONS"):
+            VardisParameters(wrong)
+
+
+def test_parameters_of_nodes_with_one_configuration_are_their_own():
+    shared = config("dcp-2.0")
+    one, other = VardisParameters(shared), VardisParameters(shared)
+    assert one.set("VARDISPAR_MAX_SUMMARIES", 3) is None
+    assert (one.max_summaries, other.max_summaries == 3) == (3, False)
+    assert VardisParameters(shared).max_summaries == other.max_summaries

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from typing import Final
 
 import msgspec
-from dcp_spec.constants import ICType, features
+from dcp_spec.constants import features
 
 from dcp_codec.codec import Codec
 from dcp_codec.dissect import dissect
@@ -25,13 +25,24 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_conformance.circular import Circle
+from dcp_conformance.heard import KIND_OF
 from dcp_conformance.oracle import Limits, Oracle, Version
+from dcp_conformance.oracle.knowledge import NO_CREATION
 
 from .steps import Effect
 
 #: How old a payload may be when it is seen on the air, and how long a reaction may take, in beacon periods.
 LATENCY, WINDOW = 1.6, 8.0
 
+#: Records, by what they are called in what was reached.
+_NAMES: Final = {
+    VarCreate: "create",
+    VarDelete: "delete",
+    VarUpdate: "update",
+    VarSumm: "summary",
+    VarReqUpdate: "request-update",
+    VarReqCreate: "request-create",
+}
 #: What octets break that no node may take anything of.
 _IGNORED = frozenset({"BP-RX-01", "BP-RX-02"})
 
@@ -51,14 +62,23 @@ class Observer:
         network: int | None,
         limits: Limits | None = None,
         window: float = WINDOW,
+        scrubbing: int | None = None,
+        room: int | None = None,
     ) -> None:
         """``period``: of beacons, ns. ``network``: of the node, None where beacons name none.
 
-        ``window``: beacon periods until something that is owed must have been said.
+        ``window``: beacon periods until something that is owed must have been said. ``scrubbing``: the node's period
+        of scrubbing in ns, None leaves variables with a timeout in doubt. ``room``: octets of its largest VarDis
+        payload; None if that is not known, and it is not known either when all has been said.
         """
         self.codec = codec
         self.own_id = own_id
         self.reached: Counter[tuple[str, str]] = Counter()
+        self._damaged = b""
+        self._named: tuple[set[int], int] = set(), NO_CREATION
+        """What the last damaged beacon was, which often comes again and again, and what it named."""
+        self.requested: set[int] = set()
+        """Variables that the node has requested."""
         profile = codec.profile
         self._skips = profile.behaviour.vardis_receive_error == "skip-element"
         self._id_width, self._id_order = profile.types.var_id.width, profile.types.var_id.byte_order
@@ -75,14 +95,18 @@ class Observer:
             limits,
             latency=self._latency,
             window=round(window * period),
+            scrubbing=scrubbing,
         )
-        numbers = profile.vardis.container_types.by_name()
-        self._kinds = {numbers[kind.label]: kind for kind in ICType}
+        self._judges_timeouts = scrubbing is not None
+        # In half of a payload there is room for any record.
+        self._roomy = 0 if room is None else room // 2
 
     # -- what the node hears -----------------------------------------------------------------------------------
 
     def hears(self, octets: bytes, time: int, number: int) -> list[int]:
         """The node has received this bearer payload; the variables that it is about."""
+        if octets == self._damaged:
+            return self._doubtful(octets)
         try:
             beacon = self.codec.decode(octets)
         except DecodeError as error:
@@ -111,15 +135,28 @@ class Observer:
 
     def _doubtful(self, octets: bytes) -> list[int]:
         """What a node takes of a damaged beacon is open (X34)."""
-        for each in dissect(self.codec.beacon_plan, octets).root.walk():
-            if each.name == "varId" and isinstance(each.value, int):
-                self.oracle.doubt(each.value)
-                self.reached["any", "damaged"] += 1
+        if octets != self._damaged:
+            self._damaged, self._named = octets, self._names_in(octets)
+        ids, latest = self._named
+        for var_id in ids:
+            self.oracle.doubt(var_id, latest)
+            self.reached["any", "damaged"] += 1
         if self._skips:
             # Who goes on behind what is wrong may find a record anywhere.
             for start in range(len(octets) - self._id_width + 1):
                 self.oracle.doubt(int.from_bytes(octets[start : start + self._id_width], self._id_order))
         return []
+
+    def _names_in(self, octets: bytes) -> tuple[set[int], int]:
+        """The variables that a damaged beacon is about, and the latest creation that a node may take of it."""
+        ids, latest = set[int](), NO_CREATION
+        for each in dissect(self.codec.beacon_plan, octets).root.walk():
+            if isinstance(each.value, int):
+                if each.name == "varId":
+                    ids.add(each.value)
+                elif each.name == "creationTime":
+                    latest = max(latest, each.value)
+        return ids, latest
 
     def _payload(self, containers: tuple[Container, ...], time: int, number: int) -> list[int]:
         records: list[VardisRecord] = [record for container in containers for record in container.records]
@@ -127,7 +164,11 @@ class Observer:
         for record in records:
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             touched.append(var_id)
-            self._note(record, var_id)
+            known = self.oracle.variables.get(var_id)
+            if known is None or known.now.state == "unknown":
+                self.reached["unknown", _NAMES[type(record)]] += 1
+            else:
+                self.reached[self._state(known.now), self._message(record, known.now)] += 1
             if isinstance(record, VarCreate):
                 self._open_questions(record)
             if self._features.removed_after_deletion and self._was_deleted(var_id):
@@ -148,51 +189,35 @@ class Observer:
     def _open_questions(self, record: VarCreate) -> None:
         """What a node makes of these is left open, or depends on its clock."""
         spec = record.spec
+        creation = spec.creation_time or 0
         if record.upd.var_id != spec.var_id:
-            self.oracle.doubt(spec.var_id)
-            self.oracle.doubt(record.upd.var_id)
-        if spec.timeout:
+            self.oracle.doubt(spec.var_id, creation)
+            self.oracle.doubt(record.upd.var_id, creation)
+        if spec.timeout and not self._judges_timeouts:
             self.oracle.doubt(spec.var_id)
         known = self.oracle.variables.get(spec.var_id)
         own = known.now.spec if known is not None else None
         if own is not None and own.prod_id == self.own_id and own.creation_time is None and self.compares_creations:
             self.oracle.doubt(spec.var_id)
 
-    def _note(self, record: VardisRecord, var_id: int) -> None:
-        known = self.oracle.variables.get(var_id)
-        version = known.now if known is not None else None
-        self.reached[self._state(version), self._message(record, version)] += 1
-
-    def _state(self, version: Version | None) -> str:
-        if version is None or version.state == "unknown":
-            return "unknown"
+    def _state(self, version: Version) -> str:
         own = version.spec is not None and version.spec.prod_id == self.own_id
         return f"{version.state} {'own' if own else 'foreign'}"
 
-    def _message(self, record: VardisRecord, version: Version | None) -> str:
-        match record:
-            case VarDelete():
-                return "delete"
-            case VarReqCreate():
-                return "request-create"
-            case VarCreate():
-                return f"create {self._compared(record, version)}".rstrip()
-            case VarUpdate():
-                name = "update"
-            case VarSumm():
-                name = "summary"
-            case VarReqUpdate():
-                name = "request-update"
-        if version is None or version.state == "unknown":
+    def _message(self, record: VardisRecord, version: Version) -> str:
+        name = _NAMES[type(record)]
+        if isinstance(record, VarDelete | VarReqCreate):
             return name
+        if isinstance(record, VarCreate):
+            return f"{name} {self._compared(record, version)}".rstrip()
         if record.seqno == version.seqno:
             return f"{name} equal"
         if self._circle.newer(record.seqno, version.seqno):
             return f"{name} newer"
         return f"{name} older" if self._circle.newer(version.seqno, record.seqno) else f"{name} opposite"
 
-    def _compared(self, record: VarCreate, version: Version | None) -> str:
-        if version is None or version.spec is None or record.spec.creation_time is None:
+    def _compared(self, record: VarCreate, version: Version) -> str:
+        if version.spec is None or record.spec.creation_time is None:
             return ""
         before = version.spec.creation_time or 0
         if record.spec.creation_time == before:
@@ -219,32 +244,24 @@ class Observer:
             return Effect("bad-beacon", f"a beacon of {beacon.bp.sender_id.hex(':')}", step, "sender")
         for payload in beacon.payloads:
             if isinstance(payload.content, tuple):
-                effect = self._judged(payload.content, time, number, step)
+                effect = self._judged(payload.content, len(octets) <= self._roomy, time, number, step)
                 if effect is not None:
                     return effect
         return None
 
-    def _judged(self, containers: tuple[Container, ...], time: int, number: int, step: int) -> Effect | None:
-        said = [(self._kinds[each.ic_type], record) for each in containers for record in each.records]
-        for each in self.oracle.said(said, time, number):
-            if each.requirement == "VD-SCP-02" and self._hasty(each.var_id):
-                continue
+    def _judged(
+        self, containers: tuple[Container, ...], roomy: bool, time: int, number: int, step: int
+    ) -> Effect | None:
+        said = [(KIND_OF[type(record)], record) for each in containers for record in each.records]
+        self.requested.update(record.var_id for _, record in said if isinstance(record, VarReqCreate))
+        for each in self.oracle.said(said, time, number, roomy=roomy):
             detail = f"variable {each.var_id}: expected {each.expected}, said {each.observed}"
             return Effect("said", detail, step, each.requirement)
         return None
 
-    def _hasty(self, var_id: int) -> bool:
-        """Whether a payload about an earlier life of a variable may have been counted for its present one."""
-        versions = self.oracle.variables[var_id].versions
-        stamps = [version.since for version in versions]
-        if any(after - before < self._latency for before, after in itertools.pairwise(stamps)):
-            return True
-        lives = [(version.state, version.seqno) for version in versions]
-        return len(set(lives)) < len(lives)
-
-    def certain(self, var_ids: Iterable[int]) -> Iterable[tuple[int, Version]]:
-        """What the model says of these variables, as far as it is sure."""
+    def certain(self, var_ids: Iterable[int], time: int | None = None) -> Iterator[tuple[int, Version]]:
+        """What the model says of these variables at a time (None: now), as far as it is sure."""
         for var_id in var_ids:
-            variable = self.oracle.variables.get(var_id)
-            if variable is not None and not variable.uncertain:
-                yield var_id, variable.now
+            version = self.oracle.certain(var_id, time)
+            if version is not None:
+                yield var_id, version

@@ -5,6 +5,7 @@ Every sequence is drawn by a seeded generator and stands for itself: it begins a
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -90,11 +91,13 @@ class Sequences:
             (0.4, "all-variables", self.all_variables),
             (1, "largest", self.largest),
         ]
+        if "timeout" in profile.vardis.var_spec:
+            self._kinds.append((6, "soft-state", self.soft_state))
         if codec.report_plan is not None:
             self._kinds.append((15, "reports", self.reports))
         if recorded:
             self._kinds.append((10, "recording", self.recording))
-        self._weights = [weight for weight, _, _ in self._kinds]
+        self._weights = list(itertools.accumulate(weight for weight, _, _ in self._kinds))
         self.last = ""
         """The kind of the last sequence."""
 
@@ -103,7 +106,7 @@ class Sequences:
         if self.codec.report_plan is not None and self.rng.random() < 0.0002:
             self.last = "neighbour-flood"
             return self.neighbour_flood()
-        _, self.last, kind = self.rng.choices(self._kinds, self._weights)[0]
+        _, self.last, kind = self.rng.choices(self._kinds, cum_weights=self._weights)[0]
         return kind()
 
     def keep(self, steps: list[Step]) -> None:
@@ -178,10 +181,11 @@ class Sequences:
         )
         return VarCreate(spec, VarUpdate(var_id, seqno, self.value()))
 
-    def good_create(self, var_id: int, **more: Any) -> VarCreate:
-        """A VarCreate that every node has to take."""
+    def good_create(self, var_id: int, *, timeout: int = 0, **more: Any) -> VarCreate:
+        """A VarCreate that every node has to take; ``timeout`` in ms."""
         made = self.create(var_id, **more)
-        spec = VarSpec(var_id, made.spec.prod_id, 2, b"good", made.spec.creation_time, made.spec.timeout)
+        until = None if made.spec.timeout is None else timeout
+        spec = VarSpec(var_id, made.spec.prod_id, 2, b"good", made.spec.creation_time, until)
         return VarCreate(spec, VarUpdate(var_id, made.upd.seqno, b"good"))
 
     def seqno(self, around: int = 0) -> int:
@@ -286,6 +290,27 @@ class Sequences:
             found.append(self.frame(*records, peer=self.rng.randrange(1, 4)))
             found += self.pause()
         return found
+
+    def soft_state(self) -> list[Step]:
+        """A variable that lives as long as there are updates of it, and other things to be heard."""
+        var_id, number, time = self.var_id(), self.seqno(), _CREATION
+        timeout = self.rng.choice((100, 300, 700, 1200))
+        found: list[Step] = [self.frame(self.good_create(var_id, seqno=number, timeout=timeout))]
+        for _ in range(self.rng.randrange(1, 5)):
+            found.append(Wait(self.rng.choice((0.5, 2.0, 5.0, 11.0))))
+            number, time = (number + 1) % self._modulus, time + self.rng.randrange(2)
+            record = self.rng.choice(
+                (
+                    VarUpdate(var_id, number, b"alive"),
+                    VarUpdate(var_id, number, b"alive"),
+                    VarSumm(var_id, (number - 1) % self._modulus),
+                    VarReqCreate(var_id),
+                    VarDelete(var_id),
+                    self.good_create(var_id, seqno=number, timeout=timeout, creation=time),
+                )
+            )
+            found.append(self.frame(record, peer=self.rng.randrange(1, 3)))
+        return [*found, Wait(self.rng.choice((2.0, 25.0)))]
 
     def two_producers(self) -> list[Step]:
         """Two stations that both think a variable is theirs."""

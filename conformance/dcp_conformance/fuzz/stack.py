@@ -10,7 +10,7 @@ import contextlib
 import signal
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import FrameType
 from typing import Any
 
@@ -18,6 +18,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.values import VarSumm
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.forge import Forge
+from dcp_conformance.oracle import Version
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
 
 from .observing import Observer
@@ -25,10 +26,45 @@ from .steps import Call, Effect, Frame, Step, Wait
 
 #: Seconds of CPU time for one sequence; those that are thousands of frames long take the most.
 TIME_LIMIT = 8.0
+#: ns in a millisecond.
+_MS = 1_000_000
 #: Beacon periods until a probe must be answered, behind everything else that a full database has to say.
 _PATIENCE = 300
 #: Beacons of a node that may have no place for a probe's answer.
 _PROBER = b"\x02\xdc\x91\x00\x00\x01"
+
+
+def observer_of(config: Any) -> Observer:
+    """A model of a node with this configuration."""
+    profile, vardis = config.profile, config.vardis
+    return Observer(
+        config.codec,
+        config.node_id,
+        config.bp.beacon_period_ms * _MS,
+        network=profile.bp.network_id,
+        scrubbing=None if vardis is None else vardis.scrubbing_period_ms * _MS,
+        room=profile.limits.max_vardis_payload,
+    )
+
+
+def difference(vardis: Any, certain: Iterable[tuple[int, Version]], own_id: bytes) -> str | None:
+    """In what a VarDis entity differs from what a model is certain of; None if in nothing."""
+    for var_id, version in certain:
+        entry = vardis.describe_variable(var_id).entry
+        alive = entry is not None and not entry.is_deleted
+        if alive != (version.state == "alive"):
+            observed = "alive" if alive else "not alive"
+            return f"variable {var_id} is {observed}, where the model has it {version.state}"
+        if not alive:
+            continue
+        if (entry.seqno, entry.value) != (version.seqno, version.value):
+            held = f"number {entry.seqno} value {entry.value.hex()!r}"
+            expected = f"number {version.seqno} value {version.value.hex()!r}"
+            return f"variable {var_id} has {held}, where the model has {expected}"
+        spec = version.spec
+        if spec is not None and spec.prod_id != own_id and entry.spec != spec:
+            return f"variable {var_id} has other attributes than the model"
+    return None
 
 
 class Overtime(BaseException):
@@ -74,16 +110,18 @@ class StackTarget:
         self._seed = seed
         self._time_limit = time_limit
         self._forge = Forge(codec)
-        self._period = self.config.bp.beacon_period_ms * 1_000_000
+        self._period = self.config.bp.beacon_period_ms * _MS
         self._network = codec.profile.bp.network_id
         self._most = codec.profile.limits.max_beacon_size
         self.observer = self._observer()
         """What watched the last sequence."""
         self.frames = 0
         """Frames that were delivered in all."""
+        self._probes: dict[int, bytes] = {}
+        """The beacons that probe it, by variable."""
 
     def _observer(self) -> Observer:
-        return Observer(self.codec, self.own_id, self._period, network=self._network)
+        return observer_of(self.config)
 
     def run(self, steps: list[Step]) -> Effect | None:
         """See :class:`~dcp_conformance.fuzz.steps.Target`."""
@@ -148,30 +186,16 @@ class StackTarget:
 
     def _compare(self, var_ids: list[int], at: int) -> Effect | None:
         """What the node holds of these variables, against the model."""
-        vardis = self._sut.node.vardis
-        for var_id, version in self.observer.certain(dict.fromkeys(var_ids)):
-            entry = vardis.describe_variable(var_id).entry
-            alive = entry is not None and not entry.is_deleted
-            if alive != (version.state == "alive"):
-                observed = "alive" if alive else "not alive"
-                return Effect("state", f"variable {var_id} is {observed}, where the model has it {version.state}", at)
-            if not alive:
-                continue
-            if (entry.seqno, entry.value) != (version.seqno, version.value):
-                held = f"number {entry.seqno} value {entry.value.hex()!r}"
-                expected = f"number {version.seqno} value {version.value.hex()!r}"
-                return Effect("state", f"variable {var_id} has {held}, where the model has {expected}", at)
-            spec = version.spec
-            if spec is not None and spec.prod_id != self.own_id and entry.spec != spec:
-                return Effect("state", f"variable {var_id} has other attributes than the model", at)
-        return None
+        certain = self.observer.certain(dict.fromkeys(var_ids), self._sut.now)
+        different = difference(self._sut.node.vardis, certain, self.own_id)
+        return None if different is None else Effect("state", different, at)
 
     # -- services ----------------------------------------------------------------------------------------------
 
     def _call(self, step: Call, at: int) -> tuple[Effect | None, list[int]]:
         sut, oracle = self._sut, self.observer.oracle
         if self._upper is None:
-            self._upper = sut.upper_tester()
+            self._upper = VirtualUpperTester(sut, greet=False)
         try:
             answer = self._upper.call(step.method, step.params)
         except UpperTesterError:
@@ -202,9 +226,9 @@ class StackTarget:
     def _unbounded(self, node: Any, at: int) -> Effect | None:
         """Whether queues hold more than there are variables."""
         most = 1 << (8 * min(self.codec.profile.types.var_id.width, 2))
-        for name, queue in node.vardis.snapshot()["queues"].items():
-            if len(queue) > min(most, 4096):
-                return Effect("unbounded", f"{name} has {len(queue)} entries", at, name)
+        for name, length in node.vardis.queue_lengths().items():
+            if length > min(most, 4096):
+                return Effect("unbounded", f"{name} has {length} entries", at, name)
         return None
 
     def _probed(self, sut: InProcess, at: int) -> Effect | None:
@@ -214,15 +238,9 @@ class StackTarget:
         var_id = next((number for number in range(top, -1, -1) if number not in known), None)
         if var_id is None:
             return self._wait(2.0, at)
-        profile = self.codec.profile
-        sender = _PROBER.hex(":").encode() if profile.types.node_id.representation == "text" else _PROBER
-        width = profile.types.node_id.width
-        octets = self._forge.beacon(
-            sender if profile.types.node_id.representation == "text" else sender[-width:].rjust(width, b"\2"),
-            1,
-            [self._forge.vardis(VarSumm(var_id, 1))],
-            network_id=self._network if profile.has_header_field("networkId") else None,
-        )
+        octets = self._probes.get(var_id)
+        if octets is None:
+            octets = self._probes[var_id] = self._probe(var_id)
         self.observer.hears(octets, sut.now, self._number)
         sut.deliver(octets)
         until = sut.now + _PATIENCE * self._period
@@ -231,19 +249,21 @@ class StackTarget:
             effect = self._died(at)
             if effect is not None:
                 return effect
-            answered = any(self._requests(arrival.octets, var_id) for arrival in sut.arrivals)
             effect = self._drained(at)
-            if effect is not None or answered:
+            if effect is not None or var_id in self.observer.requested:
                 return effect
         return Effect("mute", "VarDis does not answer a summary of a variable that it cannot know", at)
 
-    def _requests(self, octets: bytes, var_id: int) -> bool:
-        from dcp_spec.constants import ICType
-
-        from dcp_conformance.heard import Heard
-
-        heard = Heard(self.codec, 0, 0, 0, octets, b"")
-        return heard.about(ICType.REQUEST_VARCREATES, var_id) is not None
+    def _probe(self, var_id: int) -> bytes:
+        profile = self.codec.profile
+        width = profile.types.node_id.width
+        text = profile.types.node_id.representation == "text"
+        return self._forge.beacon(
+            _PROBER.hex(":").encode() if text else _PROBER[-width:].rjust(width, b"\2"),
+            1,
+            [self._forge.vardis(VarSumm(var_id, 1))],
+            network_id=self._network if profile.has_header_field("networkId") else None,
+        )
 
 
 def _overtime(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
@@ -265,4 +285,4 @@ def limited(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGVTALRM, before)
 
 
-__all__ = ["TIME_LIMIT", "Overtime", "StackTarget", "limited"]
+__all__ = ["TIME_LIMIT", "Overtime", "StackTarget", "difference", "limited", "observer_of"]

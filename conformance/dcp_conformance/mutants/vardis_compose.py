@@ -83,7 +83,7 @@ class Ordered(Composer):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self._order = tuple((kind, self._queue(kind)) for kind in self.order)
+        self._order = tuple((kind, self._queues[kind]) for kind in self.order)
 
 
 @mutant("reversed", "VD-PAY-01", "composes containers in the reverse order")

@@ -10,9 +10,15 @@ from dcp_spec.constants import Features, ICType
 
 from dcp_codec.values import VarCreate, VarSpec
 
+from .repetitions import Repetitions
+
 State = Literal["unknown", "alive", "deleted"]
 #: Versions of a variable that are remembered: what it was a while ago.
 VERSIONS = 64
+#: A time that never comes, and one that was before all others.
+NEVER, EVER = 1 << 62, -(1 << 62)
+#: Earlier and later than any creation; times of some profiles are signed.
+NO_CREATION, ANY_CREATION = -(1 << 128), 1 << 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +57,24 @@ class Version(NamedTuple):
     value: bytes
 
 
+_UNKNOWN = Version(EVER, "unknown", None, 0, b"")
+
+
 @dataclass(slots=True)
 class Variable:
     """What the node holds of one variable, and held before."""
 
-    versions: deque[Version] = field(default_factory=lambda: deque(maxlen=VERSIONS))
-    armed: dict[tuple[ICType, int], int] = field(default_factory=dict)
-    """(kind, number) -> beacons that it may stand in."""
-    said: dict[tuple[ICType, int], int] = field(default_factory=dict)
+    versions: deque[Version] = field(default_factory=lambda: deque((_UNKNOWN,), VERSIONS))
+    repetitions: Repetitions = field(default_factory=Repetitions)
     uncertain: bool = False
+    settled: int = EVER
+    """When it became certain; what was composed before that is not judged."""
+    latest: int = NO_CREATION
+    """The latest creation that the node may hold of it, where creations have times."""
+    foreign: bool = False
+    """Whether the node surely has it as the variable of another node, alive or deleted."""
+    due: int = NEVER
+    """When its timeout passes."""
 
     @property
     def now(self) -> Version:

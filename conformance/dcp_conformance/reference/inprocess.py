@@ -40,6 +40,7 @@ class InProcess:
         self.now = 0
         self._seed = seed
         self._make = make
+        self._header = b"\xff" * 6 + ADDRESS + _ether_type(config).to_bytes(2, "big")
         self._sessions: list[VirtualUpperTester] = []
         self.arrivals: deque[Arrival] = deque()
         self.died = ""
@@ -66,9 +67,11 @@ class InProcess:
     def carry_out(self) -> None:
         """Do what the node wants done."""
         effects = self.node.take_effects()
+        if not effects:
+            return
         for effect in effects:
             if isinstance(effect, SendBeacon):
-                frame = b"\xff" * 6 + ADDRESS + _ether_type(self.config).to_bytes(2, "big") + effect.octets
+                frame = self._header + effect.octets
                 self.arrivals.append(Arrival(self.now, self.wall(), effect.octets, frame, ADDRESS))
         self.server.indicate(effects, now=self.now, wall=self.wall())
 
@@ -178,7 +181,8 @@ class VirtualLowerTester:
 class VirtualUpperTester:
     """A connection to the services of a node in process: the same messages as over a socket."""
 
-    def __init__(self, sut: InProcess) -> None:
+    def __init__(self, sut: InProcess, *, greet: bool = True) -> None:
+        """``greet``: ask at once what it can be asked for; otherwise nobody knows."""
         self.name = "in process"
         self._sut = sut
         self._last_id = 0
@@ -187,8 +191,9 @@ class VirtualUpperTester:
         self.connect()
         self.about: dict[str, Any] = {}
         self.methods: frozenset[str] = frozenset({"UT-Hello"})
-        self.about = self.call("UT-Hello", {}).result
-        self.methods = frozenset(self.about.get("methods", ()))
+        if greet:
+            self.about = self.call("UT-Hello", {}).result
+            self.methods = frozenset(self.about.get("methods", ()))
 
     def connect(self) -> None:
         """Open the connection, again after a restart."""

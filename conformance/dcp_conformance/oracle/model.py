@@ -1,0 +1,353 @@
+"""What a node holds of its variables, and what it has to say of them, after what it has heard.
+
+This is the table of variable states (protocol reference C.5; dcp-vardis.md: Receive Path) as it looks from outside.
+
+Octets that are no VarDis payload, and what the specification leaves open, make the variables concerned *uncertain*
+until something happens after which there is one state whatever it was before. That is a creation by the node itself, a
+creation later than all that it may have heard of, and the deletion of what is surely the variable of somebody else; and
+for a variable whose timeout has passed, the end of the next scrubbing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from dcp_spec.constants import Features, ICType
+
+from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
+from dcp_conformance.circular import Circle
+
+from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Owed, Variable, Version
+from .repetitions import Key
+
+# Names of the module: they are compared with for each record.
+_CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
+_SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
+_UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
+#: The order in which records of a payload are processed.
+_ORDER = {VarCreate: 0, VarDelete: 1, VarUpdate: 2, VarSumm: 3, VarReqUpdate: 4, VarReqCreate: 5}
+DELETION: Final = (_DELETES, 0)
+#: ns in a millisecond, the unit of timeouts.
+_MS = 1_000_000
+
+
+def _place(record: VardisRecord) -> int:
+    return _ORDER[type(record)]
+
+
+class Model:
+    """The variables of one node. Times are ns of any clock, as long as it is always the same."""
+
+    def __init__(
+        self,
+        own_id: bytes,
+        features: Features,
+        seqno_width: int,
+        limits: Limits,
+        *,
+        latency: int,
+        window: int,
+        scrubbing: int | None = None,
+    ) -> None:
+        """``latency``: how old a payload may be when it is seen. ``window``: how long a reaction may take.
+
+        ``scrubbing``: the node's VARDISPAR_SCRUBBING_PERIOD; None leaves timeouts out of account.
+        """
+        self.own_id = own_id
+        self.variables: dict[int, Variable] = {}
+        self._features = features
+        self._circle = Circle(seqno_width)
+        self._limits = limits
+        self._latency = latency
+        self._window = window
+        self._scrubbing = scrubbing if features.creation_time else None
+        self._owed: dict[int, list[Owed]] = {}
+        """By variable: there may be many, of many variables."""
+        self.occasions: Counter[str] = Counter()
+        """By requirement: how often there was something to be kept or broken."""
+        self._hear_one: dict[type, Callable[[Any, Variable, int, int], None]] = {
+            VarCreate: self._hear_create,
+            VarDelete: self._hear_delete,
+            VarUpdate: self._hear_update,
+            VarSumm: self._hear_summary,
+            VarReqUpdate: self._hear_update_request,
+            VarReqCreate: self._hear_create_request,
+        }
+
+    # -- what the node hears -----------------------------------------------------------------------------------
+
+    def hear(self, records: Sequence[VardisRecord], time: int, frame: int) -> None:
+        """A payload reaches the node: all records of it, in order."""
+        for record in records if len(records) == 1 else sorted(records, key=_place):
+            var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
+            variable = self._variable(var_id)
+            if time < variable.due or self._ageing(record, variable, var_id, time):
+                self._hear_one[type(record)](record, variable, time, frame)
+
+    def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
+        """A payload said something of a variable of which it is open whether the node has taken it.
+
+        ``creation``: the latest creation that the node may have taken, NO_CREATION if it was none.
+        """
+        variable = self._variable(var_id)
+        self._lose(variable)
+        variable.latest = max(variable.latest, creation)
+
+    def adopt(self, var_id: int, version: Version) -> None:
+        """The node was asked what it has of a variable: that is certain, and what is to be said of it is not known."""
+        variable = self.variables[var_id] = Variable()
+        self._become(variable, version)
+        variable.latest = _creation(version)
+        variable.foreign = version.state != "unknown" and not self._own(version)
+
+    def _hear_create(self, record: VarCreate, variable: Variable, time: int, frame: int) -> None:
+        spec, update = record.spec, record.upd
+        if spec.prod_id == self.own_id or not self._limits.acceptable(record, self._features):
+            return
+        known, creation = variable.now, spec.creation_time or 0
+        if self._features.creation_time:
+            if creation <= variable.latest:
+                # Not later than what the node has, unless that is something earlier.
+                if variable.latest != _creation(known):
+                    self._lose(variable)
+                return
+        elif variable.uncertain or known.state != "unknown":
+            if known.state == "deleted" and self._perhaps_gone(variable):
+                self._lose(variable)
+            return
+        self._regain(variable, time)
+        variable.latest, variable.foreign = creation, True
+        self._forget(spec.var_id)
+        variable.repetitions.clear()
+        self._become(variable, Version(time, "alive", spec, update.seqno, update.value))
+        if spec.var_id != update.var_id:
+            self._lose(variable)
+            variable.foreign = False
+        self._arm(_CREATES, spec.var_id, time, frame, "VD-PC-09")
+
+    def _hear_delete(self, record: VarDelete, variable: Variable, time: int, frame: int) -> None:
+        known = variable.now
+        if variable.uncertain and variable.foreign and self._features.creation_time:
+            # Alive or not, and of whatever creation: now it is deleted.
+            self._regain(variable, time)
+            variable.repetitions.clear()
+            variable.repetitions.arm(DELETION, self._limits.max_repetitions, time)
+            self._forget(record.var_id)
+            self._become(variable, known._replace(since=time, state="deleted"))
+        elif known.state == "alive" and not self._own(known):
+            self._forget(record.var_id)
+            self._become(variable, known._replace(since=time, state="deleted"))
+            self._arm(_DELETES, record.var_id, time, frame, "VD-PD-04")
+
+    def _hear_update(self, record: VarUpdate, variable: Variable, time: int, frame: int) -> None:
+        known = variable.now
+        if variable.uncertain:
+            return
+        if self._unknown(variable):
+            self._ask(_CREATE_REQUESTS, record.var_id, time, frame, "VD-PU-01")
+        elif known.state == "alive" and not self._own(known) and self._limits.fitting(record.value, self._features):
+            if self._circle.newer(record.seqno, known.seqno):
+                self._become(variable, Version(time, "alive", known.spec, record.seqno, record.value))
+                self._settle(_UPDATE_REQUESTS, record.var_id)
+                # Older numbers need not be said any more, also those that look newer once the circle has moved on.
+                self._settle(_UPDATES, record.var_id)
+                self._arm(_UPDATES, record.var_id, time, frame, "VD-PU-07")
+            elif self._circle.newer(known.seqno, record.seqno):
+                self._arm(_UPDATES, record.var_id, time, frame, "VD-PU-06")
+            elif record.seqno != known.seqno:
+                # Half the circle apart: neither newer nor older (X28).
+                self._lose(variable)
+
+    def _hear_summary(self, record: VarSumm, variable: Variable, time: int, frame: int) -> None:
+        known = variable.now
+        if variable.uncertain:
+            return
+        if self._unknown(variable):
+            self._ask(_CREATE_REQUESTS, record.var_id, time, frame, "VD-PS-01")
+        elif known.state == "alive" and record.seqno != known.seqno and not self._own(known):
+            if self._circle.newer(known.seqno, record.seqno):
+                self._arm(_UPDATES, record.var_id, time, frame, "VD-PS-03")
+            elif self._circle.newer(record.seqno, known.seqno):
+                self._ask(_UPDATE_REQUESTS, record.var_id, time, frame, "VD-PS-04")
+            else:
+                self._lose(variable)
+
+    def _hear_update_request(self, record: VarReqUpdate, variable: Variable, time: int, frame: int) -> None:
+        known = variable.now
+        if variable.uncertain:
+            return
+        if self._unknown(variable):
+            if self._features.rerequest_unknown:
+                self._ask(_CREATE_REQUESTS, record.var_id, time, frame, "VD-RU-01")
+        elif known.state == "alive" and record.seqno != known.seqno:
+            if self._circle.newer(known.seqno, record.seqno):
+                self._arm(_UPDATES, record.var_id, time, frame, "VD-RU-04")
+            elif not self._circle.newer(record.seqno, known.seqno):
+                self._lose(variable)
+
+    def _hear_create_request(self, record: VarReqCreate, variable: Variable, time: int, frame: int) -> None:
+        if variable.uncertain:
+            return
+        if self._unknown(variable):
+            if self._features.rerequest_unknown:
+                self._ask(_CREATE_REQUESTS, record.var_id, time, frame, "VD-RC-01")
+        elif variable.now.state == "alive":
+            self._arm(_CREATES, record.var_id, time, frame, "VD-RC-03")
+
+    # -- what its applications ask of it -----------------------------------------------------------------------
+
+    def created(self, spec: VarSpec, value: bytes, time: int) -> None:
+        """RTDB-Create was confirmed with OK; creations of others are compared with ``spec.creation_time``."""
+        self._forget(spec.var_id)
+        variable = self._variable(spec.var_id)
+        self._regain(variable, time)
+        variable.latest, variable.foreign = spec.creation_time or 0, False
+        variable.repetitions.clear()
+        self._become(variable, Version(time, "alive", spec, 0, value))
+        self._arm(_CREATES, spec.var_id, time, 0, "VD-CRE-12")
+
+    def updated(self, var_id: int, value: bytes, time: int) -> None:
+        """RTDB-Update was confirmed with OK."""
+        variable = self._own_alive(var_id, time)
+        known = variable.now
+        seqno = (known.seqno + 1) % self._circle.modulus
+        self._become(variable, Version(time, "alive", known.spec, seqno, value))
+        self._settle(_UPDATES, var_id)
+        self._arm(_UPDATES, var_id, time, 0, "VD-UPD-08")
+
+    def deleted(self, var_id: int, time: int) -> None:
+        """RTDB-Delete was confirmed with OK."""
+        variable = self._own_alive(var_id, time)
+        self._forget(var_id)
+        self._become(variable, variable.now._replace(since=time, state="deleted"))
+        self._arm(_DELETES, var_id, time, 0, "VD-DEL-05")
+
+    def _own_alive(self, var_id: int, time: int) -> Variable:
+        """A variable that the node has just shown to be alive and its own, so that nobody else has changed it."""
+        variable = self._variable(var_id)
+        if variable.now.state == "alive" and self._own(variable.now):
+            self._regain(variable, time)
+        return variable
+
+    # -- bookkeeping -------------------------------------------------------------------------------------------
+
+    def _variable(self, var_id: int) -> Variable:
+        variable = self.variables.get(var_id)
+        if variable is None:
+            variable = self.variables[var_id] = Variable()
+        return variable
+
+    def _become(self, variable: Variable, version: Version) -> None:
+        variable.versions.append(version)
+        variable.due = NEVER
+        if self._scrubbing is not None and version.state == "alive" and version.spec is not None:
+            timeout = version.spec.timeout
+            if timeout:
+                variable.due = version.since + timeout * _MS
+
+    def _lose(self, variable: Variable) -> None:
+        """From now on it is open what the node has."""
+        variable.uncertain = True
+        variable.due = NEVER
+
+    def _regain(self, variable: Variable, time: int) -> None:
+        """From now on it is certain again, if it was not or if its timeout had passed."""
+        if variable.uncertain or time >= variable.due:
+            variable.uncertain, variable.settled = False, time
+
+    def _ageing(self, record: VardisRecord, variable: Variable, var_id: int, time: int) -> bool:
+        """The node hears of a variable whose timeout has passed; False if that changes nothing, whatever it has."""
+        self._fade(variable, var_id, time)
+        if time < variable.due or isinstance(record, VarCreate):
+            return True
+        if self._own(variable.now) or not isinstance(record, VarUpdate | VarDelete):
+            return False
+        self._lose(variable)
+        return True
+
+    def _fade(self, variable: Variable, var_id: int, time: int) -> None:
+        """The timeout has passed: at the end of the next scrubbing the variable is deleted, until then it may be."""
+        gone = variable.due + (self._scrubbing or 0) + self._latency
+        self._forget(var_id)
+        if time <= gone:
+            return
+        known = variable.now
+        self._become(variable, known._replace(since=gone, state="deleted"))
+        variable.settled = gone
+        variable.repetitions.clear()
+        variable.repetitions.arm(DELETION, known.spec.rep_cnt if known.spec is not None else 0, gone)
+
+    def _arm(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
+        """The counter of an instruction is set: it may stand in repCnt beacons from now on, and must in one."""
+        variable = self.variables[var_id]
+        spec, seqno = variable.now.spec, variable.now.seqno
+        repetitions = spec.rep_cnt if spec is not None else 0
+        variable.repetitions.arm(key_of(kind, seqno), repetitions, time)
+        if repetitions > 0:
+            self._owe(kind, var_id, seqno, time, frame, requirement)
+
+    def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
+        """The node has a reason to ask: it may once more, and must if it is certain that the reason holds."""
+        variable = self.variables[var_id]
+        variable.repetitions.arm((kind, 0), 1, time)
+        if variable.now.state != "deleted":
+            seqno = variable.now.seqno if kind is _UPDATE_REQUESTS else 0
+            self._owe(kind, var_id, seqno, time, frame, requirement)
+
+    def _unknown(self, variable: Variable) -> bool:
+        """Whether the node does not have a variable, or perhaps no longer."""
+        state = variable.now.state
+        return state == "unknown" or (state == "deleted" and self._perhaps_gone(variable))
+
+    def _owe(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
+        self.occasions[requirement] += 1
+        owing = self._owed.get(var_id)
+        if owing is None:
+            self._owed[var_id] = [Owed(time + self._window, kind, var_id, seqno, requirement, frame)]
+            return
+        for owed in owing:
+            if owed.kind is kind and owed.seqno == seqno:
+                return
+        owing.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
+
+    def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
+        """Something was said, or need not be any more. A newer number does for an older one; a create for an update."""
+        owing = self._owed.get(var_id)
+        if not owing:
+            return
+        left = [owed for owed in owing if not self._done(owed, kind, seqno)]
+        if left:
+            self._owed[var_id] = left
+        else:
+            del self._owed[var_id]
+
+    def _done(self, owed: Owed, kind: ICType, seqno: int | None) -> bool:
+        if owed.kind is kind:
+            return kind is not _UPDATES or seqno is None or not self._circle.newer(owed.seqno, seqno)
+        return False
+
+    def _forget(self, var_id: int) -> None:
+        """A creation or deletion: everything that was to be said of the variable is dropped (VD-PC-08, VD-PD-04)."""
+        self._owed.pop(var_id, None)
+
+    def _perhaps_gone(self, variable: Variable) -> bool:
+        """Before 2.0: whether the last telling of a deletion may be composed already, and not be on the air yet."""
+        if not self._features.removed_after_deletion:
+            return False
+        told = variable.repetitions.counted(DELETION)
+        return max(variable.repetitions.allowed(DELETION), 1) - told <= 1
+
+    def _own(self, version: Version) -> bool:
+        return version.spec is not None and version.spec.prod_id == self.own_id
+
+
+def key_of(kind: ICType, seqno: int) -> Key:
+    """Under which an instruction is counted."""
+    return kind, seqno if kind is _UPDATES else 0
+
+
+def _creation(version: Version) -> int:
+    """When a variable was created."""
+    return NO_CREATION if version.spec is None else version.spec.creation_time or 0

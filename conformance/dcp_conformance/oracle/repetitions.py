@@ -1,0 +1,85 @@
+"""How often a node may say the instructions about one variable (VD-SCP-01, VD-SCP-02).
+
+A counter of a node is never above repCnt, so however many reasons there were until a moment, behind it come at most
+repCnt beacons and what was composed already. And a payload without the instruction, composed behind the last reason,
+shows that its queue was empty: from then on it may not come at all.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType
+
+Key = tuple[ICType, int]
+"""Kind of an instruction, and for updates the sequence number."""
+
+#: Payloads that can have been composed before a moment and be on the air after it, within the latency.
+IN_FLIGHT = 2
+#: Keys that are remembered of one variable.
+_MOST = 128
+
+
+class _Instruction:
+    """One instruction: in how many beacons it may stand, and in how many it stood."""
+
+    __slots__ = ("allowed", "behind", "counted", "since")
+
+    def __init__(self) -> None:
+        self.allowed = self.counted = 0
+        self.since: int | None = None
+        """When there was a reason to say it, the last time."""
+        self.behind = 0
+        """In how many beacons it stood that were certainly composed behind that."""
+
+
+class Repetitions:
+    """The instructions about one variable. Times are ns."""
+
+    __slots__ = ("_all",)
+
+    def __init__(self) -> None:
+        self._all: dict[Key, _Instruction] = {}
+
+    def _one(self, key: Key) -> _Instruction:
+        one = self._all.get(key)
+        if one is None:
+            one = self._all[key] = _Instruction()
+            if len(self._all) > _MOST:
+                del self._all[next(iter(self._all))]
+        return one
+
+    def clear(self) -> None:
+        """Nothing is to be said of the variable, and nothing counts that was."""
+        self._all.clear()
+
+    def arm(self, key: Key, times: int, time: int) -> None:
+        """There is a reason to say it in so many beacons."""
+        one = self._one(key)
+        one.allowed = min(one.allowed, one.counted + IN_FLIGHT) + times
+        one.since, one.behind = time, 0
+
+    def allowed(self, key: Key) -> int:
+        """In how many beacons it may stand; 0 without a reason."""
+        one = self._all.get(key)
+        return 0 if one is None else one.allowed
+
+    def counted(self, key: Key) -> int:
+        """In how many beacons it stood."""
+        one = self._all.get(key)
+        return 0 if one is None else one.counted
+
+    def armed_at(self, key: Key) -> int | None:
+        """When there was a reason to say it, the last time."""
+        one = self._all.get(key)
+        return None if one is None else one.since
+
+    def count(self, key: Key) -> int:
+        """It stands in a beacon, and is about what the variable is now; in how many it stood by then."""
+        one = self._one(key)
+        one.counted += 1
+        return one.counted
+
+    def stands_behind(self, key: Key) -> int:
+        """It stands in a beacon that was composed behind the last reason; in how many such it stood before."""
+        one = self._one(key)
+        one.behind += 1
+        return one.behind - 1

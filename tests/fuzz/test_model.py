@@ -1,0 +1,215 @@
+"""The model beside the node in process: what it is sure of again after a doubt, and what it counts.
+
+Each wrong node is found with few frames; the node as it is shows nothing in the same frames.
+"""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+from dcp_conformance.forge import Forge
+from dcp_conformance.fuzz import Frame, Wait
+from dcp_conformance.fuzz.replaying import stack_target
+from dcp_conformance.fuzz.sequences import Sequences
+from dcp_conformance.fuzz.soaking import Soak
+from dcp_conformance.fuzz.stack import StackTarget
+from dcp_conformance.fuzz.steps import Call, Step
+from dcp_conformance.mutants.mutant import all_mutants, node_with
+from dcp_conformance.reference.inprocess import plain_node
+
+from dcp_codec import Codec
+from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
+from dcp_stack.config import NodeConfig
+from dcp_stack.node import Node
+from dcp_stack.vardis_compose import Composer
+from dcp_stack.vardis_db import Database, DBEntry
+from dcp_stack.vardis_receive import Receiver
+from dcp_stack.vardis_wire import Extracted
+
+CODEC = Codec("dcp-2.0")
+FORGE = Forge(CODEC)
+PEER = b"\x02\xdc\x90\0\0\1"
+NETWORK = CODEC.profile.bp.network_id
+
+
+def frame(*records: VardisRecord, cut: int = 0) -> Frame:
+    """A beacon, or one whose VarDis payload lacks the last octets."""
+    block = FORGE.vardis(*records)
+    octets = FORGE.beacon(PEER, 1, [block._replace(octets=block.octets[: len(block.octets) - cut])], network_id=NETWORK)
+    return Frame(octets)
+
+
+def create(creation: int, seqno: int = 0, timeout: int = 0) -> VarCreate:
+    return VarCreate(VarSpec(7, PEER, 2, b"d", creation, timeout), VarUpdate(7, seqno, b"v"))
+
+
+def damaged() -> Frame:
+    """Whether a node takes the update in front of the record that is cut off is open."""
+    return frame(VarUpdate(7, 9, b"new"), VarUpdate(7, 10, b"cut off"), cut=3)
+
+
+def target_with(part: type[Any]) -> StackTarget:
+    made: type[Node] = node_with(part)
+
+    def make(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Node:
+        return made(config, rng=rng, now=now, wall=wall)
+
+    return StackTarget(CODEC, make=make)
+
+
+class Locks(Receiver):
+    """Leaves variables alone that it was told of together with something that it did not understand."""
+
+    def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
+        self.__dict__.setdefault("locked", False)
+        super().process(extracted, now=now, wall=wall)
+        self.locked = self.locked or bool(extracted.problems)
+
+    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
+        if not self.__dict__["locked"]:
+            super()._create(record, offset, now, wall)
+
+    def _delete(self, record: VarDelete, offset: int) -> None:
+        if not self.__dict__["locked"]:
+            super()._delete(record, offset)
+
+
+class AddsUp(Database):
+    """Answers each request for an update, also while it is answering."""
+
+    def arm_update(self, entry: DBEntry) -> None:
+        before = entry.count_update
+        super().arm_update(entry)
+        entry.count_update += before
+
+
+class OnceMore(Composer):
+    """Sends variables again of which it has said everything, a while later."""
+
+    payloads = 0
+
+    def compose(self, room: int) -> Any:
+        self.payloads += 1
+        if self.payloads == 14:
+            for entry in self._database.entries.values():
+                self._database.arm_create(entry)
+        return super().compose(room)
+
+
+LATER: list[Step] = [frame(create(1)), damaged(), frame(create(5, 3)), Wait(6.0)]
+DELETED: list[Step] = [frame(create(1)), damaged(), frame(VarDelete(7)), Wait(6.0)]
+REQUESTS: list[Step] = [frame(create(1, 5)), Wait(4.0), *(frame(VarReqUpdate(7, 4)) for _ in range(6)), Wait(16.0)]
+TWICE: list[Step] = [frame(create(1)), Wait(4.0), frame(VarReqCreate(7)), frame(VarReqCreate(7)), Wait(20.0)]
+
+
+@pytest.mark.parametrize(
+    ("part", "steps", "kind"),
+    [
+        (Locks, LATER, "state"),
+        (Locks, DELETED, "state"),
+        (AddsUp, REQUESTS, "said"),
+        (OnceMore, TWICE, "said"),
+    ],
+)
+def test_wrong_nodes_are_found(part: type[Any], steps: list[Step], kind: str):
+    effect = target_with(part).run(steps)
+    assert effect is not None
+    assert effect.kind == kind
+    assert StackTarget(CODEC).run(steps) is None
+
+
+ALIVE: list[Step] = [frame(create(1, 0, 900)), Wait(8.0), frame(VarUpdate(7, 1, b"n")), Wait(3.0)]
+SUMMED: list[Step] = [frame(create(1, 0, 900)), *(step for _ in range(3) for step in (Wait(8.0), frame(VarSumm(7, 0))))]
+LONG: list[Step] = [frame(create(1, 0, 900)), Wait(25.0)]
+QUICKLY: list[Step] = [frame(create(1)), frame(create(2, 3)), Wait(8.0)]
+
+
+@pytest.mark.parametrize(
+    ("mutant", "steps", "kind"),
+    [
+        ("M-VD-SCR-06-not-refreshed", ALIVE, "state"),
+        ("M-VD-SCR-06-summaries-refresh", SUMMED, "said"),
+        ("M-VD-INI-06-never", LONG, "said"),
+        ("M-VD-SCR-03-half", [frame(create(1, 0, 1900)), Wait(11.0)], "state"),
+        ("M-VD-CMP-06-one-more", QUICKLY, "said"),
+    ],
+)
+def test_mutants_are_found_by_what_was_not_judged_before(mutant: str, steps: list[Step], kind: str):
+    effect = stack_target(CODEC, mutant).run(steps)
+    assert effect is not None
+    assert effect.kind == kind
+    assert StackTarget(CODEC).run(steps) is None
+
+
+def test_a_variable_is_in_doubt_until_something_settles_it():
+    def doubtful(*steps: Step) -> bool:
+        target = StackTarget(CODEC)
+        assert target.run(list(steps)) is None
+        return target.observer.oracle.variables[7].uncertain
+
+    before = (frame(create(1)), damaged())
+    assert doubtful(*before)
+    assert doubtful(*before, frame(VarUpdate(7, 11, b"n")))
+    assert doubtful(*before, frame(VarSumm(7, 200)))
+    assert not doubtful(*before, frame(VarDelete(7)))
+    assert not doubtful(*before, frame(create(2)))
+    # A creation that the damaged beacon was about may be the later one.
+    cut = frame(create(9), VarSumm(7, 1), cut=1)
+    assert doubtful(frame(create(1)), cut, frame(create(5)))
+    assert not doubtful(frame(create(1)), cut, frame(create(10)))
+    # Of a variable that may be unknown a deletion says nothing.
+    assert doubtful(cut, frame(VarDelete(7)))
+
+
+def test_a_service_that_succeeds_settles_an_own_variable():
+    target = StackTarget(CODEC)
+    own = Call("RTDB-Create", {"varId": 7, "repCnt": 1, "descr": "d", "value": "00"})
+    assert target.run([own, damaged()]) is None
+    assert target.observer.oracle.variables[7].uncertain
+    assert target.run([own, damaged(), Call("RTDB-Update", {"varId": 7, "value": "01"}), Wait(4.0)]) is None
+    variable = target.observer.oracle.variables[7]
+    assert (variable.uncertain, variable.now.seqno, variable.now.value) == (False, 1, b"\1")
+
+
+def test_between_timeout_and_scrubbing_nothing_is_said_of_a_variable():
+    target = StackTarget(CODEC)
+    for periods, certain in ((8.0, "alive"), (9.5, None), (25.0, "deleted")):
+        assert target.run([frame(create(1, 0, 900)), Wait(periods)]) is None
+        version = target.observer.oracle.certain(7, round(periods * 100_000_000))
+        assert (None if version is None else version.state) == certain
+
+
+def test_sequences_about_timeouts_are_drawn_where_variables_have_them():
+    def kinds(profile: str) -> set[str]:
+        codec, rng = Codec(profile), random.Random(1)
+        sequences = Sequences(codec, rng, b"\2\0\0\0\0\1", Mutator(codec, rng, drawn_pool(codec, rng, 20)))
+        return {sequences.draw() and sequences.last for _ in range(400)}
+
+    assert "soft-state" in kinds("dcp-2.0")
+    assert "soft-state" not in kinds("dcp-1.3")
+
+
+def test_what_was_said_of_a_variable_that_timed_out_may_come_after_it_is_created_anew():
+    # Deleted at the first scrubbing, after one second; its VarDelete is composed when the new creation comes.
+    steps = [frame(create(1, 0, 300)), Wait(11.0), frame(create(2, 1, 300)), Wait(25.0)]
+    assert StackTarget(CODEC).run(steps) is None
+
+
+@pytest.mark.parametrize(("mutant", "kind"), [("M-VD-PD-04-ignored", "state"), ("M-VD-ROB-01-dies-of-type", "raised")])
+def test_a_soaked_node_is_compared_in_epochs(mutant: str, kind: str):
+    def soaked(make: Any) -> tuple[Soak, str]:
+        rng = random.Random(1)
+        mutator, soak = Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)), Soak(CODEC, make=make, one_of=2)
+        for _ in range(6000):
+            effect = soak.hears(mutator.mutate().octets)
+            if effect is not None:
+                return soak, effect.kind
+        return soak, ""
+
+    assert soaked(all_mutants()[mutant].make)[1] == kind
+    healthy, found = soaked(plain_node)
+    assert (found, healthy.number, healthy.epochs) == ("", 6000, 60)
+    assert healthy.compared > healthy.epochs
