@@ -109,8 +109,7 @@ class Naming(Findings):
         They may have been used before: what is requested and never answered stays unknown. Stops the case as
         inconclusive when there are not enough of them, which only a reset can bring back.
         """
-        top = (1 << (8 * self.profile.types.var_id.width)) - 1
-        first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
+        first, last = self._var_id_range()
         size = last - first + 1
         found: list[int] = []
         for _ in range(size):
@@ -118,11 +117,7 @@ class Naming(Findings):
                 return found
             number = last - self.session.next_unknown % size
             self.session.next_unknown += 1
-            gone = self.session.leaving.get(number)
-            if gone is not None and gone <= self.now():
-                del self.session.leaving[number]
-                self.session.known.discard(number)
-            if number not in self.session.known and number not in self.created:
+            if self._is_unknown(number):
                 found.append(number)
         if len(found) < count:
             self.inconclusive(
@@ -130,6 +125,23 @@ class Naming(Findings):
                 f"{len(found)} are left of {size}; it needs a way to be reset (--ut, --restart)",
             )
         return found
+
+    def has_unknown_ids(self) -> bool:
+        """Whether there is an identifier left that the implementation has never shown to know."""
+        first, last = self._var_id_range()
+        return any(self._is_unknown(number) for number in range(last, first - 1, -1))
+
+    def _var_id_range(self) -> tuple[int, int]:
+        """The first and the last identifier that may be used."""
+        top = (1 << (8 * self.profile.types.var_id.width)) - 1
+        return self.pixit.var_ids or (0, min(top, 0xFFFF))
+
+    def _is_unknown(self, number: int) -> bool:
+        gone = self.session.leaving.get(number)
+        if gone is not None and gone <= self.now():
+            del self.session.leaving[number]
+            self.session.known.discard(number)
+        return number not in self.session.known and number not in self.created
 
     def unknown_id(self) -> int:
         """One of them."""

@@ -1,0 +1,60 @@
+"""What is asked behind a case: does the implementation still live?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_conformance.bench import Bench, Session
+from dcp_conformance.case import Case, Kind
+from dcp_conformance.pics import Pics
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.results import CaseResult
+from dcp_conformance.runner import Runner
+from dcp_conformance.verdict import Verdict
+
+from .rig import codec_of
+
+
+def case_of(body: Callable[[Bench], None]) -> Case:
+    return Case("TC_DCP_X_BV_01", "", ("VD-PS-01",), Kind.VALID, "", "", 4, "", __name__, body, destructive=True)
+
+
+def all_used(bench: Bench) -> None:
+    """Leaves no identifier that the implementation could be asked about."""
+    bench.created.update(range(256))
+    bench.require(True, "all identifiers were used", "")
+
+
+def run(body: Callable[[Bench], None], *, upper: bool = True, talking: bool = True) -> CaseResult:
+    sut = InProcess(reference_config(codec_of("dcp-2.0")))
+    if talking:
+        assert sut.upper_tester().call("RTDB-Create", {"varId": 1, "repCnt": 3, "descr": "d", "value": "01"}).ok
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester() if upper else None, Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    return runner.run(case_of(body))
+
+
+def test_beacons_are_enough_when_no_variable_is_left_to_ask_about():
+    result = run(all_used, upper=False)
+    verdict, killed = result.verdict, result.killed
+    assert verdict is Verdict.PASS
+    assert not killed
+
+
+def test_services_are_enough_when_there_is_nothing_to_say_either():
+    result = run(all_used, talking=False)
+    verdict, killed = result.verdict, result.killed
+    assert verdict is Verdict.PASS
+    assert not killed
+
+
+def test_the_identifiers_of_the_last_variables_are_found():
+    def all_but_one(bench: Bench) -> None:
+        bench.created.update(range(255))
+        found = (bench.has_unknown_ids(), bench.unknown_ids(1))
+        bench.created.add(255)
+        bench.require((*found, bench.has_unknown_ids()) == (True, [255], False), "the last one is found", str(found))
+
+    verdict = run(all_but_one).verdict
+    assert verdict is Verdict.PASS
