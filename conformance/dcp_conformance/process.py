@@ -26,7 +26,12 @@ SETTLE = 0.5
 END_PATIENCE = 3.0
 #: Octets of output that are kept on disk; when there is more, it begins anew.
 _MOST_OUTPUT = 1024 * 1024
+_KEPT_OUTPUT = 64 * 1024
+#: What ``st_blocks`` counts, in octets.
+_BLOCK = 512
 _PR_SET_PDEATHSIG = 1
+#: ``FALLOC_FL_KEEP_SIZE`` and ``FALLOC_FL_PUNCH_HOLE`` of <linux/falloc.h>.
+_PUNCH_HOLE = 0x01 | 0x02
 
 
 class ProcessControl:
@@ -71,7 +76,6 @@ class ProcessControl:
         self._process: subprocess.Popen[bytes] | None = None
         self._launched = False
         self._output: IO[bytes] | None = None
-        self._cut_off = ""
         self._watched: tuple[int, int] | None = None
         self._why = ""
         if pid is not None:
@@ -143,7 +147,6 @@ class ProcessControl:
         if self._output is None:
             self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         self._output.truncate(0)
-        self._cut_off = ""
         # At its end, wherever that is after it was cut.
         appending = os.open(f"/proc/self/fd/{self._output.fileno()}", os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
         try:
@@ -223,16 +226,20 @@ class ProcessControl:
             time.sleep(0.02)
 
     def _last_words(self) -> str:
-        if self._output is None:
-            return ""
-        # What was cut off may be all that it had to say.
-        silent = os.fstat(self._output.fileno()).st_size == 0
-        return self._cut_off if silent and self._cut_off else _end_of(self._output)
+        return "" if self._output is None else _end_of(self._output)
 
     def _trim(self) -> None:
-        if self._output is not None and os.fstat(self._output.fileno()).st_size > _MOST_OUTPUT:
-            self._cut_off = _end_of(self._output)
-            self._output.truncate(0)
+        """Give back the room of what was said long ago."""
+        if self._output is None:
+            return
+        status = os.fstat(self._output.fileno())
+        if status.st_blocks * _BLOCK > _MOST_OUTPUT:
+            # A hole at the beginning: what is being written behind it, at this moment too, is not touched.
+            libc = ctypes.CDLL(None)
+            size = ctypes.c_int64(max(0, status.st_size - _KEPT_OUTPUT))
+            if libc.fallocate64(self._output.fileno(), _PUNCH_HOLE, ctypes.c_int64(0), size):
+                # A file system without holes; words that come between looking and cutting are lost.
+                self._output.truncate(0)
 
 
 def started_at(pid: int) -> int | None:
