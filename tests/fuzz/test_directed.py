@@ -59,7 +59,22 @@ def test_the_tables_say_how_much_was_reached_and_what_was_not():
     )
     assert coverage.missing == ["message bomb"]
     assert coverage.missing_states == ["alive own: summary newer"]
-    text = "\n".join(shown(coverage))
-    assert "field x class of value: 1 of 2 pairs" in text
-    assert "state of a variable x message: 1 of 2 pairs" in text
-    assert "not reached: alive own: summary newer" in text
+    assert shown(coverage) == [
+        "field x class of value: 1 of 2 pairs",
+        "                 0    1 max-1  max   +1   -1 unknown swapped  bit  cut",
+        "    bp.length                    3",
+        "  whole message: bomb 0",
+        "state of a variable x message: 1 of 2 pairs",
+        "                        alive   alive deleted deleted",
+        "                unknown   own foreign     own foreign",
+        "  delete              2",
+        "  summary newer             0",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(9_999, "9999"), (10_000, "10k"), (999_999, "999k"), (1_000_000, "1M"), (10**9, "999M")]
+)
+def test_counts_fit_into_their_columns(count, text):
+    coverage = tables(Counter({("bp.length", "max"): count}), Counter(), {("bp.length", "max")})
+    assert shown(coverage)[-1].split() == ["bp.length", text]

@@ -7,6 +7,15 @@ from collections.abc import Collection, Iterable
 
 import msgspec
 
+from dcp_codec.mutation import FIELD_CLASSES
+
+#: Row and column of a table -> how often.
+Cells = dict[tuple[str, str], int]
+_ELEMENTS = ("twice", "drop", "reorder", "splice")
+_VALUES = (*FIELD_CLASSES, "cut")
+#: States of a variable, as they are told apart.
+STATES = ("unknown", "alive own", "alive foreign", "deleted own", "deleted foreign")
+
 
 class Pair(msgspec.Struct, frozen=True):
     """A row of a table: what, in which class, how often."""
@@ -56,32 +65,83 @@ def _pairs(counter: Counter[tuple[str, str]]) -> Iterable[Pair]:
             yield Pair(what, how, count)
 
 
-def shown(coverage: Coverage, *, most: int = 40) -> list[str]:
-    """The tables as lines of text: each field with the classes that it had, each state with its messages."""
+def shown(coverage: Coverage) -> list[str]:
+    """The tables as lines of text, at most 80 columns wide; 0 is what was not reached, nothing what does not exist."""
     lines: list[str] = []
     if coverage.possible:
         reached = coverage.possible - len(coverage.missing)
         lines.append(f"field x class of value: {reached} of {coverage.possible} pairs")
-        lines += _grouped(coverage.fields, most)
-        lines += _not_reached(coverage.missing)
+        cells = {(each.what, each.how): each.count for each in coverage.fields}
+        cells |= {(what.removeprefix("message"), how): 0 for what, _, how in map(_parted, coverage.missing)}
+        lines += _fields(cells)
     if coverage.possible_states:
         reached = coverage.possible_states - len(coverage.missing_states)
         lines.append(f"state of a variable x message: {reached} of {coverage.possible_states} pairs")
-        lines += _grouped(coverage.states, most)
-        lines += _not_reached(coverage.missing_states)
+        cells = {(each.how, each.what): each.count for each in coverage.states if each.what in STATES}
+        cells |= {(how, what): 0 for what, _, how in (each.partition(": ") for each in coverage.missing_states)}
+        lines += _states(cells)
     if coverage.lines:
         lines.append(f"lines of the target: {coverage.lines}")
     return lines
 
 
-def _not_reached(missing: list[str]) -> list[str]:
-    more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""
-    return [f"  not reached: {', '.join(missing[:8])}{more}"] if missing else []
+def _parted(missing: str) -> tuple[str, str, str]:
+    return missing.rpartition(" ")
 
 
-def _grouped(pairs: Iterable[Pair], most: int) -> list[str]:
-    rows: dict[str, list[str]] = {}
-    for pair in pairs:
-        rows.setdefault(pair.what or "(message)", []).append(f"{pair.how} {pair.count}")
-    lines = [f"  {what}: {', '.join(classes)}" for what, classes in rows.items()]
-    return lines if len(lines) <= most else [*lines[:most], f"  ... and {len(lines) - most} more"]
+def _fields(cells: Cells) -> list[str]:
+    """A table for fields by structure, one for the elements of lists, a line for the whole message."""
+    groups: dict[str, Cells] = {}
+    for (path, how), count in cells.items():
+        if how in _VALUES:
+            structure, dot, name = path.rpartition("[].")
+            groups.setdefault(structure + dot[:-1], {})[name, how] = count
+    first = max((2 + len(name) for group in groups.values() for name, _ in group), default=0)
+    lines = _heading(_VALUES, first)
+    for structure, own in sorted(groups.items()):
+        lines += [f"  {structure}"] if structure else []
+        lines += [f"  {line}" for line in _rows(own, _VALUES, first - 2)]
+    elements = {at: count for at, count in cells.items() if at[1] in _ELEMENTS}
+    if elements:
+        first = max(first, *(len(path) for path, _ in elements))
+        lines += [*_heading(_ELEMENTS, first), *_rows(elements, _ELEMENTS, first)]
+    whole = sorted((how, count) for (path, how), count in cells.items() if not path)
+    if whole:
+        lines.append(f"  whole message: {', '.join(f'{how} {_short(count)}' for how, count in whole)}")
+    return lines
+
+
+def _states(cells: Cells) -> list[str]:
+    first = max(len(message) for message, _ in cells)
+    return [*_heading(STATES, first), *_rows(cells, STATES, first)]
+
+
+def _heading(columns: tuple[str, ...], first: int) -> list[str]:
+    """The names of columns; those of two words take two lines."""
+    words = [(column.rpartition(" "), _width(column)) for column in columns]
+    upper = " " * (first + 2) + "".join(word.rjust(wide) for (word, _, _), wide in words)
+    lower = " " * (first + 2) + "".join(word.rjust(wide) for (_, _, word), wide in words)
+    return [upper, lower] if upper.strip() else [lower]
+
+
+def _rows(cells: Cells, columns: tuple[str, ...], first: int) -> list[str]:
+    lines = []
+    for row in sorted({row for row, _ in cells}):
+        counts = (
+            _short(cells[row, each]).rjust(_width(each)) if (row, each) in cells else " " * _width(each)
+            for each in columns
+        )
+        lines.append(f"  {row.ljust(first)}{''.join(counts)}".rstrip())
+    return lines
+
+
+def _width(column: str) -> int:
+    return 1 + max(4, *map(len, column.split()))
+
+
+def _short(count: int) -> str:
+    """A count in at most four characters."""
+    for unit, size in (("", 1), ("k", 1_000), ("M", 1_000_000)):
+        if count < 1000 * size or (not unit and count < 10_000):
+            return f"{count // size}{unit}"
+    return "999M"

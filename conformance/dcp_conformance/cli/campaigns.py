@@ -1,0 +1,231 @@
+"""What the campaigns of ``dcp-conformance fuzz`` share: their options, what they start with, and how they are told."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import shlex
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from dcp_conformance.errors import UsageError
+
+if TYPE_CHECKING:
+    from dcp_codec.codec import Codec
+    from dcp_conformance.fuzz import Artefact, Campaign, Limits
+    from dcp_conformance.fuzz.coverage import Coverage
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+#: Tests that are written when nothing is said about how many.
+_DRY_RUN = 1000
+#: Exit status of what was stopped, as shells give it.
+_STOPPED = 130
+
+
+def campaign_options(function: F) -> F:
+    """How long, how fast, what with, where to."""
+    for option in reversed(
+        [
+            click.option(
+                "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds.  [default: 60]"
+            ),
+            click.option("--max-cases", type=click.IntRange(1), metavar="N", help="Tests."),
+            click.option("--max-findings", type=click.IntRange(1), metavar="N", help="Stop after so many findings."),
+            click.option(
+                "--rate", type=click.FloatRange(min=0, min_open=True), metavar="N", help="Tests in a second, at most."
+            ),
+            click.option(
+                "--recording", type=click.Path(path_type=Path), multiple=True, metavar="FILE", help="Mutate this, too."
+            ),
+            click.option("--dry-run", is_flag=True, help="Write what would be sent to --out, and send nothing."),
+            click.option(
+                "--out", type=click.Path(path_type=Path), metavar="FILE", help="For --dry-run: .mcap, .pcap or .pcapng."
+            ),
+            click.option("--resume", is_flag=True, help="Go on with the campaign in --artefacts."),
+            click.option(
+                "--coverage",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="Write what was reached, how often, and what was not (JSON).",
+            ),
+            click.option("--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Where findings go."),
+            click.option("--quiet", "-q", is_flag=True, help="Only the findings."),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def material(options: dict[str, Any]) -> tuple[Codec, random.Random, Any, list[bytes]]:
+    """Codec, chance, mutator, and the beacons of recordings."""
+    from dcp_spec.profile_loading import ProfileError
+
+    from dcp_codec.codec import Codec
+    from dcp_codec.mutation import Mutator, drawn_pool
+
+    try:
+        codec = Codec(options["profile"])
+    except ProfileError as error:
+        raise UsageError(str(error)) from None
+    return codec, *_drawn(codec, options, Mutator, drawn_pool)
+
+
+def _drawn(codec: Codec, options: dict[str, Any], mutator: Any, pool: Any) -> tuple[random.Random, Any, list[bytes]]:
+    from dcp_conformance.fuzz.campaign import read_state
+    from dcp_conformance.replay import beacons_of
+
+    done = 0
+    if options["resume"]:
+        if options["artefacts"] is None:
+            raise UsageError("--resume needs the folder of the campaign: --artefacts DIR")
+        done = read_state(options["artefacts"]).cases
+    # Going on means to draw something else than before.
+    rng = random.Random(f"{options['seed']}/{done}")  # noqa: S311 - the same every time, no secret
+    recorded: list[bytes] = []
+    for path in options["recording"]:
+        found = [heard.octets for _, heard, _ in beacons_of(path, codec)]
+        if not found:
+            raise UsageError(f"{path}: no frame in it is DCP in the profile {codec.profile.name}")
+        recorded += found[:2000]
+    return rng, mutator(codec, rng, pool(codec, rng, 200, recorded[:200])), recorded
+
+
+def profile_text(options: dict[str, Any]) -> str:
+    path = Path(options["profile"])
+    return path.read_text() if path.suffix == ".toml" and path.exists() else ""
+
+
+def _limits(options: dict[str, Any]) -> Limits:
+    from dcp_conformance.fuzz.campaign import Limits
+
+    seconds = options["max_time"]
+    if seconds is None and options["max_cases"] is None and options["max_findings"] is None:
+        seconds = 60.0
+    return Limits(seconds, options["max_cases"], options["max_findings"], options["rate"])
+
+
+def run_campaign(campaign: Campaign, options: dict[str, Any], run: Callable[[Limits], Any] | None = None) -> int:
+    """Run a campaign, tell what happens, return the exit status. ``run``: what runs it, unless it does so itself."""
+    from dcp_conformance.errors import LowerTesterError
+    from dcp_conformance.fuzz.live import UnhealthyError
+
+    if options["dry_run"]:
+        return write_tests(campaign, options)
+    if options["out"] is not None:
+        raise UsageError("--out is for --dry-run; findings go to --artefacts DIR")
+    campaign.directory = options["artefacts"]
+    if options["resume"]:
+        campaign.resume()
+    if options.get("guided"):
+        from dcp_conformance.fuzz.guidance import guide
+
+        guide(campaign)
+    quiet = options["quiet"]
+    terminal = sys.stderr.isatty()
+
+    def progress(now: Any) -> None:
+        text = f"{now.cases} cases, {now.per_second:.0f}/s, {now.findings} findings, {now.seconds:.0f} s"
+        if terminal:
+            click.echo(f"\r{text}   ", nl=False, err=True)
+        elif int(now.seconds) % 10 == 0:
+            click.echo(text, err=True)
+
+    def finding(artefact: Artefact) -> None:
+        if terminal:
+            click.echo("", err=True)
+        kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
+        click.echo(f"{artefact.id}: {artefact.effect.detail} ({artefact.frames} frames{kept})")
+        if options["artefacts"] is not None:
+            click.echo(f"  again: {artefact.command}")
+
+    def effect(now: Any) -> None:
+        if terminal:
+            click.echo("", err=True)
+        click.echo(f"{now.kind}: {now.detail}; making it small", err=True)
+
+    campaign.on_progress = None if quiet else progress
+    campaign.on_finding = finding
+    campaign.on_effect = None if quiet else effect
+    status = 0
+    try:
+        with _stopped_by_sigterm():
+            (run or campaign.run)(_limits(options))
+    except KeyboardInterrupt:
+        click.echo("stopped", err=True)
+        status = _STOPPED
+    except UnhealthyError as error:
+        click.echo(f"dcp-conformance: {error}", err=True)
+        status = 3
+    except LowerTesterError as error:
+        click.echo(f"dcp-conformance: {error}", err=True)
+        status = 4
+    if terminal and not quiet:
+        click.echo("", err=True)
+    if options["coverage"] is not None:
+        _write_coverage(campaign.state.coverage, options["coverage"])
+    _tell_end(campaign, quiet=quiet)
+    return 1 if campaign.state.findings else status
+
+
+def _tell_end(campaign: Campaign, *, quiet: bool) -> None:
+    """What was reached, and how much was done."""
+    from dcp_conformance.fuzz.coverage import shown
+
+    state = campaign.state
+    if not quiet:
+        for line in shown(state.coverage):
+            click.echo(line)
+        kinds = ", ".join(f"{name} {count}" for name, count in sorted(state.kinds.items()))
+        click.echo(f"kinds: {kinds}")
+        if state.again:
+            click.echo(f"known findings have shown again {state.again} times")
+        if state.left_out:
+            avoided = ", ".join(state.avoided)
+            click.echo(f"{state.left_out} frames were not sent, since they show known findings: {avoided}")
+    click.echo(
+        f"{state.cases} cases, {state.frames} frames, {state.seconds:.1f} s, {len(state.findings)} findings "
+        f"({shlex.join(['--seed', str(campaign.seed)])})"
+    )
+
+
+def _write_coverage(coverage: Coverage, path: Path) -> None:
+    import msgspec
+
+    try:
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(coverage), indent=1) + b"\n")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def _stopped_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end a campaign as Ctrl-C does: with everything saved, and what was started ended."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def write_tests(campaign: Campaign, options: dict[str, Any]) -> int:
+    """Write the frames of a campaign, and send nothing."""
+    from dcp_codec.capture import CaptureError
+    from dcp_conformance.fuzz.artefact import write_frames
+
+    if options["out"] is None:
+        raise UsageError("--dry-run writes what would be sent: say where to with --out FILE")
+    steps = [step for _ in range(options["max_cases"] or _DRY_RUN) for step in campaign.generator.draw()]
+    metadata = {"dcp.fuzz": {"profile": campaign.codec.profile.name, "seed": str(campaign.seed)}}
+    suffix = options["out"].suffix
+    try:
+        frames = write_frames(options["out"], campaign.codec, steps, metadata if suffix == ".mcap" else {})
+    except (CaptureError, OSError) as error:
+        raise UsageError(f"{options['out']}: {error}") from None
+    click.echo(f"{frames} frames written to {options['out']}; nothing was sent")
+    return 0
