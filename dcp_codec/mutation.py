@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
+from .chance import Chance
 from .codec import Codec
 from .dissector import generate_dissector
 from .fields import Field
@@ -52,6 +53,8 @@ class Place(NamedTuple):
     stop: int
     options: dict[str, bytes]
     """Class -> the octets that the field becomes; ``bit`` is drawn."""
+    names: tuple[str, ...]
+    """The classes, ``bit`` too."""
 
 
 class Source(NamedTuple):
@@ -85,6 +88,7 @@ class Mutator:
         """
         layout = codec.beacon_plan if plan is None else plan
         self._rng = rng
+        self._chance = Chance(rng)
         self._dissect = generate_dissector(layout, "of a pool")
         self.sources = [_taken_apart(self._dissect(each, 0, 0).root, each) for each in pool if each]
         if not self.sources:
@@ -94,7 +98,7 @@ class Mutator:
         self._where: dict[Touch, list[tuple[Source, Place]]] = {}
         for source in self.sources:
             for place in source.places:
-                for name in (*place.options, "bit"):
+                for name in place.names:
                     self._where.setdefault((place.path, name), []).append((source, place))
         paths = {path for path, _ in self._where}
         listed = {path for source in self.sources for path, _, _ in source.elements}
@@ -124,16 +128,16 @@ class Mutator:
         if len(self.sources) < _MOST_SOURCES:
             self.sources.append(source)
         else:
-            self.sources[self._rng.randrange(len(self.sources))] = source
+            self.sources[self._chance.below(len(self.sources))] = source
 
     def mutate(self) -> Mutation:
         """The next mutation."""
         rng = self._rng
         chance = rng.random
         if self._missing and chance() < _PREFERENCE:
-            touch = self._missing.pop(rng.randrange(len(self._missing)))
+            touch = self._missing.pop(self._chance.below(len(self._missing)))
             if not self.reached[touch]:
-                source, place = rng.choice(self._where[touch])
+                source, place = self._chance.one_of(self._where[touch])
                 octets = _replaced(source.octets, place, self._new(source, place, touch[1]))
                 self.reached[touch] += 1
                 return Mutation(octets, source.octets, (touch,))
@@ -143,14 +147,13 @@ class Mutator:
         if source.places and chance() >= _ONLY_STRUCTURE:
             while True:
                 place = source.places[int(chance() * len(source.places))]
-                names = (*place.options, "bit")
-                name = names[int(chance() * len(names))]
+                name = place.names[int(chance() * len(place.names))]
                 octets = _replaced(octets, place, self._new(source, place, name))
                 touched.append((place.path, name))
                 if chance() >= _MORE_FIELDS:
                     break
         if not touched or chance() < _STRUCTURE:
-            octets, touch_or_none = self._structure[rng.choice(STRUCTURE_CLASSES)](source, octets)
+            octets, touch_or_none = self._structure[self._chance.one_of(STRUCTURE_CLASSES)](source, octets)
             if touch_or_none is not None:
                 touched.append(touch_or_none)
         for touch in touched:
@@ -161,22 +164,22 @@ class Mutator:
         if name != "bit":
             return place.options[name]
         raw = bytearray(source.octets[place.start : place.stop])
-        raw[self._rng.randrange(len(raw))] ^= 1 << self._rng.randrange(8)
+        raw[self._chance.below(len(raw))] ^= 1 << self._chance.below(8)
         return bytes(raw)
 
     # -- structure ---------------------------------------------------------------------------------------------
 
     def _cut(self, source: Source, octets: bytes) -> tuple[bytes, Touch | None]:
-        end = self._rng.randrange(len(octets))
+        end = self._chance.below(len(octets))
         found = bisect_right(source.starts, end) - 1
         return octets[:end], (source.places[found].path, "cut") if found >= 0 else None
 
     def _trail(self, source: Source, octets: bytes) -> tuple[bytes, Touch]:
-        behind = self._rng.choice((b"\0", bytes(20), b"\xff" * 4, source.octets, self._rng.randbytes(8)))
+        behind = self._chance.one_of((b"\0", bytes(20), b"\xff" * 4, source.octets, self._rng.randbytes(8)))
         return octets + behind, ("", "trail")
 
     def _element(self, source: Source) -> tuple[str, int, int] | None:
-        return self._rng.choice(source.elements) if source.elements else None
+        return self._chance.one_of(source.elements) if source.elements else None
 
     def _twice(self, source: Source, octets: bytes) -> tuple[bytes, Touch | None]:
         if (element := self._element(source)) is None:
@@ -202,7 +205,7 @@ class Mutator:
 
     def _splice(self, source: Source, octets: bytes) -> tuple[bytes, Touch | None]:
         """An element of another message in the place of one."""
-        other = self._rng.choice(self.sources)
+        other = self._chance.one_of(self.sources)
         mine, theirs = self._element(source), self._element(other)
         if mine is None or theirs is None:
             return octets, None
@@ -213,10 +216,10 @@ class Mutator:
         """All counts, or all lengths too, as high as can be; an element again and again."""
         for place in source.counts:
             if self._rng.random() < 0.8:
-                octets = _replaced(octets, place, place.options[self._rng.choice(("max", "max-1"))])
+                octets = _replaced(octets, place, place.options[self._chance.one_of(("max", "max-1"))])
         if (element := self._element(source)) is not None:
             _, start, stop = element
-            octets = octets[:stop] + octets[start:stop] * self._rng.randrange(1, _BOMB) + octets[stop:]
+            octets = octets[:stop] + octets[start:stop] * (1 + self._chance.below(_BOMB - 1)) + octets[stop:]
         return octets[:65_507], ("", "bomb")
 
 
@@ -246,7 +249,9 @@ def _taken_apart(root: Field, octets: bytes) -> Source:
         known = keys.get(field.name, frozenset()) if isinstance(layout, Scalar) else frozenset()
         if isinstance(layout, Scalar) and layout.names is not None:
             known |= frozenset(layout.names)
-        place = Place(generic(field.path), field.offset, field.offset + field.length, _options(field.raw, order, known))
+        options = _options(field.raw, order, known)
+        stop = field.offset + field.length
+        place = Place(generic(field.path), field.offset, stop, options, (*options, "bit"))
         places.append(place)
         if isinstance(layout, Scalar) and (layout.derived is not None or field.name in referred):
             counts.append(place)

@@ -7,12 +7,15 @@ message to those that fill a beacon to its last octet.
 
 from __future__ import annotations
 
+import functools
 import math
 import random
+from collections.abc import Callable
 from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, IC_MAX_RECORDS, ICType
 
+from .chance import Chance
 from .codec import Codec
 from .errors import EncodeError
 from .plan import snake
@@ -34,6 +37,8 @@ from .values import (
 
 #: Chances of a boundary where a number is drawn.
 _EDGE = 0.4
+_FLOATS = (0.0, -0.0, 1.5, -1e6, math.inf, -math.inf, math.nan)
+_KINDS = tuple(ICType)
 
 
 class ValidValues:
@@ -42,30 +47,47 @@ class ValidValues:
     def __init__(self, codec: Codec, rng: random.Random) -> None:
         self.codec = codec
         self.rng = rng
+        self._chance = Chance(rng)
         types = codec.profile.types
         self._types = types
         self._numbers = codec.profile.vardis.container_types.by_name()
         self._spec_fields = codec.profile.vardis.var_spec
         self.longest_value = _longest(types.value.lengths, terminated=types.value.terminated)
         self.longest_text = _longest(types.string.lengths, terminated=types.string.terminated)
+        self._nodes = [self._node_id(number) for number in range(1, 6)]
+        self._data = self._data_fields()
+        self._records: dict[ICType, Callable[[], VardisRecord]] = {
+            ICType.SUMMARIES: lambda: VarSumm(self.var_id(), self.seqno()),
+            ICType.UPDATES: lambda: VarUpdate(self.var_id(), self.seqno(), self.value()),
+            ICType.REQUEST_VARUPDATES: lambda: VarReqUpdate(self.var_id(), self.seqno()),
+            ICType.REQUEST_VARCREATES: lambda: VarReqCreate(self.var_id()),
+            ICType.CREATE_VARIABLES: self._create,
+            ICType.DELETE_VARIABLES: lambda: VarDelete(self.var_id()),
+        }
 
     def number(self, width: int, *, signed: bool = False) -> int:
         """An integer of ``width`` octets; 0, 1, the highest two and, signed, the lowest far more often than others."""
-        low, high = (-(1 << (8 * width - 1)), (1 << (8 * width - 1)) - 1) if signed else (0, (1 << (8 * width)) - 1)
+        edges = _edges(width, signed)
         if self.rng.random() < _EDGE:
-            return self.rng.choice((0, 1, high - 1, high, low))
-        return self.rng.randint(low, high)
+            return self._chance.one_of(edges)
+        return edges[-1] + self._chance.below(1 << (8 * width))
 
     def octets(self, most: int, *, nul: bool = True) -> bytes:
         """Octets of a length from 0 to ``most``, now and then exactly that."""
-        size = self.rng.choice((0, 1, 4, 8, most)) if self.rng.random() < _EDGE else self.rng.randint(0, min(most, 16))
+        if self.rng.random() < _EDGE:
+            size = self._chance.one_of((0, 1, 4, 8, most))
+        else:
+            size = self._chance.below(min(most, 16) + 1)
         found = self.rng.randbytes(min(size, most))
         return found if nul else found.replace(b"\0", b"\1")
 
     def node_id(self) -> bytes:
         """A node identifier, of a few so that they meet again."""
+        return self._chance.one_of(self._nodes)
+
+    def _node_id(self, number: int) -> bytes:
         layout = self._types.node_id
-        octets = bytes((0x02, 0xDC, 0x90, 0, 0, self.rng.randrange(1, 6)))
+        octets = bytes((0x02, 0xDC, 0x90, 0, 0, number))
         if layout.representation == "text":
             return octets.hex(":").encode()
         return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
@@ -73,7 +95,7 @@ class ValidValues:
     def var_id(self) -> int:
         """A variable, of a few so that they meet again, or any."""
         if self.rng.random() < 0.7:
-            return self.rng.randrange(8)
+            return self._chance.below(8)
         return self.number(self._types.var_id.width, signed=self._types.var_id.signed)
 
     def var_spec(self, var_id: int) -> VarSpec:
@@ -98,42 +120,41 @@ class ValidValues:
 
     def record(self, kind: ICType) -> VardisRecord:
         """A record of a kind."""
+        return self._records[kind]()
+
+    def _create(self) -> VarCreate:
         var_id = self.var_id()
-        match kind:
-            case ICType.SUMMARIES:
-                return VarSumm(var_id, self.seqno())
-            case ICType.UPDATES:
-                return VarUpdate(var_id, self.seqno(), self.value())
-            case ICType.REQUEST_VARUPDATES:
-                return VarReqUpdate(var_id, self.seqno())
-            case ICType.REQUEST_VARCREATES:
-                return VarReqCreate(var_id)
-            case ICType.CREATE_VARIABLES:
-                return VarCreate(self.var_spec(var_id), VarUpdate(var_id, self.seqno(), self.value()))
-            case ICType.DELETE_VARIABLES:
-                return VarDelete(var_id)
+        return VarCreate(self.var_spec(var_id), VarUpdate(var_id, self.seqno(), self.value()))
 
     def container(self, kind: ICType | None = None, count: int | None = None) -> Container:
         """A container of so many records of a kind."""
-        kind = self.rng.choice(tuple(ICType)) if kind is None else kind
-        count = self.rng.choice((1, 1, 2, 3)) if count is None else count
-        return Container(self._numbers[kind.label], tuple(self.record(kind) for _ in range(count)))
+        kind = self._chance.one_of(_KINDS) if kind is None else kind
+        count = self._chance.one_of((1, 1, 2, 3)) if count is None else count
+        record = self._records[kind]
+        return Container(self._numbers[kind.label], tuple([record() for _ in range(count)]))
 
     def report(self) -> ExtendedSafetyData:
         """A state report."""
-        types, kind = self._types, self.codec.safety_data_type
-        data: dict[str, Any] = {}
-        for field in self.codec.profile.srp.safety_data:
-            name = snake(field.name) if snake(field.name) in kind.__struct_fields__ else field.name
-            if field.type == "opaque":
-                data[name] = self.rng.randbytes(field.octets)
-            elif field.type.startswith("f"):
-                data[name] = self.rng.choice((0.0, -0.0, 1.5, -1e6, math.inf, -math.inf, math.nan))
-            else:
-                data[name] = self.number(field.width, signed=field.type.startswith("i"))
+        types = self._types
+        data = self.codec.safety_data_type(**{name: draw() for name, draw in self._data})
         stamp = self.number(types.timestamp.width, signed=types.timestamp.signed)
         seqno = self.number(types.srp_seqno.width, signed=types.srp_seqno.signed)
-        return ExtendedSafetyData(kind(**data), self.node_id(), stamp, seqno)
+        return ExtendedSafetyData(data, self.node_id(), stamp, seqno)
+
+    def _data_fields(self) -> list[tuple[str, Callable[[], Any]]]:
+        """What the safety data of the profile consist of: the attribute, and what draws a value of it."""
+        known = self.codec.safety_data_type.__struct_fields__
+        found: list[tuple[str, Callable[[], Any]]] = []
+        for field in self.codec.profile.srp.safety_data:
+            draw: Callable[[], Any]
+            if field.type == "opaque":
+                draw = functools.partial(self.rng.randbytes, field.octets)
+            elif field.type.startswith("f"):
+                draw = functools.partial(self._chance.one_of, _FLOATS)
+            else:
+                draw = functools.partial(self.number, field.width, signed=field.type.startswith("i"))
+            found.append((snake(field.name) if snake(field.name) in known else field.name, draw))
+        return found
 
     def header(self) -> BPHeader | None:
         """The header of a beacon; the network is the profile's own."""
@@ -151,14 +172,14 @@ class ValidValues:
             return Payload(BP_PROTID_SRP, self.report())
         if chance < 0.25:
             width = self._types.protocol_id.width
-            other = self.rng.choice((0, 3, (1 << (8 * width)) - 1))
+            other = self._chance.one_of((0, 3, (1 << (8 * width)) - 1))
             return Payload(other, self.octets(40))
-        return Payload(BP_PROTID_VARDIS, tuple(self.container() for _ in range(self.rng.choice((1, 1, 2, 3)))))
+        return Payload(BP_PROTID_VARDIS, tuple(self.container() for _ in range(self._chance.one_of((1, 1, 2, 3)))))
 
     def beacon(self) -> bytes:
         """A beacon; one that would be larger than the profile allows is drawn again."""
         while True:
-            octets = self._encoded(tuple(self.payload() for _ in range(self.rng.choice((1, 1, 2, 3)))))
+            octets = self._encoded(tuple(self.payload() for _ in range(self._chance.one_of((1, 1, 2, 3)))))
             if octets is not None:
                 return octets
 
@@ -180,6 +201,14 @@ class ValidValues:
             # Longer than a length field can say.
             return None
         return octets if len(octets) <= max(self.codec.profile.limits.max_beacon_size, 1500) else None
+
+
+@functools.cache
+def _edges(width: int, signed: bool) -> tuple[int, int, int, int, int]:
+    """0, 1, the highest two and the lowest integer of ``width`` octets."""
+    low = -(1 << (8 * width - 1)) if signed else 0
+    high = low + (1 << (8 * width)) - 1
+    return 0, 1, high - 1, high, low
 
 
 def _longest(lengths: tuple[Any, ...], *, terminated: bool) -> int:

@@ -20,6 +20,7 @@ form, where it is not the same: a record has one of its own wherever it stands. 
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -180,6 +181,7 @@ class Select:
 Node = Scalar | Text | Rest | Fill | Group | Many | Region | Exact | Select
 
 
+@functools.lru_cache(maxsize=1024)
 def snake(name: str) -> str:
     """``"numPayloads"`` -> ``"num_payloads"``: field names of the specification as Python attributes."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
