@@ -6,7 +6,7 @@ The generated encoder only notices that packing failed. Then, and only then, pla
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 from .errors import EncodeError
 from .layout import ValueTypes
@@ -41,11 +41,29 @@ def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
+class _Shape(NamedTuple):
+    """Where the members of a record are found in its value."""
+
+    attributes: list[str | None]
+    foreign: list[Node]
+    homeless: list[str]
+
+
 class _Explainer:
     """Walks plan and value side by side; every method returns how many octets the part takes."""
 
     def __init__(self, types: ValueTypes) -> None:
         self.types = types
+        self._shapes: dict[Group, _Shape] = {}
+
+    def shape(self, group: Group) -> _Shape:
+        """Asked for once for all elements of a list."""
+        found = self._shapes.get(group)
+        if found is None:
+            attributes = [self.types.attribute(group, member) for member in group.members]
+            found = _Shape(attributes, self.types.slots(group)[1], self.types.homeless(group))
+            self._shapes[group] = found
+        return found
 
     def node(self, node: Node, value: Any, path: str, siblings: dict[str, Any]) -> int:
         match node:
@@ -130,7 +148,7 @@ class _Explainer:
 
     def members(self, group: Group, value: Any, path: str) -> dict[str, Any]:
         """The stored members of a record by name."""
-        foreign = self.types.slots(group)[1]
+        attributes, foreign, homeless = self.shape(group)
         extra: Any = getattr(value, "extra", ()) or tuple(zero(member) for member in foreign)
         if foreign:
             names = ", ".join(member.name for member in foreign)
@@ -138,12 +156,11 @@ class _Explainer:
                 raise EncodeError(_join(path, "extra"), f"needs a tuple ({names}), not {type(extra).__name__}")
             if len(extra) != len(foreign):
                 raise EncodeError(_join(path, "extra"), f"needs {len(foreign)} entries ({names}), not {len(extra)}")
-        for name in self.types.homeless(group):
+        for name in homeless:
             if getattr(value, name) if name == "extra" else getattr(value, name) is not None:
                 raise EncodeError(_join(path, name), "this layout has no place for it; leave it out")
         siblings: dict[str, Any] = {}
-        for member in group.members:
-            attribute = self.types.attribute(group, member)
+        for member, attribute in zip(group.members, attributes, strict=True):
             if attribute is not None:
                 siblings[member.name] = getattr(value, attribute)
             elif member in foreign:
