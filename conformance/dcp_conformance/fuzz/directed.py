@@ -11,12 +11,12 @@ from dcp_codec.codec import Codec
 from dcp_codec.mutation import Touch
 from dcp_codec.values import VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 
+from .parts import CREATION
 from .sequences import Sequences
 from .steps import Call, Step, Wait
 
 #: How often a sequence is aimed while something is missing.
 _CHANCE: Final = 0.25
-_CREATION: Final = 1_000_000
 #: The sequence number of a variable of somebody else; that of an own one begins at 0.
 _NUMBER: Final = 5
 _NUMBERED: Final = ("update", "summary", "request-update")
@@ -80,7 +80,7 @@ class Directed:
                 found += [Call("RTDB-Delete", {"varId": var_id}), Wait(1.0)]
         elif whose == "foreign":
             number = _NUMBER
-            found = [sequences.frame(sequences.good_create(var_id, seqno=number, creation=_CREATION))]
+            found = [sequences.frame(sequences.good_create(var_id, seqno=number, creation=CREATION))]
             if life == "deleted":
                 found.append(sequences.frame(VarDelete(var_id)))
         # Who says it is somebody who may.
@@ -101,5 +101,5 @@ class Directed:
                 return VarSumm(var_id, seqno)
             case "request-update":
                 return VarReqUpdate(var_id, seqno)
-        time = {"earlier": _CREATION - 1, "later": self._latest - 1}.get(how, _CREATION)
+        time = {"earlier": CREATION - 1, "later": self._latest - 1}.get(how, CREATION)
         return self._sequences.good_create(var_id, seqno=number, creation=time)

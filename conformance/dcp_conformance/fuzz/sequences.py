@@ -10,29 +10,24 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from dcp_spec.constants import BP_SEQNO_MODULUS, IC_MAX_RECORDS, ICType, seqno_modulus
+from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import EncodeError
 from dcp_codec.mutation import Mutator
-from dcp_codec.mutation_values import ValidValues
 from dcp_codec.values import (
     ExtendedSafetyData,
-    VarCreate,
     VarDelete,
     VardisRecord,
     VarReqCreate,
     VarReqUpdate,
-    VarSpec,
     VarSumm,
     VarUpdate,
 )
-from dcp_conformance.forge import Block, Forge
 
+from .parts import CREATION, Parts
 from .steps import Call, Frame, Step, Wait
 
-#: Ticks of a profile's clock that creation times are drawn around; anything later than 0 and far from the end.
-_CREATION: Final = 1_000_000
 #: Neighbours of a flood.
 _FLOOD: Final = 3000
 #: Services that change nothing for good, with parameters that need not make sense.
@@ -53,29 +48,18 @@ _ODD_CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
 )
 
 
-class Sequences:
+class Sequences(Parts):
     """Draws sequences. ``own_id`` is the identifier of the node that they are for."""
 
     def __init__(
         self, codec: Codec, rng: random.Random, own_id: bytes, mutator: Mutator, recorded: Sequence[bytes] = ()
     ) -> None:
-        self.codec = codec
-        self.rng = rng
+        super().__init__(codec, rng)
         self.own_id = own_id
         self.mutator = mutator
         self.recorded = recorded
-        self._values = ValidValues(codec, rng)
-        self._forge = Forge(codec)
-        profile = codec.profile
-        self._limits = profile.limits
-        self._network = profile.bp.network_id or 0
-        self._has_network = profile.has_header_field("networkId")
-        self._modulus = seqno_modulus(profile.types.var_seqno.width)
-        self._top_var = min(255, (1 << (8 * profile.types.var_id.width)) - 1)
-        self._creation = "creationTime" in profile.vardis.var_spec
-        stamp = profile.types.timestamp
+        stamp = codec.profile.types.timestamp
         self._latest = (1 << (8 * stamp.width - stamp.signed)) - 1
-        self._seqno = 0
         self._kinds: list[tuple[float, str, Callable[[], list[Step]]]] = [
             (30, "mixed", self.mixed),
             (40, "mutated", self.mutated),
@@ -91,7 +75,7 @@ class Sequences:
             (0.4, "all-variables", self.all_variables),
             (1, "largest", self.largest),
         ]
-        if "timeout" in profile.vardis.var_spec:
+        if self._timeout:
             self._kinds.append((6, "soft-state", self.soft_state))
         if codec.report_plan is not None:
             self._kinds.append((15, "reports", self.reports))
@@ -115,96 +99,13 @@ class Sequences:
             if isinstance(step, Frame):
                 self.mutator.add(step.octets)
 
-    # -- parts -------------------------------------------------------------------------------------------------
-
-    def node(self, number: int) -> bytes:
-        """The identifier of a station."""
-        layout = self.codec.profile.types.node_id
-        octets = bytes((0x02, 0xDC, 0x90)) + number.to_bytes(3, "big")
-        if layout.representation == "text":
-            return octets.hex(":").encode()
-        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
-
-    def frame(
-        self, *what: VardisRecord | Block | ExtendedSafetyData, sender: bytes | None = None, peer: int = 1
-    ) -> Frame:
-        """A beacon of a station; records of one kind that follow each other share a container."""
-        self._seqno = (self._seqno + 1) % BP_SEQNO_MODULUS
-        blocks: list[Block] = []
-        run: list[VardisRecord] = []
-        for each in (*what, None):
-            if isinstance(each, Block | ExtendedSafetyData) or each is None:
-                if run:
-                    blocks.append(self._forge.vardis(*run))
-                    run = []
-                if each is not None:
-                    blocks.append(each if isinstance(each, Block) else self._forge.srp(each))
-            else:
-                run.append(each)
-        octets = self._forge.beacon(
-            self.node(peer) if sender is None else sender,
-            self._seqno,
-            blocks,
-            network_id=self._network if self._has_network else None,
-        )
-        return Frame(octets, octets, source=self._address(peer))
-
-    def _address(self, peer: int) -> bytes:
-        return bytes((0x02, 0xDC, 0x90)) + peer.to_bytes(3, "big")
-
-    def var_id(self) -> int:
-        """One of a few variables."""
-        return self.rng.choice((0, 1, 1, 2, 2, 3, self._top_var))
-
-    def value(self) -> bytes:
-        """A value; lengths around the limit are favoured."""
-        most = min(self._limits.max_value_length, self._values.longest_value)
-        size = self.rng.choice((1, 1, 4, most - 1, most, min(most + 1, self._values.longest_value), 0))
-        octets = self.rng.randbytes(size)
-        return octets.replace(b"\0", b"\1") if self.codec.profile.types.value.terminated else octets
-
-    def create(
-        self, var_id: int, *, peer: int = 1, seqno: int = 0, creation: int = _CREATION, producer: bytes | None = None
-    ) -> VarCreate:
-        """A VarCreate that is most often acceptable."""
-        rng, limits = self.rng, self._limits
-        rep_cnt = rng.choice((1, 1, 2, limits.max_repetitions, min(limits.max_repetitions + 1, 255), 0))
-        most = min(limits.max_description_length, self._values.longest_text)
-        descr = b"d" * rng.choice((1, 4, most, min(most + 1, self._values.longest_text), 0))
-        spec = VarSpec(
-            var_id,
-            self.node(peer) if producer is None else producer,
-            rep_cnt,
-            descr if rng.random() < 0.9 else b"\xff\xfe",
-            creation if self._creation else None,
-            0 if "timeout" in self.codec.profile.vardis.var_spec else None,
-        )
-        return VarCreate(spec, VarUpdate(var_id, seqno, self.value()))
-
-    def good_create(self, var_id: int, *, timeout: int = 0, **more: Any) -> VarCreate:
-        """A VarCreate that every node has to take; ``timeout`` in ms."""
-        made = self.create(var_id, **more)
-        until = None if made.spec.timeout is None else timeout
-        spec = VarSpec(var_id, made.spec.prod_id, 2, b"good", made.spec.creation_time, until)
-        return VarCreate(spec, VarUpdate(var_id, made.upd.seqno, b"good"))
-
-    def seqno(self, around: int = 0) -> int:
-        """A number that is interesting as seen from another: near it, half the circle away, or at the ends."""
-        half = self._modulus // 2
-        step = self.rng.choice((0, 1, 1, 2, -1, half - 1, half, half + 1, self.rng.randrange(self._modulus)))
-        return (around + step) % self._modulus
-
-    def pause(self) -> list[Step]:
-        """Sometimes some time."""
-        return [Wait(self.rng.choice((0.5, 1.0, 2.0)))] if self.rng.random() < 0.3 else []
-
     # -- kinds of sequences ------------------------------------------------------------------------------------
 
     def mixed(self) -> list[Step]:
         """Valid beacons, drawn one by one."""
         found: list[Step] = []
-        for _ in range(self.rng.randrange(1, 6)):
-            octets = self.rng.choice(self.mutator.sources).octets
+        for _ in range(1 + self._chance.below(5)):
+            octets = self._chance.one_of(self.mutator.sources).octets
             found.append(Frame(octets, octets))
             found += self.pause()
         return found
@@ -212,7 +113,7 @@ class Sequences:
     def mutated(self) -> list[Step]:
         """A variable, and mutations that may damage it."""
         found: list[Step] = [self.frame(self.good_create(self.var_id()))] if self.rng.random() < 0.5 else []
-        for _ in range(self.rng.randrange(1, 6)):
+        for _ in range(1 + self._chance.below(5)):
             made = self.mutator.mutate()
             found.append(Frame(made.octets, made.source, ", ".join(f"{path} {name}" for path, name in made.touched)))
             found += self.pause()
@@ -221,14 +122,14 @@ class Sequences:
     def creation_times(self) -> list[Step]:
         """One variable created again and again, earlier, equally and later, by this and that producer."""
         var_id, found = self.var_id(), list[Step]()
-        time = _CREATION
-        for _ in range(self.rng.randrange(2, 6)):
+        time = CREATION
+        for _ in range(2 + self._chance.below(4)):
             # The last of them is later, with a lower half that is earlier.
-            time += self.rng.choice((0, 1, 1, -1, -1000, 256, 1000, 65_536, (1 << 32) - 500))
+            time += self._chance.one_of((0, 1, 1, -1, -1000, 256, 1000, 65_536, (1 << 32) - 500))
             time = max(0, min(time, self._latest))
             producer = self.own_id if self.rng.random() < 0.1 else None
             made = self.good_create if self.rng.random() < 0.7 else self.create
-            create = made(var_id, peer=self.rng.randrange(1, 3), creation=time, seqno=self.seqno(), producer=producer)
+            create = made(var_id, peer=1 + self._chance.below(2), creation=time, seqno=self.seqno(), producer=producer)
             found.append(self.frame(create))
             if self.rng.random() < 0.2:
                 found.append(self.frame(VarDelete(var_id)))
@@ -239,12 +140,12 @@ class Sequences:
         """Updates, summaries and requests around the circle."""
         var_id, number = self.var_id(), self.seqno()
         found: list[Step] = [self.frame(self.good_create(var_id, seqno=number))]
-        for _ in range(self.rng.randrange(2, 7)):
+        for _ in range(2 + self._chance.below(5)):
             other = self.seqno(number)
-            record = self.rng.choice(
+            record = self._chance.one_of(
                 (VarUpdate(var_id, other, self.value()), VarSumm(var_id, other), VarReqUpdate(var_id, other))
             )
-            found.append(self.frame(record, peer=self.rng.randrange(1, 4)))
+            found.append(self.frame(record, peer=1 + self._chance.below(3)))
             if isinstance(record, VarUpdate) and self.rng.random() < 0.6:
                 number = other
             found += self.pause()
@@ -252,9 +153,9 @@ class Sequences:
 
     def delete_and_create(self) -> list[Step]:
         """A variable that comes and goes, now and then in one beacon."""
-        var_id, time, found = self.var_id(), _CREATION, list[Step]()
-        for _ in range(self.rng.randrange(1, 5)):
-            time += self.rng.choice((1, 1, 1, 0))
+        var_id, time, found = self.var_id(), CREATION, list[Step]()
+        for _ in range(1 + self._chance.below(4)):
+            time += self._chance.one_of((1, 1, 1, 0))
             create = self.good_create(var_id, creation=time, seqno=self.seqno())
             if self.rng.random() < 0.3:
                 found.append(self.frame(create, VarDelete(var_id)))
@@ -267,7 +168,7 @@ class Sequences:
                 VarDelete(var_id),
             )
             if self.rng.random() < 0.5:
-                found.append(self.frame(self.rng.choice(late), peer=2))
+                found.append(self.frame(self._chance.one_of(late), peer=2))
             found += self.pause()
         return found
 
@@ -275,10 +176,10 @@ class Sequences:
         """Requests for what is there and what is not."""
         var_id = self.var_id()
         found: list[Step] = [self.frame(self.good_create(var_id, seqno=5))] if self.rng.random() < 0.7 else []
-        for _ in range(self.rng.randrange(1, 6)):
-            many = self.rng.choice((1, 2, 10, 60))
+        for _ in range(1 + self._chance.below(5)):
+            many = self._chance.one_of((1, 2, 10, 60))
             ids = [(var_id + number) % (self._top_var + 1) for number in range(many)]
-            kind = self.rng.randrange(3)
+            kind = self._chance.below(3)
             records: list[VardisRecord] = [
                 VarReqCreate(each)
                 if kind == 0
@@ -287,19 +188,19 @@ class Sequences:
                 else VarSumm(each, 5)
                 for each in ids
             ]
-            found.append(self.frame(*records, peer=self.rng.randrange(1, 4)))
+            found.append(self.frame(*records, peer=1 + self._chance.below(3)))
             found += self.pause()
         return found
 
     def soft_state(self) -> list[Step]:
         """A variable that lives as long as there are updates of it, and other things to be heard."""
-        var_id, number, time = self.var_id(), self.seqno(), _CREATION
-        timeout = self.rng.choice((100, 300, 700, 1200))
+        var_id, number, time = self.var_id(), self.seqno(), CREATION
+        timeout = self._chance.one_of((100, 300, 700, 1200))
         found: list[Step] = [self.frame(self.good_create(var_id, seqno=number, timeout=timeout))]
-        for _ in range(self.rng.randrange(1, 5)):
-            found.append(Wait(self.rng.choice((0.5, 2.0, 5.0, 11.0))))
-            number, time = (number + 1) % self._modulus, time + self.rng.randrange(2)
-            record = self.rng.choice(
+        for _ in range(1 + self._chance.below(4)):
+            found.append(Wait(self._chance.one_of((0.5, 2.0, 5.0, 11.0))))
+            number, time = (number + 1) % self._modulus, time + self._chance.below(2)
+            record = self._chance.one_of(
                 (
                     VarUpdate(var_id, number, b"alive"),
                     VarUpdate(var_id, number, b"alive"),
@@ -309,15 +210,15 @@ class Sequences:
                     self.good_create(var_id, seqno=number, timeout=timeout, creation=time),
                 )
             )
-            found.append(self.frame(record, peer=self.rng.randrange(1, 3)))
-        return [*found, Wait(self.rng.choice((2.0, 25.0)))]
+            found.append(self.frame(record, peer=1 + self._chance.below(2)))
+        return [*found, Wait(self._chance.one_of((2.0, 25.0)))]
 
     def two_producers(self) -> list[Step]:
         """Two stations that both think a variable is theirs."""
         var_id, found = self.var_id(), list[Step]()
-        for turn in range(self.rng.randrange(2, 6)):
+        for turn in range(2 + self._chance.below(4)):
             peer = 1 + turn % 2
-            time = _CREATION + self.rng.choice((0, peer, turn))
+            time = CREATION + self._chance.one_of((0, peer, turn))
             record: VardisRecord = self.good_create(var_id, peer=peer, creation=time, seqno=self.seqno(turn))
             if turn and self.rng.random() < 0.5:
                 record = VarUpdate(var_id, self.seqno(turn), bytes((peer,)))
@@ -329,35 +230,35 @@ class Sequences:
         """Beacons in the name of the node itself, of everybody and of nobody."""
         found: list[Step] = []
         width = len(self.own_id)
-        for _ in range(self.rng.randrange(1, 5)):
+        for _ in range(1 + self._chance.below(4)):
             text = self.codec.profile.types.node_id.representation == "text"
             others = (self.own_id, self.node(1)) if text else (self.own_id, bytes(width), b"\xff" * width, self.node(1))
-            what: VardisRecord | ExtendedSafetyData = self.good_create(
-                self.var_id(), producer=self.rng.choice(others), seqno=self.seqno()
-            )
+            create = self.good_create(self.var_id(), producer=self._chance.one_of(others), seqno=self.seqno())
             if self.codec.report_plan is not None and self.rng.random() < 0.4:
                 report = self._values.report()
-                what = ExtendedSafetyData(report.s_data, self.rng.choice(others), report.t_stamp, report.seqno)
-            found.append(self.frame(what, sender=self.rng.choice(others)))
+                report = ExtendedSafetyData(report.s_data, self._chance.one_of(others), report.t_stamp, report.seqno)
+                found.append(self.report_frame(report, sender=self._chance.one_of(others)))
+            else:
+                found.append(self.frame(create, sender=self._chance.one_of(others)))
             found += self.pause()
         return found
 
     def reports(self) -> list[Step]:
         """State reports of a few stations, of which numbers and stamps make no sense."""
         found: list[Step] = []
-        for _ in range(self.rng.randrange(1, 6)):
-            found.append(self.frame(self._values.report(), peer=self.rng.randrange(1, 4)))
+        for _ in range(1 + self._chance.below(5)):
+            found.append(self.report_frame(self._values.report(), peer=1 + self._chance.below(3)))
             found += self.pause()
         return found
 
     def services(self) -> list[Step]:
         """Variables of the node's own application, while others talk about them."""
         var_id, found = self.var_id(), list[Step]()
-        create = {"varId": var_id, "repCnt": self.rng.choice((1, 2, 15)), "descr": "own", "value": "6f776e"}
+        create = {"varId": var_id, "repCnt": self._chance.one_of((1, 2, 15)), "descr": "own", "value": "6f776e"}
         found.append(Call("RTDB-Create", create))
-        for _ in range(self.rng.randrange(2, 6)):
+        for _ in range(2 + self._chance.below(4)):
             step: Step
-            match self.rng.randrange(9):
+            match self._chance.below(9):
                 case 0 | 1:
                     step = Call("RTDB-Update", {"varId": var_id, "value": self.rng.randbytes(3).hex()})
                 case 2:
@@ -365,17 +266,17 @@ class Sequences:
                 case 3:
                     step = Call("RTDB-Create", create)
                 case 4:
-                    step = Call(*self.rng.choice(_ODD_CALLS))
+                    step = Call(*self._chance.one_of(_ODD_CALLS))
                 case 5:
-                    step = self.frame(self.good_create(var_id, creation=self.rng.choice((1, _CREATION))))
+                    step = self.frame(self.good_create(var_id, creation=self._chance.one_of((1, CREATION))))
                 case 6 if self.codec.report_plan is not None:
                     # A node with a report and variables sends beacons of two blocks.
                     step = Call("SRP-UpdateSafetyData", {"sData": self._safety_data()})
                 case 7:
-                    other = self.rng.choice((VarDelete(var_id), VarUpdate(var_id, self.seqno(), b"other")))
+                    other = self._chance.one_of((VarDelete(var_id), VarUpdate(var_id, self.seqno(), b"other")))
                     step = self.frame(other)
                 case _:
-                    step = self.frame(self.rng.choice((VarReqCreate(var_id), VarReqUpdate(var_id, self.seqno()))))
+                    step = self.frame(self._chance.one_of((VarReqCreate(var_id), VarReqUpdate(var_id, self.seqno()))))
             found.append(step)
             found += self.pause()
         return found
@@ -390,10 +291,10 @@ class Sequences:
         found: list[Step] = []
         if self.rng.random() < 0.4:
             found.append(self.frame(self.good_create(var_id, seqno=number)))
-        for turn in range(self.rng.randrange(1, 4)):
+        for turn in range(1 + self._chance.below(3)):
             later = (number + 1) % self._modulus
             records: list[VardisRecord] = [
-                self.good_create(var_id, seqno=number, creation=_CREATION + turn),
+                self.good_create(var_id, seqno=number, creation=CREATION + turn),
                 VarUpdate(var_id, later, b"update"),
                 VarUpdate(var_id, self.seqno(number), b"other"),
                 VarDelete(var_id),
@@ -401,7 +302,7 @@ class Sequences:
                 VarReqUpdate(var_id, self.seqno(number)),
                 VarReqCreate(var_id),
             ]
-            found.append(self.frame(*self.rng.sample(records, self.rng.randrange(2, 5))))
+            found.append(self.frame(*self.rng.sample(records, 2 + self._chance.below(3))))
             found += self.pause()
         return found
 
@@ -422,7 +323,7 @@ class Sequences:
             found.append(self.frame(*records[first : first + 20]))
         found.append(Wait(2.0))
         others: list[VardisRecord] = [
-            self.rng.choice((VarDelete(each), VarUpdate(each, 1, b"n"), VarReqCreate(each))) for each in ids
+            self._chance.one_of((VarDelete(each), VarUpdate(each, 1, b"n"), VarReqCreate(each))) for each in ids
         ]
         others.sort(key=lambda record: type(record).__name__)
         for first in range(0, len(others), 60):
@@ -445,12 +346,12 @@ class Sequences:
 
     def recording(self) -> list[Step]:
         """A piece of a recording, with a mutation in it."""
-        start = self.rng.randrange(len(self.recorded))
+        start = self._chance.below(len(self.recorded))
         found: list[Step] = [
-            Frame(octets, octets) for octets in self.recorded[start : start + self.rng.randrange(2, 8)]
+            Frame(octets, octets) for octets in self.recorded[start : start + 2 + self._chance.below(6)]
         ]
         made = self.mutator.mutate()
-        found.insert(self.rng.randrange(len(found) + 1), Frame(made.octets, made.source))
+        found.insert(self._chance.below(len(found) + 1), Frame(made.octets, made.source))
         return found
 
     def neighbour_flood(self) -> list[Step]:
@@ -459,7 +360,7 @@ class Sequences:
         for number in range(1, _FLOOD + 1):
             report = self._values.report()
             report = ExtendedSafetyData(report.s_data, self.node(number), report.t_stamp, number)
-            found.append(self.frame(report, peer=number))
+            found.append(self.report_frame(report, peer=number))
         return [*found, Wait(40.0)]
 
 
