@@ -13,11 +13,13 @@ The generator is passed in (``random.Random``), so that the same seed makes the 
 
 from __future__ import annotations
 
+import functools
 import random
 import re
+import sys
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from .chance import Chance
@@ -51,7 +53,7 @@ class Place(NamedTuple):
     """Without indices: ``payloads[].vardis[].records[].seqno``."""
     start: int
     stop: int
-    options: dict[str, bytes]
+    options: Mapping[str, bytes]
     """Class -> the octets that the field becomes; ``bit`` is drawn."""
     names: tuple[str, ...]
     """The classes, ``bit`` too."""
@@ -228,8 +230,8 @@ def _replaced(octets: bytes, place: Place, new: bytes) -> bytes:
 
 
 def generic(path: str) -> str:
-    """A field path without its indices."""
-    return _INDEX.sub("[]", path)
+    """A field path without its indices; one string for all fields of that path, of which a pool has thousands."""
+    return sys.intern(_INDEX.sub("[]", path))
 
 
 def _taken_apart(root: Field, octets: bytes) -> Source:
@@ -249,9 +251,8 @@ def _taken_apart(root: Field, octets: bytes) -> Source:
         known = keys.get(field.name, frozenset()) if isinstance(layout, Scalar) else frozenset()
         if isinstance(layout, Scalar) and layout.names is not None:
             known |= frozenset(layout.names)
-        options = _options(field.raw, order, known)
-        stop = field.offset + field.length
-        place = Place(generic(field.path), field.offset, stop, options, (*options, "bit"))
+        options, names = _options(field.raw, order, known)
+        place = Place(generic(field.path), field.offset, field.offset + field.length, options, names)
         places.append(place)
         if isinstance(layout, Scalar) and (layout.derived is not None or field.name in referred):
             counts.append(place)
@@ -263,8 +264,12 @@ def _keys(layout: Node) -> dict[str, frozenset[int]]:
     return {each.key.rsplit(".", 1)[-1]: frozenset(each.cases) for each in walk(layout) if isinstance(each, Select)}
 
 
-def _options(raw: bytes, order: Any, known: frozenset[int]) -> dict[str, bytes]:
-    """Other octets of the same number, by class; long fields are changed as numbers, too."""
+@functools.lru_cache(maxsize=1024)
+def _options(raw: bytes, order: Any, known: frozenset[int]) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Other octets of the same number, by class, and all classes; long fields are changed as numbers, too.
+
+    Most fields of a pool hold what others hold: they share what is worked out here.
+    """
     size = len(raw)
     top = (1 << (8 * size)) - 1
     value = int.from_bytes(raw, order)
@@ -276,7 +281,7 @@ def _options(raw: bytes, order: Any, known: frozenset[int]) -> dict[str, bytes]:
     found = {name: number.to_bytes(size, order) for name, number in numbers.items()}
     if size > 1:
         found["swapped"] = raw[::-1]
-    return found
+    return found, (*found, "bit")
 
 
 def drawn_pool(codec: Codec, rng: random.Random, count: int = 200, recorded: Sequence[bytes] = ()) -> list[bytes]:
