@@ -112,7 +112,7 @@ def plain(value: Any) -> Any:
     return repr(value)
 
 
-@settings(max_examples=200)
+@settings(max_examples=120)
 @given(profiles().filter(lambda profile: not list(contradictions(profile))), st.data())
 def test_any_profile(profile: Profile, data: st.DataObject) -> None:
     codec = Codec(profile)

@@ -46,7 +46,7 @@ def frames(draw: st.DrawFn) -> bytes:
 
 
 @pytest.mark.parametrize("link", [ETHERNET, UDP], ids=["ethernet", "udp"])
-@settings(max_examples=1500)
+@settings(max_examples=600)
 @given(frame=frames() | st.binary(max_size=80))
 def test_the_same_place(link, frame):
     found, expected = both(frame, link)
