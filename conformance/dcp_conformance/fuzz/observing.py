@@ -160,22 +160,24 @@ class Observer:
 
     def _payload(self, containers: tuple[Container, ...], time: int, number: int) -> list[int]:
         records: list[VardisRecord] = [record for container in containers for record in container.records]
+        variables, reached, removes = self.oracle.variables, self.reached, self._features.removed_after_deletion
         touched = []
         for record in records:
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             touched.append(var_id)
-            known = self.oracle.variables.get(var_id)
-            if known is None or known.now.state == "unknown":
-                self.reached["unknown", _NAMES[type(record)]] += 1
+            known = variables.get(var_id)
+            now = None if known is None else known.versions[-1]
+            if now is None or now.state == "unknown":
+                reached["unknown", _NAMES[type(record)]] += 1
             else:
-                self.reached[self._state(known.now), self._message(record, known.now)] += 1
+                reached[self._state(now), self._message(record, now)] += 1
             if isinstance(record, VarCreate):
                 self._open_questions(record)
-            if self._features.removed_after_deletion and self._was_deleted(var_id):
+            if removes and self._was_deleted(var_id):
                 # When a deleted variable leaves the database shows only when something is said to the node about it.
                 self.oracle.doubt(var_id)
         self.oracle.hear(records, time, number)
-        if self._features.removed_after_deletion:
+        if removes:
             for record in records:
                 if isinstance(record, VarDelete) and touched.count(record.var_id) > 1:
                     # Nor does it show what is still there for the records behind it.
@@ -206,10 +208,10 @@ class Observer:
 
     def _message(self, record: VardisRecord, version: Version) -> str:
         name = _NAMES[type(record)]
-        if isinstance(record, VarDelete | VarReqCreate):
-            return name
         if isinstance(record, VarCreate):
             return f"{name} {self._compared(record, version)}".rstrip()
+        if isinstance(record, (VarDelete, VarReqCreate)):
+            return name
         if record.seqno == version.seqno:
             return f"{name} equal"
         if self._circle.newer(record.seqno, version.seqno):

@@ -80,9 +80,10 @@ class Model:
 
     def hear(self, records: Sequence[VardisRecord], time: int, frame: int) -> None:
         """A payload reaches the node: all records of it, in order."""
-        for record in records if len(records) == 1 else sorted(records, key=_place):
+        variables = self.variables
+        for record in records if len(set(map(type, records))) == 1 else sorted(records, key=_place):
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
-            variable = self._variable(var_id)
+            variable = variables.get(var_id) or self._variable(var_id)
             if time < variable.due or self._ageing(record, variable, var_id, time):
                 self._hear_one[type(record)](record, variable, time, frame)
 
@@ -106,7 +107,7 @@ class Model:
         spec, update = record.spec, record.upd
         if spec.prod_id == self.own_id or not self._limits.acceptable(record, self._features):
             return
-        known, creation = variable.now, spec.creation_time or 0
+        known, creation = variable.versions[-1], spec.creation_time or 0
         if self._features.creation_time:
             if creation <= variable.latest:
                 # Not later than what the node has, unless that is something earlier.
@@ -128,7 +129,7 @@ class Model:
         self._arm(_CREATES, spec.var_id, time, frame, "VD-PC-09")
 
     def _hear_delete(self, record: VarDelete, variable: Variable, time: int, frame: int) -> None:
-        known = variable.now
+        known = variable.versions[-1]
         if variable.uncertain and variable.foreign and self._features.creation_time:
             # Alive or not, and of whatever creation: now it is deleted.
             self._regain(variable, time)
@@ -142,7 +143,7 @@ class Model:
             self._arm(_DELETES, record.var_id, time, frame, "VD-PD-04")
 
     def _hear_update(self, record: VarUpdate, variable: Variable, time: int, frame: int) -> None:
-        known = variable.now
+        known = variable.versions[-1]
         if variable.uncertain:
             return
         if self._unknown(variable):
@@ -161,7 +162,7 @@ class Model:
                 self._lose(variable)
 
     def _hear_summary(self, record: VarSumm, variable: Variable, time: int, frame: int) -> None:
-        known = variable.now
+        known = variable.versions[-1]
         if variable.uncertain:
             return
         if self._unknown(variable):
@@ -175,7 +176,7 @@ class Model:
                 self._lose(variable)
 
     def _hear_update_request(self, record: VarReqUpdate, variable: Variable, time: int, frame: int) -> None:
-        known = variable.now
+        known = variable.versions[-1]
         if variable.uncertain:
             return
         if self._unknown(variable):
@@ -211,7 +212,7 @@ class Model:
     def updated(self, var_id: int, value: bytes, time: int) -> None:
         """RTDB-Update was confirmed with OK."""
         variable = self._own_alive(var_id, time)
-        known = variable.now
+        known = variable.versions[-1]
         seqno = (known.seqno + 1) % self._circle.modulus
         self._become(variable, Version(time, "alive", known.spec, seqno, value))
         self._settle(_UPDATES, var_id)
@@ -262,7 +263,7 @@ class Model:
         self._fade(variable, var_id, time)
         if time < variable.due or isinstance(record, VarCreate):
             return True
-        if self._own(variable.now) or not isinstance(record, VarUpdate | VarDelete):
+        if self._own(variable.now) or not isinstance(record, (VarUpdate, VarDelete)):
             return False
         self._lose(variable)
         return True
@@ -273,7 +274,7 @@ class Model:
         self._forget(var_id)
         if time <= gone:
             return
-        known = variable.now
+        known = variable.versions[-1]
         self._become(variable, known._replace(since=gone, state="deleted"))
         variable.settled = gone
         variable.repetitions.clear()
@@ -282,9 +283,10 @@ class Model:
     def _arm(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
         """The counter of an instruction is set: it may stand in repCnt beacons from now on, and must in one."""
         variable = self.variables[var_id]
-        spec, seqno = variable.now.spec, variable.now.seqno
+        known = variable.versions[-1]
+        spec, seqno = known.spec, known.seqno
         repetitions = spec.rep_cnt if spec is not None else 0
-        variable.repetitions.arm(key_of(kind, seqno), repetitions, time)
+        variable.repetitions.arm((kind, seqno if kind is _UPDATES else 0), repetitions, time)
         if repetitions > 0:
             self._owe(kind, var_id, seqno, time, frame, requirement)
 
@@ -292,13 +294,14 @@ class Model:
         """The node has a reason to ask: it may once more, and must if it is certain that the reason holds."""
         variable = self.variables[var_id]
         variable.repetitions.arm((kind, 0), 1, time)
-        if variable.now.state != "deleted":
-            seqno = variable.now.seqno if kind is _UPDATE_REQUESTS else 0
+        known = variable.versions[-1]
+        if known.state != "deleted":
+            seqno = known.seqno if kind is _UPDATE_REQUESTS else 0
             self._owe(kind, var_id, seqno, time, frame, requirement)
 
     def _unknown(self, variable: Variable) -> bool:
         """Whether the node does not have a variable, or perhaps no longer."""
-        state = variable.now.state
+        state = variable.versions[-1].state
         return state == "unknown" or (state == "deleted" and self._perhaps_gone(variable))
 
     def _owe(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:

@@ -53,8 +53,9 @@ class Repetitions:
 
     def arm(self, key: Key, times: int, time: int) -> None:
         """There is a reason to say it in so many beacons."""
-        one = self._one(key)
-        one.allowed = min(one.allowed, one.counted + IN_FLIGHT) + times
+        one = self._all.get(key) or self._one(key)
+        flying = one.counted + IN_FLIGHT
+        one.allowed = (one.allowed if one.allowed < flying else flying) + times
         one.since, one.behind = time, 0
 
     def allowed(self, key: Key) -> int:
@@ -67,19 +68,23 @@ class Repetitions:
         one = self._all.get(key)
         return 0 if one is None else one.counted
 
-    def armed_at(self, key: Key) -> int | None:
-        """When there was a reason to say it, the last time."""
-        one = self._all.get(key)
-        return None if one is None else one.since
+    def count(self, key: Key) -> tuple[int, int]:
+        """It stands in a beacon, and is about what the variable is now.
 
-    def count(self, key: Key) -> int:
-        """It stands in a beacon, and is about what the variable is now; in how many it stood by then."""
-        one = self._one(key)
+        In how many it stood by then, and in how many it may stand.
+        """
+        one = self._all.get(key) or self._one(key)
         one.counted += 1
-        return one.counted
+        return one.counted, one.allowed
 
-    def stands_behind(self, key: Key) -> int:
-        """It stands in a beacon that was composed behind the last reason; in how many such it stood before."""
-        one = self._one(key)
+    def stands(self, key: Key, composed: int) -> tuple[int, int] | None:
+        """It stands in a beacon that was composed at this time or later.
+
+        When there was a reason, the last time, and in how many beacons from behind that it stood before; None if this
+        one is not certainly from behind that.
+        """
+        one = self._all.get(key)
+        if one is None or one.since is None or composed <= one.since:
+            return None
         one.behind += 1
-        return one.behind - 1
+        return one.since, one.behind - 1

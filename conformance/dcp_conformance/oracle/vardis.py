@@ -53,18 +53,27 @@ class Oracle(Model):
         ``roomy``: any other instruction would have fitted, so that those that are missing were not to be said.
         """
         complaints: list[Complaint] = []
+        variables, owed, removes = self.variables, self._owed, self._features.removed_after_deletion
+        composed = time - self._latency
         for kind, record in records:
-            spec = getattr(record, "spec", None)
-            var_id: int = record.var_id if spec is None else spec.var_id  # type: ignore[union-attr]
-            variable = self._variable(var_id)
+            if isinstance(record, VarCreate):
+                var_id, seqno = record.spec.var_id, record.upd.seqno
+            else:
+                var_id, seqno = record.var_id, getattr(record, "seqno", 0)
+            variable = variables.get(var_id) or self._variable(var_id)
             if time >= variable.due:
                 self._fade(variable, var_id, time)
-            seqno = _seqno(record)
-            self._settle(kind, var_id, seqno)
-            exhausted = kind in _REPEATED and self._exhausted(variable, key_of(kind, seqno), time)
-            if not variable.uncertain and variable.settled < time - self._latency and time < variable.due:
-                complaints += self._judge(kind, record, variable, var_id, seqno, time, frame, exhausted)
-            if variable.now.state == "deleted" and self._features.removed_after_deletion:
+            if var_id in owed:
+                self._settle(kind, var_id, seqno)
+            exhausted = kind in _REPEATED and self._exhausted(variable, key_of(kind, seqno), composed)
+            if not variable.uncertain and variable.settled < composed and time < variable.due:
+                known = variable.versions[-1]
+                if kind is _SUMMARIES and known.seqno == seqno and known.state == "alive":
+                    # Most of what a node says, and there is nothing else in it.
+                    self._occur(kind)
+                else:
+                    complaints += self._judge(kind, record, variable, var_id, seqno, time, frame, exhausted)
+            if removes and variable.versions[-1].state == "deleted":
                 self._remove_when_told(variable, time)
         if roomy:
             self._roomy.append(time)
@@ -116,8 +125,7 @@ class Oracle(Model):
             yield from self._judge_request(kind, variable, var_id, seqno, versions, frame)
             return
         needed: State = "deleted" if kind is _DELETES else "alive"
-        for requirement in _ABOUT[kind]:
-            self.occasions[requirement] += 1
+        self._occur(kind)
         fitting = [version for version in versions if version.state == needed]
         if not fitting:
             requirement = {"deleted": "VD-PD-04", "alive": "VD-CMP-05"}[needed]
@@ -136,6 +144,10 @@ class Oracle(Model):
         if kind is not _SUMMARIES and len(fitting) == 1 and fitting[0] is versions[-1]:
             # What is, or may be, of an earlier creation or of a moment ago is counted no more.
             yield from self._counted(kind, variable, var_id, seqno, frame, exhausted)
+
+    def _occur(self, kind: ICType) -> None:
+        for requirement in _ABOUT[kind]:
+            self.occasions[requirement] += 1
 
     def _judge_content(
         self, record: VardisRecord, var_id: int, fitting: list[Version], meant: list[Version], frame: int
@@ -174,7 +186,7 @@ class Oracle(Model):
             observed = f"{kind.label} with {seqno}"
             yield Complaint("VD-PS-04", var_id, f"the own number {shown} in a request", observed, frame)
         if len(versions) == 1 and versions[0] is variable.versions[-1]:
-            said, reasons = variable.repetitions.count((kind, 0)), variable.repetitions.allowed((kind, 0))
+            said, reasons = variable.repetitions.count((kind, 0))
             if said > reasons:
                 expected = f"{kind.label} of variable {var_id} once for each reason to ask"
                 yield Complaint("VD-SCP-01", var_id, expected, f"{said} for {reasons} reasons", frame)
@@ -184,7 +196,7 @@ class Oracle(Model):
     ) -> Iterator[Complaint]:
         key = key_of(kind, seqno)
         self.occasions["VD-SCP-02"] += 1
-        count, allowed = variable.repetitions.count(key), variable.repetitions.allowed(key)
+        count, allowed = variable.repetitions.count(key)
         if count > allowed:
             expected = f"{kind.label} of variable {var_id} in at most {allowed} beacons"
             yield Complaint("VD-SCP-02", var_id, expected, f"it stands in {count}", frame)
@@ -192,12 +204,12 @@ class Oracle(Model):
             expected = f"no {kind.label} of variable {var_id} after a payload with room for it but without it"
             yield Complaint("VD-SCP-02", var_id, expected, "it is there again, without a reason", frame)
 
-    def _exhausted(self, variable: Variable, key: Key, time: int) -> bool:
+    def _exhausted(self, variable: Variable, key: Key, composed: int) -> bool:
         """An instruction stands in a payload: whether an earlier one has shown that it was not to be said any more."""
-        armed = variable.repetitions.armed_at(key)
-        if armed is None or time <= armed + self._latency:
+        stood = variable.repetitions.stands(key, composed)
+        if stood is None:
             return False
-        behind = variable.repetitions.stands_behind(key)
+        armed, behind = stood
         return len(self._roomy) - bisect_right(self._roomy, armed + self._latency) > behind
 
     def _lately(self, variable: Variable, time: int) -> list[Version]:
@@ -216,10 +228,3 @@ class Oracle(Model):
         if variable.repetitions.counted(DELETION) >= max(variable.repetitions.allowed(DELETION), 1):
             variable.repetitions.clear()
             self._become(variable, Version(time, "unknown", None, 0, b""))
-
-
-def _seqno(record: VardisRecord) -> int:
-    if isinstance(record, VarCreate):
-        return record.upd.seqno
-    number: int = getattr(record, "seqno", 0)
-    return number
