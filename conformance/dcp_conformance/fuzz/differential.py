@@ -162,7 +162,7 @@ class Comparison:
 
     def _variables(self, at: int) -> Effect | None:
         bench = self._bench
-        certain = list(self._observer.certain(list(self._observer.oracle.variables)))
+        certain = self._observer.certain(list(self._observer.oracle.variables))
         if "RTDB-DescribeDatabase" in self._methods:
             listed = {row.get("varId"): row for row in rows(bench.call("RTDB-DescribeDatabase"), "variables")}
             for var_id, version in certain:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Final
 
 import msgspec
-from dcp_spec.constants import features
+from dcp_spec.constants import ICType, features
 
 from dcp_codec.codec import Codec
 from dcp_codec.dissect import dissect
@@ -254,16 +254,19 @@ class Observer:
     def _judged(
         self, containers: tuple[Container, ...], roomy: bool, time: int, number: int, step: int
     ) -> Effect | None:
-        said = [(KIND_OF[type(record)], record) for each in containers for record in each.records]
-        self.requested.update(record.var_id for _, record in said if isinstance(record, VarReqCreate))
+        said: list[tuple[ICType, VardisRecord]] = []
+        for container in containers:
+            # One type of records each.
+            kind = KIND_OF[type(container.records[0])]
+            said += [(kind, record) for record in container.records]
+            if kind is ICType.REQUEST_VARCREATES:
+                self.requested.update([record.var_id for record in container.records])
         for each in self.oracle.said(said, time, number, roomy=roomy):
             detail = f"variable {each.var_id}: expected {each.expected}, said {each.observed}"
             return Effect("said", detail, step, each.requirement)
         return None
 
-    def certain(self, var_ids: Iterable[int], time: int | None = None) -> Iterator[tuple[int, Version]]:
+    def certain(self, var_ids: Iterable[int], time: int | None = None) -> list[tuple[int, Version]]:
         """What the model says of these variables at a time (None: now), as far as it is sure."""
-        for var_id in var_ids:
-            version = self.oracle.certain(var_id, time)
-            if version is not None:
-                yield var_id, version
+        certain = self.oracle.certain
+        return [(var_id, version) for var_id in var_ids if (version := certain(var_id, time)) is not None]

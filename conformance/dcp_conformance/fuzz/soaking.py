@@ -72,7 +72,7 @@ class Soak:
         observer, self._observer = self._observer, None
         if observer is None:
             return None
-        certain = list(observer.certain(self._ids, self.sut.now))
+        certain = observer.certain(self._ids, self.sut.now)
         self.epochs += 1
         self.compared += len(certain)
         return difference(self.sut.node.vardis, certain, self.config.node_id)

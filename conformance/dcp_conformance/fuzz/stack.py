@@ -57,7 +57,7 @@ def difference(vardis: Any, certain: Iterable[tuple[int, Version]], own_id: byte
             return f"variable {var_id} is {observed}, where the model has it {version.state}"
         if not alive:
             continue
-        if (entry.seqno, entry.value) != (version.seqno, version.value):
+        if entry.seqno != version.seqno or entry.value != version.value:
             held = f"number {entry.seqno} value {entry.value.hex()!r}"
             expected = f"number {version.seqno} value {version.value.hex()!r}"
             return f"variable {var_id} has {held}, where the model has {expected}"
@@ -113,6 +113,8 @@ class StackTarget:
         self._period = self.config.bp.beacon_period_ms * _MS
         self._network = codec.profile.bp.network_id
         self._most = codec.profile.limits.max_beacon_size
+        # No queue holds more than there are variables.
+        self._longest = min(1 << (8 * min(codec.profile.types.var_id.width, 2)), 4096)
         self.observer = self._observer()
         """What watched the last sequence."""
         self.frames = 0
@@ -187,7 +189,7 @@ class StackTarget:
     def _compare(self, var_ids: list[int], at: int) -> Effect | None:
         """What the node holds of these variables, against the model."""
         certain = self.observer.certain(dict.fromkeys(var_ids), self._sut.now)
-        different = difference(self._sut.node.vardis, certain, self.own_id)
+        different = difference(self._sut.node.vardis, certain, self.own_id) if certain else None
         return None if different is None else Effect("state", different, at)
 
     # -- services ----------------------------------------------------------------------------------------------
@@ -225,9 +227,8 @@ class StackTarget:
 
     def _unbounded(self, node: Any, at: int) -> Effect | None:
         """Whether queues hold more than there are variables."""
-        most = 1 << (8 * min(self.codec.profile.types.var_id.width, 2))
         for name, length in node.vardis.queue_lengths().items():
-            if length > min(most, 4096):
+            if length > self._longest:
                 return Effect("unbounded", f"{name} has {length} entries", at, name)
         return None
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+import msgspec
 from dcp_spec.constants import Features, ICType
 
 from dcp_codec.values import VarCreate, VarSpec
@@ -60,12 +61,11 @@ class Version(NamedTuple):
 _UNKNOWN = Version(EVER, "unknown", None, 0, b"")
 
 
-@dataclass(slots=True)
-class Variable:
+class Variable(msgspec.Struct):
     """What the node holds of one variable, and held before."""
 
-    versions: deque[Version] = field(default_factory=lambda: deque((_UNKNOWN,), VERSIONS))
-    repetitions: Repetitions = field(default_factory=Repetitions)
+    versions: deque[Version] = msgspec.field(default_factory=lambda: deque((_UNKNOWN,), VERSIONS))
+    repetitions: Repetitions = msgspec.field(default_factory=Repetitions)
     uncertain: bool = False
     settled: int = EVER
     """When it became certain; what was composed before that is not judged."""
@@ -82,7 +82,7 @@ class Variable:
         return self.versions[-1]
 
 
-class Owed(NamedTuple):
+class Owed(msgspec.Struct, frozen=True, gc=False):
     """Something that the node has to say by ``deadline``."""
 
     deadline: int

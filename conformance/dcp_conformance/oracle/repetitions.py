@@ -7,6 +7,7 @@ shows that its queue was empty: from then on it may not come at all.
 
 from __future__ import annotations
 
+import msgspec
 from dcp_spec.constants import ICType
 
 Key = tuple[ICType, int]
@@ -18,54 +19,43 @@ IN_FLIGHT = 2
 _MOST = 128
 
 
-class _Instruction:
+class _Instruction(msgspec.Struct):
     """One instruction: in how many beacons it may stand, and in how many it stood."""
 
-    __slots__ = ("allowed", "behind", "counted", "since")
-
-    def __init__(self) -> None:
-        self.allowed = self.counted = 0
-        self.since: int | None = None
-        """When there was a reason to say it, the last time."""
-        self.behind = 0
-        """In how many beacons it stood that were certainly composed behind that."""
+    allowed: int = 0
+    counted: int = 0
+    since: int | None = None
+    """When there was a reason to say it, the last time."""
+    behind: int = 0
+    """In how many beacons it stood that were certainly composed behind that."""
 
 
-class Repetitions:
-    """The instructions about one variable. Times are ns."""
+class Repetitions(dict[Key, _Instruction]):
+    """The instructions about one variable; none after ``clear``. Times are ns."""
 
-    __slots__ = ("_all",)
+    __slots__ = ()
 
-    def __init__(self) -> None:
-        self._all: dict[Key, _Instruction] = {}
-
-    def _one(self, key: Key) -> _Instruction:
-        one = self._all.get(key)
-        if one is None:
-            one = self._all[key] = _Instruction()
-            if len(self._all) > _MOST:
-                del self._all[next(iter(self._all))]
+    def __missing__(self, key: Key) -> _Instruction:
+        one = self[key] = _Instruction()
+        if len(self) > _MOST:
+            del self[next(iter(self))]
         return one
-
-    def clear(self) -> None:
-        """Nothing is to be said of the variable, and nothing counts that was."""
-        self._all.clear()
 
     def arm(self, key: Key, times: int, time: int) -> None:
         """There is a reason to say it in so many beacons."""
-        one = self._all.get(key) or self._one(key)
+        one = self[key]
         flying = one.counted + IN_FLIGHT
         one.allowed = (one.allowed if one.allowed < flying else flying) + times
         one.since, one.behind = time, 0
 
     def allowed(self, key: Key) -> int:
         """In how many beacons it may stand; 0 without a reason."""
-        one = self._all.get(key)
+        one = self.get(key)
         return 0 if one is None else one.allowed
 
     def counted(self, key: Key) -> int:
         """In how many beacons it stood."""
-        one = self._all.get(key)
+        one = self.get(key)
         return 0 if one is None else one.counted
 
     def count(self, key: Key) -> tuple[int, int]:
@@ -73,7 +63,7 @@ class Repetitions:
 
         In how many it stood by then, and in how many it may stand.
         """
-        one = self._all.get(key) or self._one(key)
+        one = self[key]
         one.counted += 1
         return one.counted, one.allowed
 
@@ -83,7 +73,7 @@ class Repetitions:
         When there was a reason, the last time, and in how many beacons from behind that it stood before; None if this
         one is not certainly from behind that.
         """
-        one = self._all.get(key)
+        one = self.get(key)
         if one is None or one.since is None or composed <= one.since:
             return None
         one.behind += 1
