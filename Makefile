@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 KAITAI := node_modules/kaitai-struct-compiler/package.json
 
-.PHONY: demo test lint unit bench bench-columns matrix selftest-doc clean
+.PHONY: demo test lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
@@ -36,6 +36,10 @@ bench: $(STAMP)
 # Columnar decoding beside construct, scapy, struct, tshark and a plain copy, side by side in one run.
 bench-columns: $(STAMP)
 	$(BIN)/python benchmarks/columns.py
+
+# Mutated beacons and sequences a second, in process and against a live node on both links.
+bench-fuzz: $(STAMP)
+	$(BIN)/python benchmarks/fuzz.py --live
 
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
 matrix: $(STAMP)
