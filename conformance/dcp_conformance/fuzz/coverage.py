@@ -72,7 +72,10 @@ def shown(coverage: Coverage) -> list[str]:
         reached = coverage.possible - len(coverage.missing)
         lines.append(f"field x class of value: {reached} of {coverage.possible} pairs")
         cells = {(each.what, each.how): each.count for each in coverage.fields}
-        cells |= {(what.removeprefix("message"), how): 0 for what, _, how in map(_parted, coverage.missing)}
+        cells |= {
+            (what.removeprefix("message"), how): 0
+            for what, _, how in (each.rpartition(" ") for each in coverage.missing)
+        }
         lines += _fields(cells)
     if coverage.possible_states:
         reached = coverage.possible_states - len(coverage.missing_states)
@@ -83,10 +86,6 @@ def shown(coverage: Coverage) -> list[str]:
     if coverage.lines:
         lines.append(f"lines of the target: {coverage.lines}")
     return lines
-
-
-def _parted(missing: str) -> tuple[str, str, str]:
-    return missing.rpartition(" ")
 
 
 def _fields(cells: Cells) -> list[str]:
