@@ -53,6 +53,16 @@ __all__ = [
 # Asked for with each beacon and each look at a buffer; a member of an enumeration takes ten times as long to find.
 _OK = BPStatus.OK
 
+# What any node can count, whoever is registered and whatever it hears.
+_COUNTED = (
+    "beacons-received",
+    "beacons-sent",
+    "beacons-without-payload",
+    "frames-received",
+    "octets-received",
+    "octets-sent",
+)
+
 
 class BeaconingProtocol:
     """The BP entity of one node."""
@@ -89,7 +99,7 @@ class BeaconingProtocol:
         self._refuses_modes = config.reading("X06") == "refuse-at-registration"
         self._counts_header = config.reading("X04") == "with-header"
         self._largest_protocol = (1 << (8 * config.profile.types.protocol_id.width)) - 1
-        self._counters = Counters()
+        self._counters = Counters(*_COUNTED)
         self._losses = LossTable()
         self._receiver = self.receiver_class(
             self._wire,
@@ -311,6 +321,8 @@ class BeaconingProtocol:
     ##= BP-MGT-06
     def counters(self) -> dict[str, int]:
         """What was counted since the start, by name; ``/`` is followed by a protocol identifier or a reason.
+
+        Those with a ``/`` are there once they count something, the others from the start.
 
         Submissions by outcome are ``payloads-stored``, ``-displaced`` (kept, and the oldest one was dropped) and
         ``-discarded``.

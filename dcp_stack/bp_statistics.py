@@ -16,8 +16,9 @@ SMOOTHING: Final = 0.95
 class Counters:
     """Numbers by name, all from 0; names are of the code and of registered protocols, never of the air."""
 
-    def __init__(self) -> None:
-        self._numbers: dict[str, int] = {}
+    def __init__(self, *always: str) -> None:
+        """``always`` are there before anything was counted, so that a difference of two looks can be taken at once."""
+        self._numbers: dict[str, int] = dict.fromkeys(always, 0)
 
     def count(self, name: str, by: int = 1) -> None:
         """Add to a counter."""

@@ -422,6 +422,20 @@ def test_counters():
     }
 
 
+@pytest.mark.req("BP-MGT-06")
+def test_what_every_node_counts_is_there_from_the_start():
+    fresh = Rig().bp.counters()
+    assert set(fresh) == {
+        "beacons-received",
+        "beacons-sent",
+        "beacons-without-payload",
+        "frames-received",
+        "octets-received",
+        "octets-sent",
+    }
+    assert not any(fresh.values())
+
+
 def test_counters_are_copies():
     counters = Counters()
     counters.count("b", 2)
