@@ -184,11 +184,12 @@ class ValidValues:
                 return octets
 
     def full(self, kind: ICType) -> bytes:
-        """A beacon with as many records of a kind in one container as there can be."""
+        """A beacon with as many records of a kind in one container as there can be, within a quarter."""
+        drawn = self.container(kind, IC_MAX_RECORDS)
         count = IC_MAX_RECORDS
         while count > 1:
-            block = Payload(BP_PROTID_VARDIS, (self.container(kind, count),))
-            octets = self._encoded((block,))
+            container = Container(drawn.ic_type, drawn.records[:count])
+            octets = self._encoded((Payload(BP_PROTID_VARDIS, (container,)),))
             if octets is not None:
                 return octets
             count = count * 3 // 4

@@ -20,6 +20,7 @@ from .effects import Dropped, Effect
 from .vardis_compose import Composer
 from .vardis_confirms import Confirm
 from .vardis_core import Core
+from .vardis_db import DBEntry
 from .vardis_port import BPPort
 from .vardis_receive import Receiver
 from .vardis_services import VariableServices
@@ -235,6 +236,10 @@ class Vardis(VariableServices):
                 self._core.changed("deleted", entry)
 
     # -- looking at it ------------------------------------------------------------------------------------------
+
+    def entry(self, var_id: int) -> DBEntry | None:
+        """What the database holds of a variable now, whether VarDis serves or not; it is not a service, nor a copy."""
+        return self._database.lookup(var_id)
 
     def snapshot(self) -> dict[str, Any]:
         """The state as plain data: octets in hexadecimal, times in ns, everything else under its own name."""

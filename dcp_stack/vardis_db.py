@@ -7,7 +7,6 @@ functions, and :meth:`Database.check_invariants` can compare them.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -15,44 +14,28 @@ import msgspec
 from dcp_codec.values import VarSpec
 
 
-class IdQueue:
+class IdQueue(OrderedDict[int, None]):
     """A FIFO queue of variable identifiers that holds each at most once.
 
     Membership, appending, removing and rotating take constant time. That nothing is held twice is no restriction:
     every step of the specification either looks before it appends or removes first.
     """
 
-    def __init__(self) -> None:
-        self._ids: OrderedDict[int, None] = OrderedDict()
-
-    def __len__(self) -> int:
-        return len(self._ids)
-
-    def __contains__(self, var_id: object) -> bool:
-        return var_id in self._ids
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._ids)
-
     def __repr__(self) -> str:
-        return f"IdQueue({list(self._ids)})"
+        return f"IdQueue({list(self)})"
 
     def append(self, var_id: int) -> None:
         """Put at the tail; an identifier that is in the queue stays where it is."""
         ##= DATA-12
-        self._ids[var_id] = None
+        self[var_id] = None
 
     def remove(self, var_id: int) -> None:
         """Take out, wherever it stands; nothing happens if it is not there."""
-        self._ids.pop(var_id, None)
+        self.pop(var_id, None)
 
     def rotate(self, var_id: int) -> None:
         """Move from where it stands to the tail."""
-        self._ids.move_to_end(var_id)
-
-    def clear(self) -> None:
-        """Take out all."""
-        self._ids.clear()
+        self.move_to_end(var_id)
 
 
 class DBEntry(msgspec.Struct, gc=False):
@@ -91,14 +74,7 @@ class Database:
         self.summary_q = IdQueue()
         self.req_upd_q = IdQueue()
         self.req_create_q = IdQueue()
-
-    def __len__(self) -> int:
-        return len(self.entries)
-
-    @property
-    def queues(self) -> dict[str, IdQueue]:
-        """The queues under the specification's names."""
-        return {
+        self.queues = {
             "createQ": self.create_q,
             "deleteQ": self.delete_q,
             "updateQ": self.update_q,
@@ -106,6 +82,10 @@ class Database:
             "reqUpdQ": self.req_upd_q,
             "reqCreateQ": self.req_create_q,
         }
+        """The queues under the specification's names."""
+
+    def __len__(self) -> int:
+        return len(self.entries)
 
     def lookup(self, var_id: int) -> DBEntry | None:
         """``RTDB.lookup``: the entry, None if there is none."""

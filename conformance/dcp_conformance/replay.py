@@ -237,7 +237,7 @@ class Replay:
             marks = [Mark(frame) for _, _, frame in kept if frame]
             bench.check(False, expected, f"{kept[0][1]}{times}", requirement, frames=marks)
         wrong = {requirement for requirement, _ in self._complaints}
-        right = [each for each in _REQUIREMENTS if oracle.occasions[each] and each not in wrong]
+        right = [each for each in _REQUIREMENTS if oracle.occasions.get(each) and each not in wrong]
         if right:
             occasions = sum(oracle.occasions[each] for each in right)
             what = f"what it says is covered by what it heard, and nothing is missing ({occasions} occasions)"

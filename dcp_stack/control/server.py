@@ -9,7 +9,7 @@ sessions with their subscriptions alone.
 from __future__ import annotations
 
 import logging
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
@@ -192,7 +192,7 @@ class ControlServer:
     def __init__(self, node: Node, *, runtime: Callable[[], dict[str, Any]] = dict) -> None:
         """``runtime`` tells UT-Status about what is around the node."""
         self.node = node
-        self._dropped: Counter[tuple[str, str]] = Counter()
+        self._dropped: defaultdict[tuple[str, str], int] = defaultdict(int)
         self.pressing = False
         """Much waits for a client. The transport should send before it lets more happen, and set this back."""
         self._runtime = runtime
@@ -261,6 +261,8 @@ class ControlServer:
             if type(effect) is Dropped:
                 # Most of what there is: each record of a beacon that says nothing new.
                 self._dropped[effect.layer, effect.reason] += 1
+                continue
+            if not self._sessions:
                 continue
             match effect:
                 case PayloadReceived():

@@ -184,7 +184,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         if target.control is not None and target.control.can_restart:
             campaign.fresh = target.run_afresh
         if differential:
-            campaign.states = lambda: target.observer.reached if target.observer is not None else Counter()
+            campaign.states = lambda: target.observer.reached if target.observer is not None else ()
         return run_campaign(campaign, options)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -100,7 +100,7 @@ class Campaign:
     directory: Path | None = None
     """Where artefacts go, None for nowhere."""
     mutator: Mutator | None = None
-    states: Callable[[], Counter[tuple[str, str]]] | None = None
+    states: Callable[[], Iterable[tuple[str, str]]] | None = None
     """Pairs of state and message of the last case."""
     model: Target | None = None
     """Something fast, on which a finding that shows there too is minimised; it is confirmed on the target."""

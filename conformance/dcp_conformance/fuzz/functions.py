@@ -25,7 +25,7 @@ from dcp_conformance.pics import load_pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 
 from .havoc import Havoc
-from .stack import TIME_LIMIT, Overtime, limited
+from .overtime import TIME_LIMIT, Overtime, TimeLimit
 from .steps import Effect, EffectKind, Frame, Step
 
 PARTS: Final = ("beacon", "capture", "control", "profile", "pics")
@@ -68,7 +68,7 @@ class FunctionTarget:
     def __init__(self, codec: Codec, *, time_limit: float = TIME_LIMIT) -> None:
         """``time_limit``: seconds of CPU time for one call."""
         self.codec = codec
-        self._time_limit = time_limit
+        self._limit = TimeLimit(time_limit)
         self._parts: dict[str, Callable[[bytes], str]] = {
             "beacon": self._beacon,
             "capture": self._capture,
@@ -98,10 +98,10 @@ class FunctionTarget:
         """Give octets to one part."""
         function = self._parts[part]
         try:
-            with limited(self._time_limit) if part != "beacon" else contextlib.nullcontext():
+            with self._limit:
                 wrong = function(octets)
         except Overtime:
-            return Effect("hang", f"{part}: no end after {self._time_limit:g} s of CPU time", at, part)
+            return Effect("hang", f"{part}: no end after {self._limit.seconds:g} s of CPU time", at, part)
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{part}: {type(error).__name__} in {last.name}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from typing import Final
 
@@ -50,7 +49,7 @@ _IGNORED = frozenset({"BP-RX-01", "BP-RX-02"})
 class Observer:
     """The model of one node, fed with what the node hears and says.
 
-    ``reached`` counts pairs of (state of the variable, kind of message) that the node was brought into.
+    ``reached`` lists the pairs of (state of the variable, kind of message) that the node was brought into.
     """
 
     def __init__(
@@ -73,7 +72,7 @@ class Observer:
         """
         self.codec = codec
         self.own_id = own_id
-        self.reached: Counter[tuple[str, str]] = Counter()
+        self.reached: list[tuple[str, str]] = []
         self._damaged = b""
         self._named: tuple[set[int], int] = set(), NO_CREATION
         """What the last damaged beacon was, which often comes again and again, and what it named."""
@@ -140,7 +139,7 @@ class Observer:
         ids, latest = self._named
         for var_id in ids:
             self.oracle.doubt(var_id, latest)
-            self.reached["any", "damaged"] += 1
+            self.reached.append(("any", "damaged"))
         if self._skips:
             # Who goes on behind what is wrong may find a record anywhere.
             for start in range(len(octets) - self._id_width + 1):
@@ -168,9 +167,9 @@ class Observer:
             known = variables.get(var_id)
             now = None if known is None else known.versions[-1]
             if now is None or now.state == "unknown":
-                reached["unknown", _NAMES[type(record)]] += 1
+                reached.append(("unknown", _NAMES[type(record)]))
             else:
-                reached[self._state(now), self._message(record, now)] += 1
+                reached.append((self._state(now), self._message(record, now)))
             if isinstance(record, VarCreate):
                 self._open_questions(record)
             if removes and self._was_deleted(var_id):

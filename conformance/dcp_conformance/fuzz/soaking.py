@@ -61,7 +61,7 @@ class Soak:
     def _adopted(self) -> Observer:
         observer, vardis = observer_of(self.config), self.sut.node.vardis
         for var_id in self._ids:
-            entry = vardis.describe_variable(var_id).entry
+            entry = vardis.entry(var_id)
             if entry is not None:
                 state: State = "deleted" if entry.is_deleted else "alive"
                 version = Version(entry.t_stamp - EPOCH, state, entry.spec, entry.seqno, entry.value)

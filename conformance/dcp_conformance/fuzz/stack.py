@@ -6,12 +6,8 @@ or a mutant, can be put in its place.
 
 from __future__ import annotations
 
-import contextlib
-import signal
-import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator
-from types import FrameType
+from collections.abc import Iterable
 from typing import Any
 
 from dcp_codec.codec import Codec
@@ -22,10 +18,9 @@ from dcp_conformance.oracle import Version
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
 
 from .observing import Observer
+from .overtime import TIME_LIMIT, Overtime, TimeLimit
 from .steps import Call, Effect, Frame, Step, Wait
 
-#: Seconds of CPU time for one sequence; those that are thousands of frames long take the most.
-TIME_LIMIT = 8.0
 #: ns in a millisecond.
 _MS = 1_000_000
 #: Beacon periods until a probe must be answered, behind everything else that a full database has to say.
@@ -50,7 +45,7 @@ def observer_of(config: Any) -> Observer:
 def difference(vardis: Any, certain: Iterable[tuple[int, Version]], own_id: bytes) -> str | None:
     """In what a VarDis entity differs from what a model is certain of; None if in nothing."""
     for var_id, version in certain:
-        entry = vardis.describe_variable(var_id).entry
+        entry = vardis.entry(var_id)
         alive = entry is not None and not entry.is_deleted
         if alive != (version.state == "alive"):
             observed = "alive" if alive else "not alive"
@@ -67,26 +62,15 @@ def difference(vardis: Any, certain: Iterable[tuple[int, Version]], own_id: byte
     return None
 
 
-class Overtime(BaseException):
-    """Raised inside of code that does not come back: no ``except Exception`` of it keeps it."""
-
-
 class _Watched(InProcess):
     """Keeps what the node raised, and where."""
 
     place = ""
 
-    def guarded(self, step: Callable[[], None]) -> None:
-        if self.died:
-            return
-        try:
-            step()
-            self.carry_out()
-        except Exception as error:
-            self.died = f"{type(error).__name__}: {error}"
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            self.place = f"{type(error).__name__} in {last.name}"
-            self.arrivals.clear()
+    def dies(self, error: Exception) -> None:
+        super().dies(error)
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        self.place = f"{type(error).__name__} in {last.name}"
 
 
 class StackTarget:
@@ -108,7 +92,7 @@ class StackTarget:
         self.own_id = self.config.node_id
         self._make = make
         self._seed = seed
-        self._time_limit = time_limit
+        self._limit = TimeLimit(time_limit)
         self._forge = Forge(codec)
         self._period = self.config.bp.beacon_period_ms * _MS
         self._network = codec.profile.bp.network_id
@@ -131,7 +115,7 @@ class StackTarget:
         self._number = 0
         at = -1
         try:
-            with limited(self._time_limit):
+            with self._limit:
                 self._sut = sut = _Watched(self.config, seed=self._seed, make=self._make)
                 self._upper: VirtualUpperTester | None = None
                 for at, step in enumerate(steps):
@@ -140,7 +124,7 @@ class StackTarget:
                         return effect
                 return self._final(sut, at)
         except Overtime:
-            return Effect("hang", f"no end after {self._time_limit:g} s of CPU time", max(at, 0))
+            return Effect("hang", f"no end after {self._limit.seconds:g} s of CPU time", max(at, 0))
         except Exception as error:
             # Not through the guard: while the node was made, or when it was asked for its deadline or its state.
             last = traceback.extract_tb(error.__traceback__)[-1]
@@ -209,7 +193,7 @@ class StackTarget:
             return None, []
         match step.method:
             case "RTDB-Create":
-                entry = sut.node.vardis.describe_variable(var_id).entry
+                entry = sut.node.vardis.entry(var_id)
                 if entry is not None:
                     self.observer.created(entry.spec, bytes.fromhex(step.params["value"]), sut.now)
             case "RTDB-Update":
@@ -267,23 +251,4 @@ class StackTarget:
         )
 
 
-def _overtime(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
-    raise Overtime
-
-
-@contextlib.contextmanager
-def limited(seconds: float) -> Iterator[None]:
-    """End what is inside after so much CPU time with :class:`Overtime`; not outside of the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGVTALRM, _overtime)
-    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
-        signal.signal(signal.SIGVTALRM, before)
-
-
-__all__ = ["TIME_LIMIT", "Overtime", "StackTarget", "difference", "limited", "observer_of"]
+__all__ = ["StackTarget", "difference", "observer_of"]

@@ -10,7 +10,7 @@ for a variable whose timeout has passed, the end of the next scrubbing.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -65,16 +65,8 @@ class Model:
         self._scrubbing = scrubbing if features.creation_time else None
         self._owed: dict[int, list[Owed]] = {}
         """By variable: there may be many, of many variables."""
-        self.occasions: Counter[str] = Counter()
+        self.occasions: defaultdict[str, int] = defaultdict(int)
         """By requirement: how often there was something to be kept or broken."""
-        self._hear_one: dict[type, Callable[[Any, Variable, int, int], None]] = {
-            VarCreate: self._hear_create,
-            VarDelete: self._hear_delete,
-            VarUpdate: self._hear_update,
-            VarSumm: self._hear_summary,
-            VarReqUpdate: self._hear_update_request,
-            VarReqCreate: self._hear_create_request,
-        }
 
     # -- what the node hears -----------------------------------------------------------------------------------
 
@@ -85,7 +77,7 @@ class Model:
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             variable = variables.get(var_id) or self._variable(var_id)
             if time < variable.due or self._ageing(record, variable, var_id, time):
-                self._hear_one[type(record)](record, variable, time, frame)
+                _HEAR[type(record)](self, record, variable, time, frame)
 
     def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
         """A payload said something of a variable of which it is open whether the node has taken it.
@@ -354,3 +346,15 @@ def key_of(kind: ICType, seqno: int) -> Key:
 def _creation(version: Version) -> int:
     """When a variable was created."""
     return NO_CREATION if version.spec is None else version.spec.creation_time or 0
+
+
+#: Functions of the class, not methods of a model: that one would hold itself, and be there until the garbage collector
+#: comes, thousands a second of a fuzzer.
+_HEAR: Final[dict[type, Callable[[Model, Any, Variable, int, int], None]]] = {
+    VarCreate: Model._hear_create,
+    VarDelete: Model._hear_delete,
+    VarUpdate: Model._hear_update,
+    VarSumm: Model._hear_summary,
+    VarReqUpdate: Model._hear_update_request,
+    VarReqCreate: Model._hear_create_request,
+}

@@ -75,20 +75,24 @@ class InProcess:
                 self.arrivals.append(Arrival(self.now, self.wall(), effect.octets, frame, ADDRESS))
         self.server.indicate(effects, now=self.now, wall=self.wall())
 
-    def guarded(self, step: Callable[[], None]) -> None:
-        """Let the node do something; if it raises, it is dead."""
+    def guarded(self, step: Callable[..., None], *args: Any, **more: Any) -> None:
+        """Let the node do something, ``step`` with these arguments; if it raises, it is dead."""
         if self.died:
             return
         try:
-            step()
+            step(*args, **more)
             self.carry_out()
         except Exception as error:
-            self.died = f"{type(error).__name__}: {error}"
-            self.arrivals.clear()
+            self.dies(error)
+
+    def dies(self, error: Exception) -> None:
+        """The node has raised this."""
+        self.died = f"{type(error).__name__}: {error}"
+        self.arrivals.clear()
 
     def deliver(self, octets: bytes) -> None:
         """A frame reaches the node."""
-        self.guarded(lambda: self.node.handle_frame(octets, now=self.now, wall=self.wall()))
+        self.guarded(self.node.handle_frame, octets, now=self.now, wall=EPOCH + self.now)
 
     def advance(self, until: int) -> None:
         """Let time pass until a frame has arrived at the tester, at most to ``until``."""
@@ -98,7 +102,7 @@ class InProcess:
                 self.now = max(self.now, until)
                 return
             self.now = max(self.now, due)
-            self.guarded(lambda: self.node.handle_timeout(self.now, self.wall()))
+            self.guarded(self.node.handle_timeout, self.now, EPOCH + self.now)
 
     # -- SutControl --------------------------------------------------------------------------------------------
 

@@ -1,0 +1,47 @@
+"""Ending what does not come back, in this process."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType, TracebackType
+
+#: Seconds of CPU time for one test; sequences that are thousands of frames long take the most.
+TIME_LIMIT = 8.0
+
+
+class Overtime(BaseException):
+    """Raised inside of code that does not come back: no ``except Exception`` of it keeps it."""
+
+
+class TimeLimit:
+    """Ends what is inside of ``with`` by :class:`Overtime`, after so much CPU time; to be entered again and again.
+
+    Outside of the main thread it does nothing: Python handles signals in that one only. The handler of SIGVTALRM stays
+    where it was put: putting it there for each test would take longer than the test's clock.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._thread: int | None = None
+
+    def __enter__(self) -> None:
+        if self._thread is None:
+            main = threading.main_thread()
+            if threading.current_thread() is not main:
+                return
+            signal.signal(signal.SIGVTALRM, _overtime)
+            self._thread = main.ident
+        if threading.get_ident() == self._thread:
+            signal.setitimer(signal.ITIMER_VIRTUAL, self.seconds)
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+        if threading.get_ident() == self._thread:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+
+
+def _overtime(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
+    raise Overtime
+
+
+__all__ = ["TIME_LIMIT", "Overtime", "TimeLimit"]

@@ -1,0 +1,47 @@
+"""Ending what does not come back."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from dcp_conformance.fuzz.overtime import Overtime, TimeLimit
+
+
+def forever():
+    while True:
+        pass
+
+
+def test_what_does_not_come_back_is_ended_each_time_anew():
+    limit = TimeLimit(0.05)
+    for _ in range(3):
+        with pytest.raises(Overtime), limit:
+            forever()
+        with limit:
+            pass
+
+
+def test_nothing_is_ended_behind_the_test():
+    limit, spent = TimeLimit(0.02), 0
+    with limit:
+        pass
+    for _ in range(3_000_000):
+        spent += 1
+    assert spent == 3_000_000
+
+
+def test_in_another_thread_it_does_nothing():
+    raised: list[BaseException] = []
+
+    def work():
+        try:
+            with TimeLimit(0.001):
+                sum(range(1_000_000))
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert not raised
