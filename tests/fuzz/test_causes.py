@@ -45,7 +45,7 @@ class Dying:
 
 
 class Drawn:
-    last = "drawn"
+    kinds: tuple[str, ...] = ("drawn",)
 
     def __init__(self, *tests: list[bytes]) -> None:
         self.tests = [list(map(Frame, test)) for test in tests]

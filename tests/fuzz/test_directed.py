@@ -40,12 +40,12 @@ def test_what_is_missing_is_aimed_at_until_nothing_is_missing():
     kinds = Counter()
     for _ in range(200):
         directed.draw()
-        kinds[directed.last] += 1
+        kinds.update(directed.kinds)
     assert kinds["directed"] == 0
     del reached["deleted own", "create later"]
     for _ in range(200):
         directed.draw()
-        kinds[directed.last] += 1
+        kinds.update(directed.kinds)
     assert 20 <= kinds["directed"] <= 80
 
 

@@ -11,10 +11,11 @@ from dcp_conformance.case import all_cases
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
 from dcp_conformance.fuzz.artefact import SavedTarget
+from dcp_conformance.fuzz.batches import Joined
 from dcp_conformance.fuzz.live import LiveTarget, UnhealthyError
 from dcp_conformance.fuzz.liveness import ailing
 from dcp_conformance.fuzz.replaying import stack_target
-from dcp_conformance.fuzz.sequences import Joined, Sequences
+from dcp_conformance.fuzz.sequences import Sequences
 from dcp_conformance.mutants import all_mutants
 from dcp_conformance.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
@@ -212,7 +213,7 @@ def test_one_that_fell_silent_is_restarted_once_and_waited_for(slow):
 
 def test_one_that_is_not_healthy_after_its_restart_ends_the_campaign_with_what_was_found(tmp_path):
     target = LiveTarget(frail(1 << 62))
-    generator = type("Drawn", (), {"last": "drawn", "draw": lambda self: [Frame(b"\1"), Frame(BAD)]})()
+    generator = type("Drawn", (), {"kinds": ("drawn",), "draw": lambda self: [Frame(b"\1"), Frame(BAD)]})()
     campaign = Campaign(CODEC, target, generator, SavedTarget("live"), 1, directory=tmp_path, by_cause=True)
     with pytest.raises(UnhealthyError, match="not healthy after its restart"):
         campaign.run(Limits(cases=5))

@@ -1,34 +1,52 @@
-"""Several sequences as one test, for implementations on the air: looking whether one lives takes longer than they."""
+"""Several sequences as one test: what is done around a sequence takes longer than the sequence."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from .sequences import Joined, Sequences
-from .steps import Step, Wait
+from .steps import Generator, Step, Wait
 
+#: Sequences of a test against a stack in this process. Making a node and looking whether it lives take as long as half
+#: of a sequence; seeded faults are found soonest with three (docs/fuzzing.md).
+IN_PROCESS: Final = 3
 #: One test in so many waits between its frames.
 _UNHURRIED: Final = 8
 
 
-class Batches:
-    """Draws tests of ``size`` sequences. Most are sent without a pause, which is most of the time of a sequence."""
+class Joined:
+    """Draws tests of ``size`` sequences: the first meets a node that knows nothing, the others one that has a past."""
 
-    def __init__(self, sequences: Sequences, size: int) -> None:
-        self._joined = Joined(sequences, size)
-        self._drawn = 0
-        self.last = ""
+    def __init__(self, sequences: Generator, size: int) -> None:
+        self._sequences = sequences
+        self._size = size
+        self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
-        """The next test."""
-        steps = self._joined.draw()
-        self._drawn += 1
-        if self._drawn % _UNHURRIED == 0:
-            self.last = "with pauses"
-            return steps
-        self.last = "without pauses"
-        return [step for step in steps if not isinstance(step, Wait)]
+        """The next ``size`` sequences."""
+        steps: list[Step] = []
+        kinds: list[str] = []
+        for _ in range(self._size):
+            steps += self._sequences.draw()
+            kinds += self._sequences.kinds
+        self.kinds = tuple(kinds)
+        return steps
 
     def keep(self, steps: list[Step]) -> None:
         """See :meth:`~.sequences.Sequences.keep`."""
-        self._joined.keep(steps)
+        self._sequences.keep(steps)
+
+
+class Batches(Joined):
+    """The same for implementations on the air. Most is sent without pauses: they are most of the time of a sequence."""
+
+    def __init__(self, sequences: Generator, size: int) -> None:
+        super().__init__(sequences, size)
+        self._drawn = 0
+
+    def draw(self) -> list[Step]:
+        """The next test."""
+        steps = super().draw()
+        self._drawn += 1
+        if self._drawn % _UNHURRIED == 0:
+            return steps
+        return [step for step in steps if not isinstance(step, Wait)]

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
@@ -22,7 +21,7 @@ from .coverage import Coverage, tables
 from .directed import possible_states
 from .minimise import Run
 from .reduction import Reduction
-from .steps import Effect, Frame, Step, Target
+from .steps import Effect, Frame, Generator, Step, Target
 
 STATE_FILE = "campaign.json"
 """In the folder of artefacts: what ``--resume`` goes on from."""
@@ -30,21 +29,6 @@ STATE_FILE = "campaign.json"
 _SILENT = ("dead", "mute")
 #: Steps before those of a finding that are remembered, for those that they have a part in.
 _HISTORY = 4000
-
-
-class Generator(Protocol):
-    """Draws test after test."""
-
-    last: str
-    """The kind of the last one."""
-
-    def draw(self) -> list[Step]:
-        """The next one."""
-        ...
-
-    def keep(self, steps: list[Step]) -> None:
-        """This one is worth going on from."""
-        ...
 
 
 class State(msgspec.Struct):
@@ -152,7 +136,7 @@ class Campaign:
                 steps = self._drawn()
                 effect = self.target.run(steps)
                 self.state.cases += 1
-                kinds[self.generator.last] += 1
+                kinds.update(self.generator.kinds)
                 self.state.frames += sum(1 for step in steps if type(step) is Frame)
                 if self.states is not None:
                     self.reached_states.update(self.states())

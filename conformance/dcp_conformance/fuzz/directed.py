@@ -49,7 +49,7 @@ class Directed:
         stamp = sequences.codec.profile.types.timestamp
         self._latest = (1 << (8 * stamp.width - stamp.signed)) - 1
         self._half = seqno_modulus(sequences.codec.profile.types.var_seqno.width) // 2
-        self.last = ""
+        self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
         """The next sequence."""
@@ -57,10 +57,10 @@ class Directed:
         if sequences.rng.random() < _CHANCE:
             missing = [pair for pair in self._possible if not self._reached[pair]]
             if missing:
-                self.last = "directed"
+                self.kinds = ("directed",)
                 return self.towards(*sequences.rng.choice(missing))
         steps = sequences.draw()
-        self.last = sequences.last
+        self.kinds = sequences.kinds
         return steps
 
     def keep(self, steps: list[Step]) -> None:

@@ -36,11 +36,11 @@ class _Gathered:
     """A generator of what was gathered."""
 
     def __init__(self, part: str, inputs: Sequence[bytes]) -> None:
-        self.last = part
+        self.kinds: tuple[str, ...] = (part,)
         self._inputs = list(inputs)
 
     def draw(self) -> list[Step]:
-        return [Frame(self._inputs.pop(0), b"", self.last)]
+        return [Frame(self._inputs.pop(0), b"", self.kinds[0])]
 
     def keep(self, steps: list[Step]) -> None:
         """Nothing is mutated here."""

@@ -200,7 +200,7 @@ class FunctionInputs:
             "profile": Havoc(rng, list(_profiles()), _TOML_WORDS),
             "pics": Havoc(rng, _PICS, _TOML_WORDS),
         }
-        self.last = ""
+        self.kinds: tuple[str, ...] = ()
         """The part of the last input."""
         self._codec = codec
 
@@ -212,7 +212,8 @@ class FunctionInputs:
 
     def draw(self) -> list[Step]:
         """The next input: one step."""
-        part = self.last = self._rng.choices(self._parts, self._weights)[0]
+        part = self._rng.choices(self._parts, self._weights)[0]
+        self.kinds = (part,)
         if part == "beacon":
             made = self._mutator.mutate()
             return [Frame(made.octets, made.source, "beacon")]

@@ -82,15 +82,16 @@ class Sequences(Parts):
         if recorded:
             self._kinds.append((10, "recording", self.recording))
         self._weights = list(itertools.accumulate(weight for weight, _, _ in self._kinds))
-        self.last = ""
+        self.kinds: tuple[str, ...] = ()
         """The kind of the last sequence."""
 
     def draw(self) -> list[Step]:
         """The next sequence. A flood of neighbours, which takes seconds, comes once in several thousand."""
         if self.codec.report_plan is not None and self.rng.random() < 0.0002:
-            self.last = "neighbour-flood"
+            self.kinds = ("neighbour-flood",)
             return self.neighbour_flood()
-        _, self.last, kind = self.rng.choices(self._kinds, cum_weights=self._weights)[0]
+        _, name, kind = self.rng.choices(self._kinds, cum_weights=self._weights)[0]
+        self.kinds = (name,)
         return kind()
 
     def keep(self, steps: list[Step]) -> None:
@@ -362,20 +363,3 @@ class Sequences(Parts):
             report = ExtendedSafetyData(report.s_data, self.node(number), report.t_stamp, number)
             found.append(self.report_frame(report, peer=number))
         return [*found, Wait(40.0)]
-
-
-class Joined:
-    """Several sequences as one test, for targets where looking whether they live takes longer than a sequence."""
-
-    def __init__(self, sequences: Sequences, size: int) -> None:
-        self._sequences = sequences
-        self._size = size
-        self.last = "joined"
-
-    def draw(self) -> list[Step]:
-        """The next ``size`` sequences."""
-        return [step for _ in range(self._size) for step in self._sequences.draw()]
-
-    def keep(self, steps: list[Step]) -> None:
-        """See :meth:`Sequences.keep`."""
-        self._sequences.keep(steps)

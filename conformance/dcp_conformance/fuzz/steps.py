@@ -58,6 +58,21 @@ class Effect(NamedTuple):
         return f"{self.kind}: {self.place or _NUMBERS.sub('#', self.detail)}"
 
 
+class Generator(Protocol):
+    """Draws test after test."""
+
+    kinds: tuple[str, ...]
+    """What the last one consists of."""
+
+    def draw(self) -> list[Step]:
+        """The next one."""
+        ...
+
+    def keep(self, steps: list[Step]) -> None:
+        """This one is worth going on from."""
+        ...
+
+
 class Target(Protocol):
     """Something that steps are carried out on."""
 
