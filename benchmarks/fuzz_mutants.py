@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from dcp_conformance.fuzz.artefact import SavedTarget
-from dcp_conformance.fuzz.batches import IN_PROCESS, Joined
+from dcp_conformance.fuzz.batches import Lives
 from dcp_conformance.fuzz.campaign import Campaign, Limits
 from dcp_conformance.fuzz.replaying import stack_target
 from dcp_conformance.fuzz.sequences import Sequences
@@ -56,7 +56,7 @@ def campaign_on(mutant: Mutant, seconds: float, seed: int) -> dict[str, Any]:
     rng = random.Random(f"{seed}/0")
     mutator = Mutator(codec, rng, drawn_pool(codec, rng))
     target = stack_target(codec, mutant.id)
-    sequences = Joined(Sequences(codec, rng, target.own_id, mutator), IN_PROCESS)
+    sequences = Lives(Sequences(codec, rng, target.own_id, mutator))
     campaign = Campaign(codec, target, sequences, SavedTarget("stack", target.name, mutant.id), seed, mutator=mutator)
     seen: list[float] = []
     begun = time.monotonic()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from dcp_conformance.forge import Forge
 from dcp_conformance.fuzz import Frame, Wait
+from dcp_conformance.fuzz.batches import Lives
 from dcp_conformance.fuzz.replaying import stack_target
 from dcp_conformance.fuzz.sequences import Sequences
 from dcp_conformance.fuzz.soaking import Soak
@@ -142,6 +143,68 @@ def test_mutants_are_found_by_what_was_not_judged_before(mutant: str, steps: lis
     assert effect is not None
     assert effect.kind == kind
     assert StackTarget(CODEC).run(steps) is None
+
+
+def drawn_lives(codec: Codec, seed: int) -> Lives:
+    rng = random.Random(seed)
+    mutator = Mutator(codec, rng, drawn_pool(codec, rng, 40))
+    return Lives(Sequences(codec, rng, StackTarget(codec).own_id, mutator))
+
+
+@pytest.mark.parametrize(
+    ("mutant", "signature"),
+    [
+        ("M-VD-PS-03-not-taught", "said: missing UPDATES VD-PS-03"),
+        ("M-VD-PS-04-not-requested", "said: missing REQUEST-VARUPDATES VD-PS-04"),
+        ("M-VD-RU-01-ignored", "said: missing REQUEST-VARCREATES VD-RU-01"),
+        ("M-VD-RU-04-consumer-silent", "said: missing UPDATES VD-RU-04"),
+        ("M-VD-RC-03-consumer-silent", "said: missing CREATE-VARIABLES VD-RC-03"),
+        ("M-VD-DEL-05-silent", "said: missing DELETE-VARIABLES VD-DEL-05"),
+        ("M-VD-CRE-12-only-summarised", "said: missing CREATE-VARIABLES VD-CRE-12"),
+        ("M-VD-CRE-02-foreign", "state: RTDB-Create succeeds"),
+        ("M-VD-UPD-02-creates", "state: RTDB-Update succeeds"),
+        ("M-VD-UPD-03-foreign", "state: RTDB-Update succeeds"),
+        ("M-VD-DEL-02-ok", "state: RTDB-Delete succeeds"),
+        ("M-VD-DEL-03-foreign", "state: RTDB-Delete succeeds"),
+        ("M-VD-REA-03-deleted", "state: RTDB-Read succeeds"),
+        ("M-VD-REA-04-first-value", "state: RTDB-Read"),
+    ],
+)
+def test_wrong_silence_and_wrong_service_are_found(mutant: str, signature: str):
+    target, lives = stack_target(CODEC, mutant), drawn_lives(CODEC, 1)
+    effects = (target.run(lives.draw()) for _ in range(2000))
+    effect = next((each for each in effects if each is not None), None)
+    assert effect is not None
+    assert effect.signature == signature
+
+
+@pytest.mark.parametrize("mutant", ["M-VD-UPD-07-wraps-early", "M-VD-UPD-07-wraps-to-one"])
+def test_own_numbers_are_counted_once_around(mutant: str):
+    rng = random.Random(1)
+    sequences = Sequences(CODEC, rng, StackTarget(CODEC).own_id, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 20)))
+    steps = sequences.once_around()
+    effect = stack_target(CODEC, mutant).run(steps)
+    assert effect is not None
+    assert effect.kind == "state"
+    assert StackTarget(CODEC).run(steps) is None
+
+
+@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0"])
+def test_the_node_as_it_is_says_all_that_it_has_to(profile: str):
+    codec = Codec(profile)
+    target, lives = StackTarget(codec), drawn_lives(codec, 3)
+    for _ in range(150):
+        effect = target.run([*lives.draw(), Wait(9.0)])
+        assert effect is None
+
+
+def test_who_has_too_much_to_say_may_be_late():
+    rng = random.Random(1)
+    target = StackTarget(CODEC)
+    sequences = Sequences(CODEC, rng, target.own_id, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 20)))
+    effect = target.run([*sequences.all_variables(), Wait(9.0)])
+    assert effect is None
+    assert target.observer.busy
 
 
 def test_a_variable_is_in_doubt_until_something_settles_it():

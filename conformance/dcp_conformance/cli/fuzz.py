@@ -104,7 +104,7 @@ def _only(parts: tuple[str, ...]) -> str:
 def stack_command(**options: Any) -> int:
     """Fuzz our own node in process, compared with an independent model after every step."""
     from dcp_conformance.fuzz.artefact import SavedTarget
-    from dcp_conformance.fuzz.batches import IN_PROCESS, Joined
+    from dcp_conformance.fuzz.batches import Lives
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.directed import Directed
     from dcp_conformance.fuzz.replaying import stack_target
@@ -118,7 +118,7 @@ def stack_command(**options: Any) -> int:
     campaign = Campaign(
         codec,
         target,
-        Joined(sequences, IN_PROCESS),
+        Lives(sequences),
         saved,
         options["seed"],
         mutator=mutator,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
+from .observing import WINDOW
 from .steps import Generator, Step, Wait
 
-#: Sequences of a test against a stack in this process. Making a node and looking whether it lives take as long as half
-#: of a sequence; seeded faults are found soonest with three (docs/fuzzing.md).
+#: Sequences in the life of a node in this process. Making one and looking whether it lives take as long as half of a
+#: sequence; seeded faults are found soonest with three (docs/fuzzing.md).
 IN_PROCESS: Final = 3
-#: One test in so many waits between its frames.
+#: One test in so many waits: between its frames on the air, in the end in process.
 _UNHURRIED: Final = 8
 
 
@@ -34,6 +35,20 @@ class Joined:
     def keep(self, steps: list[Step]) -> None:
         """See :meth:`~.sequences.Sequences.keep`."""
         self._sequences.keep(steps)
+
+
+class Lives(Joined):
+    """The same for a stack in this process: now and then it is given the time to say all that it has to."""
+
+    def __init__(self, sequences: Generator, size: int = IN_PROCESS) -> None:
+        super().__init__(sequences, size)
+        self._drawn = 0
+
+    def draw(self) -> list[Step]:
+        """The next test: the life of one node."""
+        steps = super().draw()
+        self._drawn += 1
+        return [*steps, Wait(WINDOW + 1)] if self._drawn % _UNHURRIED == 0 else steps
 
 
 class Batches(Joined):

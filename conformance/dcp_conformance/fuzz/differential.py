@@ -74,7 +74,7 @@ class Comparison:
         var_id = step.params.get("varId")
         if type(var_id) is not int:
             return None
-        expected = self._expected(step.method, var_id)
+        expected = self._observer.expects(step.method, var_id)
         if expected is not None and expected != answer.ok and answer.code is None:
             what = "succeeds" if answer.ok else "is refused"
             detail = f"{step.method} of variable {var_id} {what} with {answer.status}"
@@ -89,25 +89,6 @@ class Comparison:
                 oracle.updated(var_id, bytes.fromhex(step.params["value"]), now)
             case "RTDB-Delete":
                 oracle.deleted(var_id, now)
-        return None
-
-    def _expected(self, method: str, var_id: int) -> bool | None:
-        """Whether a service must succeed; None where the specification or the model leaves it open."""
-        known = self._observer.oracle.variables.get(var_id)
-        if known is not None and known.uncertain:
-            return None
-        version = known.now if known is not None else None
-        own = version is not None and version.spec is not None and version.spec.prod_id == self._observer.own_id
-        alive = version is not None and version.state == "alive"
-        match method:
-            case "RTDB-Update":
-                return None if alive and own else False
-            case "RTDB-Delete":
-                return alive and own
-            case "RTDB-Create":
-                return False if alive and not own else None
-            case "RTDB-Read":
-                return alive
         return None
 
     def _created(self, var_id: int, params: dict[str, Any]) -> None:

@@ -26,7 +26,7 @@ from dcp_codec.values import (
 from dcp_conformance.circular import Circle
 from dcp_conformance.heard import KIND_OF
 from dcp_conformance.oracle import Limits, Oracle, Version
-from dcp_conformance.oracle.knowledge import NO_CREATION
+from dcp_conformance.oracle.knowledge import NEVER, NO_CREATION
 
 from .steps import Effect
 
@@ -78,6 +78,8 @@ class Observer:
         """What the last damaged beacon was, which often comes again and again, and what it named."""
         self.requested: set[int] = set()
         """Variables that the node has requested."""
+        self.busy = False
+        """Whether the node has filled half of a payload: then it may be late with what it has to say."""
         profile = codec.profile
         self._skips = profile.behaviour.vardis_receive_error == "skip-element"
         self._id_width, self._id_order = profile.types.var_id.width, profile.types.var_id.byte_order
@@ -231,6 +233,25 @@ class Observer:
         """RTDB-Create was confirmed with OK."""
         self.oracle.created(msgspec.structs.replace(spec, prod_id=self.own_id), value, time)
 
+    def expects(self, method: str, var_id: int) -> bool | None:
+        """Whether a service must succeed now; None where the specification or the model leaves it open."""
+        known = self.oracle.variables.get(var_id)
+        if known is not None and (known.uncertain or known.due != NEVER):
+            return None
+        version = known.now if known is not None else None
+        own = version is not None and version.spec is not None and version.spec.prod_id == self.own_id
+        alive = version is not None and version.state == "alive"
+        match method:
+            case "RTDB-Update":
+                return None if alive and own else False
+            case "RTDB-Delete":
+                return alive and own
+            case "RTDB-Create":
+                return False if alive and not own else None
+            case "RTDB-Read":
+                return alive
+        return None
+
     # -- what the node says and holds --------------------------------------------------------------------------
 
     def says(self, octets: bytes, most: int, time: int, number: int, step: int) -> Effect | None:
@@ -243,9 +264,12 @@ class Observer:
             return Effect("bad-beacon", f"a beacon that is none: {error}", step, error.problem.reason)
         if beacon.bp is not None and beacon.bp.sender_id != self.own_id:
             return Effect("bad-beacon", f"a beacon of {beacon.bp.sender_id.hex(':')}", step, "sender")
+        roomy = len(octets) <= self._roomy
+        if not roomy:
+            self.busy = True
         for payload in beacon.payloads:
             if isinstance(payload.content, tuple):
-                effect = self._judged(payload.content, len(octets) <= self._roomy, time, number, step)
+                effect = self._judged(payload.content, roomy, time, number, step)
                 if effect is not None:
                     return effect
         return None
@@ -269,3 +293,11 @@ class Observer:
         """What the model says of these variables at a time (None: now), as far as it is sure."""
         certain = self.oracle.certain
         return [(var_id, version) for var_id in var_ids if (version := certain(var_id, time)) is not None]
+
+    def missing(self, time: int, step: int) -> Effect | None:
+        """What the node should have said by then and has not, each told once; None also if it was busy."""
+        for owed in self.oracle.overdue(time):
+            if not self.busy:
+                detail = f"variable {owed.var_id}: {owed.kind.label} did not come"
+                return Effect("said", detail, step, f"missing {owed.kind.label} {owed.requirement}")
+        return None

@@ -30,6 +30,8 @@ from .steps import Call, Frame, Step, Wait
 
 #: Neighbours of a flood.
 _FLOOD: Final = 3000
+#: Sequence numbers are counted all the way round where there are no more than these.
+_SHORT_WAY: Final = 256
 #: Services that change nothing for good, with parameters that need not make sense.
 _ODD_CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("RTDB-Read", {"varId": -1}),
@@ -75,6 +77,8 @@ class Sequences(Parts):
             (0.4, "all-variables", self.all_variables),
             (1, "largest", self.largest),
         ]
+        if self._modulus <= _SHORT_WAY:
+            self._kinds.append((0.1, "once-around", self.once_around))
         if self._timeout:
             self._kinds.append((6, "soft-state", self.soft_state))
         if codec.report_plan is not None:
@@ -256,10 +260,15 @@ class Sequences(Parts):
         """Variables of the node's own application, while others talk about them."""
         var_id, found = self.var_id(), list[Step]()
         create = {"varId": var_id, "repCnt": self._chance.one_of((1, 2, 15)), "descr": "own", "value": "6f776e"}
-        found.append(Call("RTDB-Create", create))
+        whose = self.rng.random()
+        if whose < 0.7:
+            found.append(Call("RTDB-Create", create))
+        elif whose < 0.9:
+            # Somebody else's: the application must not have its way.
+            found.append(self.frame(self.good_create(var_id)))
         for _ in range(2 + self._chance.below(4)):
             step: Step
-            match self._chance.below(9):
+            match self._chance.below(10):
                 case 0 | 1:
                     step = Call("RTDB-Update", {"varId": var_id, "value": self.rng.randbytes(3).hex()})
                 case 2:
@@ -276,11 +285,21 @@ class Sequences(Parts):
                 case 7:
                     other = self._chance.one_of((VarDelete(var_id), VarUpdate(var_id, self.seqno(), b"other")))
                     step = self.frame(other)
+                case 8:
+                    step = Call("RTDB-Read", {"varId": var_id})
                 case _:
                     step = self.frame(self._chance.one_of((VarReqCreate(var_id), VarReqUpdate(var_id, self.seqno()))))
             found.append(step)
             found += self.pause()
         return found
+
+    def once_around(self) -> list[Step]:
+        """So many updates of a variable of the node's own that its numbers begin anew."""
+        var_id = self.var_id()
+        found: list[Step] = [Call("RTDB-Create", {"varId": var_id, "repCnt": 1, "descr": "own", "value": "00"})]
+        for number in range(self._modulus + 2):
+            found.append(Call("RTDB-Update", {"varId": var_id, "value": f"{number % 256:02x}"}))
+        return [*found, Wait(2.0)]
 
     def _safety_data(self) -> dict[str, Any]:
         fields = self.codec.profile.srp.safety_data

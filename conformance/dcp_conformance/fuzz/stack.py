@@ -167,8 +167,10 @@ class StackTarget:
         while True:
             sut.advance(until)
             effect = self._died(at) or self._drained(at)
-            if effect is not None or sut.now >= until:
+            if effect is not None:
                 return effect
+            if sut.now >= until:
+                return self.observer.missing(until, at)
 
     def _compare(self, var_ids: list[int], at: int) -> Effect | None:
         """What the node holds of these variables, against the model."""
@@ -189,7 +191,13 @@ class StackTarget:
         if answer.code == -32603:
             return Effect("raised", f"{step.method}: {answer.message}", at, f"{step.method}: internal error"), []
         var_id = step.params.get("varId")
-        if not answer.ok or not isinstance(var_id, int):
+        if type(var_id) is not int:
+            return None, []
+        expected = self.observer.expects(step.method, var_id)
+        if answer.code is None and expected is not None and expected != answer.ok:
+            what = "succeeds" if answer.ok else f"is refused with {answer.status}"
+            return Effect("state", f"{step.method} of variable {var_id} {what}", at, f"{step.method} {what}"), []
+        if not answer.ok:
             return None, []
         match step.method:
             case "RTDB-Create":
@@ -200,6 +208,11 @@ class StackTarget:
                 oracle.updated(var_id, bytes.fromhex(step.params["value"]), sut.now)
             case "RTDB-Delete":
                 oracle.deleted(var_id, sut.now)
+            case "RTDB-Read":
+                for _, version in self.observer.certain((var_id,), sut.now):
+                    if answer.result["value"] != version.value.hex():
+                        detail = f"variable {var_id} is read as {answer.result['value']}, not {version.value.hex()}"
+                        return Effect("state", detail, at, "RTDB-Read"), []
         return None, [var_id]
 
     # -- in the end --------------------------------------------------------------------------------------------
@@ -207,7 +220,7 @@ class StackTarget:
     def _final(self, sut: InProcess, at: int) -> Effect | None:
         at = max(at, 0)
         held = self._compare(list(self.observer.oracle.variables), at)
-        return held or self._unbounded(sut.node, at) or self._probed(sut, at)
+        return held or self._unbounded(sut.node, at) or self._probed(sut, at) or self.observer.missing(sut.now, at)
 
     def _unbounded(self, node: Any, at: int) -> Effect | None:
         """Whether queues hold more than there are variables."""

@@ -15,7 +15,7 @@ Key = tuple[ICType, int]
 
 #: Payloads that can have been composed before a moment and be on the air after it, within the latency.
 IN_FLIGHT = 2
-#: Keys that are remembered of one variable.
+#: Keys that are remembered of one variable; there are far fewer that are no updates.
 _MOST = 128
 
 
@@ -38,7 +38,8 @@ class Repetitions(dict[Key, _Instruction]):
     def __missing__(self, key: Key) -> _Instruction:
         one = self[key] = _Instruction()
         if len(self) > _MOST:
-            del self[next(iter(self))]
+            # There is one key for each number of an update, and the oldest of them are said no more.
+            del self[next(each for each in self if each[0] is ICType.UPDATES)]
         return one
 
     def arm(self, key: Key, times: int, time: int) -> None:
