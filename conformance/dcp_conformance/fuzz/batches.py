@@ -8,8 +8,8 @@ from .observing import WINDOW
 from .steps import Generator, Step, Wait
 
 #: Sequences in the life of a node in this process. Making one and looking whether it lives take as long as half of a
-#: sequence; seeded faults are found soonest with three (docs/fuzzing.md).
-IN_PROCESS: Final = 3
+#: sequence; seeded faults are found soonest with three to eight (docs/fuzzing.md).
+IN_PROCESS: Final = 4
 #: One test in so many waits: between its frames on the air, in the end in process.
 _UNHURRIED: Final = 8
 
