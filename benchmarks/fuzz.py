@@ -1,13 +1,14 @@
 """Measure the fuzzer: beacons through the codec, sequences through the stack, and how much a live node takes.
 
-    python benchmarks/fuzz.py [--profile NAME] [--seconds N] [--live] [--soak FRAMES] [--json FILE]
+    python benchmarks/fuzz.py [--profile NAME] [--seconds N] [--live] [--jobs N] [--soak FRAMES] [--json FILE]
 
 Without options: mutated beacons a second through dissect and decode, and sequences a second against the node in
 process with where their time goes, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our
-node as a process, beside what that node takes at most. --soak: so many mutated frames through our own decoder and one
-node that lives all the time; nothing may be raised, memory is written down ten times on the way, and one of ten epochs
-of 50 frames is followed by the model: what it is certain of (state, number, value and attributes of variables) must be
-what the node holds.
+node as a process, beside what that node takes at most. --jobs: sequences a second by so many workers, beside the same
+ones by one process; beside other load only the CPU time that they cost means something. --soak: so many mutated frames
+through our own decoder and one node that lives all the time; nothing may be raised, memory is written down ten times on
+the way, and one of ten epochs of 50 frames is followed by the model: what it is certain of (state, number, value and
+attributes of variables) must be what the node holds.
 """
 
 from __future__ import annotations
@@ -16,21 +17,27 @@ import argparse
 import contextlib
 import gc
 import json
+import os
 import random
+import resource
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dcp_conformance.bench import Session
+from dcp_conformance.cli.fuzz import stack_campaign
+from dcp_conformance.fuzz import Limits
 from dcp_conformance.fuzz.live import LiveTarget
 from dcp_conformance.fuzz.observing import Observer
 from dcp_conformance.fuzz.sequences import Sequences
 from dcp_conformance.fuzz.soaking import Soak
 from dcp_conformance.fuzz.stack import StackTarget
 from dcp_conformance.fuzz.steps import Frame
+from dcp_conformance.fuzz.workers import run_in_workers
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
@@ -159,6 +166,50 @@ def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
     }
 
 
+def workers_rate(profile: str, jobs: int, seconds: float) -> dict[str, Any]:
+    """The same sequences by one process and by workers: by the clock, and by CPU time of everybody in it."""
+    make = partial(stack_campaign, {"profile": profile, "seed": SEED, "mutant": "", "recording": (), "resume": False})
+    # As many as one process does in that time.
+    with make() as campaign:
+        share = campaign.run(Limits(seconds=seconds)).cases
+    alone_s, alone_cpu = 0.0, time.process_time()
+    for number in range(jobs):
+        with make(f"{SEED}/0/{number}") as campaign:
+            alone_s += campaign.run(Limits(cases=share)).seconds
+    alone_cpu = time.process_time() - alone_cpu
+    _, beginning = _by_workers(make, jobs, jobs)
+    together_s, together_cpu = _by_workers(make, jobs, jobs * share)
+    extra = (together_cpu - beginning) / alone_cpu - 1
+    found = {
+        "jobs": jobs,
+        "per_second": jobs * share / together_s,
+        "one_per_second": jobs * share / alone_s,
+        "ratio": alone_s / together_s,
+        "extra_cpu": extra,
+        "beginning_s": beginning / jobs,
+        "load": os.getloadavg()[0],
+    }
+    print(
+        f"  {jobs} workers: {found['per_second']:,.0f} sequences/s, {found['ratio']:.2f} times the "
+        f"{found['one_per_second']:,.0f}/s of one process (load {found['load']:.1f}); {100 * extra:+.1f} % CPU time "
+        f"for the same {jobs * share} sequences, and {found['beginning_s']:.2f} s for each worker to begin"
+    )
+    return found
+
+
+def _by_workers(make: Any, jobs: int, cases: int) -> tuple[float, float]:
+    """Seconds by the clock without those to begin, and seconds of CPU time with them."""
+
+    def spent() -> float:
+        own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+        return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+    with make() as campaign:
+        begun = spent()
+        seconds = run_in_workers(campaign, make, jobs, Limits(cases=cases)).seconds
+    return seconds, spent() - begun
+
+
 def live_rate(profile: str, seconds: float) -> dict[str, Any]:
     """What the fuzzer sends to our node as a process, with a look at it after each 2000 frames, beside its limit."""
     return {kind: live_rate_on(kind, profile, seconds) for kind in ("ethernet", "udp")}
@@ -265,6 +316,7 @@ def main() -> None:
     parser.add_argument("--profile", default="dcp-2.0")
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--live", action="store_true")
+    parser.add_argument("--jobs", type=int, metavar="N")
     parser.add_argument("--soak", type=int, metavar="FRAMES")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
@@ -272,6 +324,8 @@ def main() -> None:
     found: dict[str, Any] = {"profile": options.profile}
     if options.soak:
         found["soak"] = soak(codec, options.soak)
+    elif options.jobs:
+        found["workers"] = workers_rate(options.profile, options.jobs, options.seconds)
     elif options.live:
         found["live"] = live_rate(options.profile, options.seconds)
     else:

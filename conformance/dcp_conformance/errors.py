@@ -19,5 +19,9 @@ class UpperTesterError(ConformanceError):
     """The upper tester cannot be reached, does not answer, or does not keep to its contract."""
 
 
+class WorkerError(ConformanceError):
+    """A process that works for the tester has ended before its work was done."""
+
+
 class StopCase(Exception):  # noqa: N818 - not an error: the case is decided
     """Raised inside of a case when going on makes no sense; its verdict is set already."""

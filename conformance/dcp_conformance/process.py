@@ -157,7 +157,7 @@ class ProcessControl:
                     stdout=appending,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
-                    preexec_fn=_ending_with_parent() if self._ends_with_tester else None,
+                    preexec_fn=ending_with_parent() if self._ends_with_tester else None,
                 )
         except OSError as error:
             raise UsageError(f"--start: {self._start[0]} cannot be started: {error.strerror or error}") from None
@@ -261,7 +261,7 @@ def _end_of(output: IO[bytes]) -> str:
     return lines.shown()
 
 
-def _ending_with_parent() -> Callable[[], None]:
+def ending_with_parent() -> Callable[[], None]:
     """For a new process: has the kernel end it when the tester ends, however that happens."""
     libc = ctypes.CDLL(None)
     return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

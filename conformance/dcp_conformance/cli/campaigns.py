@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import random
 import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from dcp_codec.codec import Codec
     from dcp_conformance.fuzz import Artefact, Campaign, Limits
     from dcp_conformance.fuzz.coverage import Coverage
+    from dcp_conformance.fuzz.worker import Make
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -26,6 +29,31 @@ F = TypeVar("F", bound=Callable[..., Any])
 _DRY_RUN = 1000
 #: Exit status of what was stopped, as shells give it.
 _STOPPED = 130
+
+
+class _Jobs(click.IntRange):
+    """A number of processes; ``auto`` is one for each processor that this one may use."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return len(os.sched_getaffinity(0)) if value == "auto" else super().convert(value, param, ctx)
+
+
+jobs_option = click.option(
+    "--jobs",
+    "-j",
+    type=_Jobs(1, 256),
+    default=1,
+    metavar="N|auto",
+    help="Worker processes; auto: one for each processor.  [default: 1, this one]",
+)
+
+
+def _is_there_once(_context: click.Context, _parameter: click.Parameter, value: Any) -> None:
+    if value is not None:
+        raise UsageError("--jobs is for fuzz stack and fuzz codec: an implementation on the air is there only once")
+
+
+no_jobs = click.option("--jobs", "-j", hidden=True, expose_value=False, callback=_is_there_once)
 
 
 def campaign_options(function: F) -> F:
@@ -62,8 +90,11 @@ def campaign_options(function: F) -> F:
     return function
 
 
-def material(options: dict[str, Any]) -> tuple[Codec, random.Random, Any, list[bytes]]:
-    """Codec, chance, mutator, and the beacons of recordings."""
+def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, random.Random, Any, list[bytes]]:
+    """Codec, chance, mutator, and the beacons of recordings.
+
+    ``seed``: a worker's own; what it mutates is what all workers of a campaign do.
+    """
     from dcp_spec.profile_loading import ProfileError
 
     from dcp_codec.codec import Codec
@@ -73,12 +104,16 @@ def material(options: dict[str, Any]) -> tuple[Codec, random.Random, Any, list[b
         codec = Codec(options["profile"])
     except ProfileError as error:
         raise UsageError(str(error)) from None
-    return codec, *_drawn(codec, options, Mutator, drawn_pool)
+    chance = _chance(options)
+    recorded = _recorded(codec, options)
+    pool = drawn_pool(codec, chance, 200, recorded[:200])
+    if seed is not None:
+        chance = random.Random(seed)  # noqa: S311 - the same every time, no secret
+    return codec, chance, Mutator(codec, chance, pool), recorded
 
 
-def _drawn(codec: Codec, options: dict[str, Any], mutator: Any, pool: Any) -> tuple[random.Random, Any, list[bytes]]:
+def _chance(options: dict[str, Any]) -> random.Random:
     from dcp_conformance.fuzz.campaign import read_state
-    from dcp_conformance.replay import beacons_of
 
     done = 0
     if options["resume"]:
@@ -86,14 +121,19 @@ def _drawn(codec: Codec, options: dict[str, Any], mutator: Any, pool: Any) -> tu
             raise UsageError("--resume needs the folder of the campaign: --artefacts DIR")
         done = read_state(options["artefacts"]).cases
     # Going on means to draw something else than before.
-    rng = random.Random(f"{options['seed']}/{done}")  # noqa: S311 - the same every time, no secret
+    return random.Random(f"{options['seed']}/{done}")  # noqa: S311 - the same every time, no secret
+
+
+def _recorded(codec: Codec, options: dict[str, Any]) -> list[bytes]:
+    from dcp_conformance.replay import beacons_of
+
     recorded: list[bytes] = []
     for path in options["recording"]:
         found = [heard.octets for _, heard, _ in beacons_of(path, codec)]
         if not found:
             raise UsageError(f"{path}: no frame in it is DCP in the profile {codec.profile.name}")
         recorded += found[:2000]
-    return rng, mutator(codec, rng, pool(codec, rng, 200, recorded[:200])), recorded
+    return recorded
 
 
 def profile_text(options: dict[str, Any]) -> str:
@@ -110,19 +150,37 @@ def _limits(options: dict[str, Any]) -> Limits:
     return Limits(seconds, options["max_cases"], options["max_findings"], options["rate"])
 
 
-def run_campaign(campaign: Campaign, options: dict[str, Any], run: Callable[[Limits], Any] | None = None) -> int:
-    """Run a campaign, tell what happens, return the exit status. ``run``: what runs it, unless it does so itself."""
-    from dcp_conformance.errors import LowerTesterError
+def run_campaign(
+    campaign: Campaign,
+    options: dict[str, Any],
+    *,
+    run: Callable[[Limits], Any] | None = None,
+    make: Make | None = None,
+) -> int:
+    """Run a campaign, tell what happens, return the exit status.
+
+    ``run``: what runs it, unless it does so itself; ``make``: makes another one in a worker, if there may be some.
+    """
+    from dcp_conformance.errors import LowerTesterError, WorkerError
     from dcp_conformance.fuzz.live import UnhealthyError
 
+    jobs = options["jobs"] if make is not None else 1
     if options["dry_run"]:
+        if jobs > 1:
+            raise UsageError("--dry-run writes what one process would send: leave out --jobs")
         return write_tests(campaign, options)
     if options["out"] is not None:
         raise UsageError("--out is for --dry-run; findings go to --artefacts DIR")
     campaign.directory = options["artefacts"]
     if options["resume"]:
         campaign.resume()
-    if options.get("guided"):
+    # No worker is started that has nothing to do.
+    jobs = min(jobs, options["max_cases"] or jobs)
+    if make is not None and jobs > 1:
+        from dcp_conformance.fuzz.workers import run_in_workers
+
+        run = partial(run_in_workers, campaign, make, jobs, guided=options["guided"])
+    elif options.get("guided"):
         from dcp_conformance.fuzz.guidance import guide
 
         guide(campaign)
@@ -162,7 +220,7 @@ def run_campaign(campaign: Campaign, options: dict[str, Any], run: Callable[[Lim
     except UnhealthyError as error:
         click.echo(f"dcp-conformance: {error}", err=True)
         status = 3
-    except LowerTesterError as error:
+    except (LowerTesterError, WorkerError) as error:
         click.echo(f"dcp-conformance: {error}", err=True)
         status = 4
     if terminal and not quiet:

@@ -6,7 +6,8 @@ import contextlib
 import dataclasses
 import shlex
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +15,11 @@ import click
 
 from dcp_conformance.errors import UsageError
 
-from .campaigns import campaign_options, material, profile_text, run_campaign, write_tests
+from .campaigns import campaign_options, jobs_option, material, no_jobs, profile_text, run_campaign, write_tests
 from .options import target_of, target_options
 
 if TYPE_CHECKING:
-    from dcp_conformance.fuzz import Artefact
+    from dcp_conformance.fuzz import Artefact, Campaign
     from dcp_conformance.fuzz.steps import Target
     from dcp_conformance.target import TargetOptions
 
@@ -54,6 +55,7 @@ _SEED = click.option("--seed", type=int, default=1, metavar="N", help="For what 
     default="own",
     help="atheris: libFuzzer, guided by branches, for one part (extra atheris).  [default: own]",
 )
+@jobs_option
 @campaign_options
 def codec_command(parts: tuple[str, ...], **options: Any) -> int:
     """Fuzz our own functions in process.
@@ -61,29 +63,42 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
     PARTS: beacon (decode, dissect, encode), capture (pcap, pcapng and MCAP readers), control (the control interface),
     profile and pics (loaders); all of them by default.
     """
-    from dcp_conformance.fuzz.artefact import SavedTarget
-    from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.functions import PARTS, FunctionInputs, FunctionTarget
+    from dcp_conformance.fuzz.functions import PARTS, FunctionInputs
 
     if unknown := [part for part in parts if part not in PARTS]:
         raise UsageError(f"there is no part {unknown[0]!r}; there are {', '.join(PARTS)}")
-    codec, rng, mutator, _ = material(options)
-    inputs = FunctionInputs(codec, rng, mutator, parts or PARTS)
+    if options["engine"] == "own":
+        make = partial(codec_campaign, parts or PARTS, options)
+        with make() as campaign:
+            return run_campaign(campaign, options, make=make)
+    if options["jobs"] > 1:
+        raise UsageError("--engine atheris is one process: leave out --jobs")
+    from dcp_conformance.fuzz.engine import run_engine
+
+    part = _only(parts)
+    with codec_campaign((part,), options) as campaign:
+        assert isinstance(campaign.generator, FunctionInputs)
+        seeds = campaign.generator.seeds(part)
+        return run_campaign(
+            campaign, options, run=lambda limits: run_engine(campaign, part, options["profile"], seeds, limits)
+        )
+
+
+@contextlib.contextmanager
+def codec_campaign(parts: tuple[str, ...], options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
+    """The campaign of ``fuzz codec``; ``seed`` is a worker's."""
+    from dcp_conformance.fuzz.artefact import SavedTarget
+    from dcp_conformance.fuzz.campaign import Campaign
+    from dcp_conformance.fuzz.functions import FunctionInputs, FunctionTarget
+
+    codec, rng, mutator, _ = material(options, seed)
+    inputs = FunctionInputs(codec, rng, mutator, parts)
     target = FunctionTarget(codec)
     try:
         saved = SavedTarget("codec", "functions in this process")
-        campaign = Campaign(
+        yield Campaign(
             codec, target, inputs, saved, options["seed"], mutator=mutator, profile_text=profile_text(options)
         )
-        if options["engine"] == "atheris":
-            from dcp_conformance.fuzz.engine import run_engine
-
-            part = _only(parts)
-            seeds = inputs.seeds(part)
-            return run_campaign(
-                campaign, options, lambda limits: run_engine(campaign, part, options["profile"], seeds, limits)
-            )
-        return run_campaign(campaign, options)
     finally:
         target.close()
 
@@ -100,9 +115,18 @@ def _only(parts: tuple[str, ...]) -> str:
 @_SEED
 @click.option("--mutant", metavar="ID", help="A mutant of our node instead (see selftest).")
 @click.option("--guided", is_flag=True, help="Keep inputs that reach new lines of the code (slower).")
+@jobs_option
 @campaign_options
 def stack_command(**options: Any) -> int:
     """Fuzz our own node in process, compared with an independent model after every step."""
+    make = partial(stack_campaign, options)
+    with make() as campaign:
+        return run_campaign(campaign, options, make=make)
+
+
+@contextlib.contextmanager
+def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
+    """The campaign of ``fuzz stack``; ``seed`` is a worker's."""
     from dcp_conformance.fuzz.artefact import SavedTarget
     from dcp_conformance.fuzz.batches import Lives
     from dcp_conformance.fuzz.campaign import Campaign
@@ -110,12 +134,12 @@ def stack_command(**options: Any) -> int:
     from dcp_conformance.fuzz.replaying import stack_target
     from dcp_conformance.fuzz.sequences import Sequences
 
-    codec, rng, mutator, recorded = material(options)
+    codec, rng, mutator, recorded = material(options, seed)
     target = stack_target(codec, options["mutant"] or "")
     reached: Counter[tuple[str, str]] = Counter()
     sequences = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
     saved = SavedTarget("stack", target.name, options["mutant"] or "")
-    campaign = Campaign(
+    yield Campaign(
         codec,
         target,
         Lives(sequences),
@@ -126,7 +150,6 @@ def stack_command(**options: Any) -> int:
         reached_states=reached,
         profile_text=profile_text(options),
     )
-    return run_campaign(campaign, options)
 
 
 def _live(options: dict[str, Any], *, differential: bool) -> int:
@@ -206,6 +229,7 @@ NOBODY = b"\x02\x00\x00\x00\x00\x01"
 @click.option(
     "--batch", type=click.IntRange(1), default=20, metavar="N", help="Sequences between looks.  [default: 20]"
 )
+@no_jobs
 @campaign_options
 def live_command(**options: Any) -> int:
     """Fuzz an implementation on the air: does it crash, hang or go mute.
@@ -219,6 +243,7 @@ def live_command(**options: Any) -> int:
 @command.command("differential", epilog=EXIT_STATUS)
 @target_options
 @_OWN_NODE
+@no_jobs
 @campaign_options
 def differential_command(**options: Any) -> int:
     """Compare an implementation with an independent model, round by round.

@@ -17,7 +17,7 @@ from dcp_conformance.errors import UsageError
 
 from .artefact import Artefact, SavedTarget, make_artefact, save
 from .causes import cause_of, problems_of
-from .coverage import Coverage, tables
+from .coverage import Coverage, counter_of, tables
 from .directed import possible_states
 from .minimise import Run
 from .reduction import Reduction
@@ -100,6 +100,8 @@ class Campaign:
     """Carries steps out on a target that was just restarted, where it is not always: what was sent before counts."""
     by_cause: bool = False
     """Whether findings of a silent death are told apart by their frames, and such frames are not sent again."""
+    aside: Callable[[list[Step], Effect], None] | None = None
+    """Takes effects, which otherwise are made small and kept at once."""
     on_effect: Callable[[Effect], None] | None = None
     on_progress: Callable[[Progress], None] | None = None
     on_finding: Callable[[Artefact], None] | None = None
@@ -120,50 +122,60 @@ class Campaign:
         if (self.state.profile, self.state.mode) != (self.codec.profile.name, self.saved_target.mode):
             of = f"{self.state.mode} with the profile {self.state.profile}"
             raise UsageError(f"{self.directory}: the campaign in it is of {of}")
-        for pair in self.state.coverage.states:
-            self.reached_states[pair.what, pair.how] += pair.count
+        self.has_reached(self.state.coverage)
+
+    def has_reached(self, coverage: Coverage) -> None:
+        """Add what others, or this campaign before, have reached."""
+        self.reached_states.update(counter_of(coverage.states))
         if self.mutator is not None:
-            self.mutator.reached.update({(pair.what, pair.how): pair.count for pair in self.state.coverage.fields})
+            self.mutator.reached.update(counter_of(coverage.fields))
 
     def run(self, limits: Limits) -> State:
         """Run until a limit is reached. Ctrl-C ends it, with everything saved. Raises what the target raises."""
-        begun = told = time.monotonic()
-        done_before = self.state.seconds
-        first = self.state.cases
-        kinds = Counter(self.state.kinds)
+        begun, done_before = time.monotonic(), self.state.seconds
         try:
-            while not self._over(limits, begun, first):
-                steps = self._drawn()
-                effect = self.target.run(steps)
-                self.state.cases += 1
-                kinds.update(self.generator.kinds)
-                self.state.frames += sum(1 for step in steps if type(step) is Frame)
-                if self.states is not None:
-                    self.reached_states.update(self.states())
-                if self.after_case is not None:
-                    self.after_case(steps)
-                if effect is not None:
-                    self._seen(steps, effect)
-                    self._history.clear()
-                elif self.fresh is not None:
-                    self._history.extend(steps)
-                now = time.monotonic()
-                if limits.rate is not None:
-                    ahead = begun + (self.state.cases - first) / limits.rate - now
-                    if ahead > 0:
-                        time.sleep(ahead)
-                if self.on_progress is not None and now - told >= 1:
-                    told = now
-                    seconds = now - begun
-                    per_second = (self.state.cases - first) / seconds
-                    self.on_progress(Progress(self.state.cases, per_second, len(self.state.findings), seconds))
+            self.carry_out(limits)
         finally:
             self.state.seconds = done_before + time.monotonic() - begun
-            self.state.kinds = dict(kinds)
-            self.state.coverage = self.coverage()
-            if self.directory is not None:
-                write_state(self.state, self.directory)
+            self.close()
         return self.state
+
+    def carry_out(self, limits: Limits) -> None:
+        """The tests of :meth:`run`, until a limit is reached."""
+        begun = told = time.monotonic()
+        state, first = self.state, self.state.cases
+        while not self._over(limits, begun, first):
+            steps = self._drawn()
+            effect = self.target.run(steps)
+            state.cases += 1
+            for kind in self.generator.kinds:
+                state.kinds[kind] = state.kinds.get(kind, 0) + 1
+            state.frames += sum(1 for step in steps if type(step) is Frame)
+            if self.states is not None:
+                self.reached_states.update(self.states())
+            if self.after_case is not None:
+                self.after_case(steps)
+            if effect is not None:
+                self._seen(steps, effect)
+                self._history.clear()
+            elif self.fresh is not None:
+                self._history.extend(steps)
+            now = time.monotonic()
+            if limits.rate is not None:
+                ahead = begun + (state.cases - first) / limits.rate - now
+                if ahead > 0:
+                    time.sleep(ahead)
+            if self.on_progress is not None and now - told >= 1:
+                told = now
+                seconds = now - begun
+                per_second = (state.cases - first) / seconds
+                self.on_progress(Progress(state.cases, per_second, len(state.findings), seconds))
+
+    def close(self) -> None:
+        """Put together what was reached, and keep the state. Raises :class:`UsageError`."""
+        self.state.coverage = self.coverage()
+        if self.directory is not None:
+            write_state(self.state, self.directory)
 
     def coverage(self) -> Coverage:
         """What was reached so far."""
@@ -181,15 +193,32 @@ class Campaign:
 
     def _seen(self, steps: list[Step], effect: Effect) -> None:
         """An effect: one of those that are known, or a finding."""
-        if effect.signature in self.state.findings:
+        if self.aside is not None:
+            self.aside(steps, effect)
+        elif effect.signature in self.state.findings:
             self.state.again += 1
-            return
-        self._found(steps, effect)
+        else:
+            self._found(steps, effect)
 
     def _found(self, steps: list[Step], effect: Effect) -> None:
         """Make it small, and keep it. Whatever happens meanwhile, what is known of it is kept."""
+        reduction = self.reduction(effect)
+        try:
+            if self.on_effect is not None:
+                self.on_effect(effect)
+            reduction.reduce(steps, effect, [*self._history])
+        finally:
+            # Also when the implementation is gone for good, or nobody wants to wait.
+            found = reduction.outcome(steps, effect)
+            if found.minimised and self._is_known(found.steps, found.effect):
+                self.state.again += 1
+            else:
+                self.keep(found.steps, found.effect, minimised=found.minimised, confirmed=found.confirmed)
+
+    def reduction(self, effect: Effect) -> Reduction:
+        """What makes an effect of this target small."""
         alike = self.by_cause and effect.kind in _SILENT
-        reduction = Reduction(
+        return Reduction(
             self.target.run,
             self.codec,
             fresh=self.fresh,
@@ -199,20 +228,6 @@ class Campaign:
             known=self._is_known if alike else None,
             cause=partial(cause_of, self.codec) if alike else None,
         )
-        try:
-            if self.on_effect is not None:
-                self.on_effect(effect)
-            reduction.reduce(steps, effect, [*self._history])
-        finally:
-            # Also when the implementation is gone for good, or nobody wants to wait.
-            found = reduction.found
-            if found is not None and self._is_known(found.steps, found.effect):
-                self.state.again += 1
-            elif found is not None:
-                self.keep(found.steps, found.effect, minimised=True, confirmed=reduction.confirmed)
-            else:
-                # What came after it cannot have been it.
-                self.keep(steps[: effect.step + 1], effect, minimised=False, confirmed=False)
 
     def keep(self, steps: list[Step], effect: Effect, *, minimised: bool = False, confirmed: bool = False) -> None:
         """Keep a finding: as an artefact, and as known from now on. Raises :class:`UsageError`."""

@@ -65,6 +65,11 @@ def _pairs(counter: Counter[tuple[str, str]]) -> Iterable[Pair]:
             yield Pair(what, how, count)
 
 
+def counter_of(pairs: Iterable[Pair]) -> Counter[tuple[str, str]]:
+    """The counter that a table was made from."""
+    return Counter({(pair.what, pair.how): pair.count for pair in pairs})
+
+
 def shown(coverage: Coverage) -> list[str]:
     """The tables as lines of text, at most 80 columns wide; 0 is what was not reached, nothing what does not exist."""
     lines: list[str] = []

@@ -3,11 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from dcp_codec.codec import Codec
 
 from .minimise import Cause, Known, Minimised, Minimiser, Run
 from .steps import Effect, Step
+
+
+class Finding(NamedTuple):
+    """What is left of an effect."""
+
+    steps: list[Step]
+    effect: Effect
+    minimised: bool
+    confirmed: bool
+    """Whether it was seen again from the beginning."""
+
+
+def as_it_was(steps: list[Step], effect: Effect) -> Finding:
+    """An effect that nobody has made small."""
+    # What came after it cannot have been it.
+    return Finding(steps[: effect.step + 1], effect, minimised=False, confirmed=False)
 
 
 class Reduction:
@@ -47,6 +64,12 @@ class Reduction:
     def found(self) -> Minimised | None:
         """The smallest so far; None if the effect was not seen again."""
         return (self._minimiser.found if self._minimiser is not None else None) or self._found
+
+    def outcome(self, steps: list[Step], effect: Effect) -> Finding:
+        """What there is to keep of an effect of ``steps``, however far it has come."""
+        if self.found is not None:
+            return Finding(self.found.steps, self.found.effect, minimised=True, confirmed=self.confirmed)
+        return as_it_was(steps, effect)
 
     def reduce(self, steps: list[Step], effect: Effect, history: Sequence[Step] = ()) -> None:
         """Try one way after the other until one is confirmed. ``history``: what was sent before the steps.
