@@ -166,9 +166,6 @@ def test_a_campaign_is_gone_on_from_with_any_number_of_workers(run, tmp_path):
 def test_findings_end_a_campaign_and_there_are_not_more(run):
     campaign = run(Limits(findings=2), mutant=SEVERAL)
     assert len(campaign.artefacts) == len(campaign.state.findings) == 2
-    assert [each.id for each in run(Limits(findings=2), mutant=SEVERAL).artefacts] == [
-        each.id for each in campaign.artefacts
-    ]
 
 
 def test_time_ends_a_campaign_with_what_was_found(run):
@@ -177,16 +174,12 @@ def test_time_ends_a_campaign_with_what_was_found(run):
     assert campaign.state.cases == campaign.state.again + 1
 
 
-def test_the_rate_is_that_of_all_workers_together(run):
-    # Two each, with a quarter of a second for each.
-    assert run(Limits(cases=4, rate=8)).state.seconds >= 0.5
-
-
-def test_progress_is_that_of_all_workers_together(run):
+def test_rate_and_progress_are_those_of_all_workers_together(run):
     progress = []
     campaign = run(Limits(cases=12, rate=8), hooks={"on_progress": progress.append})
+    # Six each, with a quarter of a second for each.
+    assert campaign.state.seconds >= 1.5
     assert 1 <= len(progress) <= campaign.state.seconds
-    assert [each.cases for each in progress] == sorted(each.cases for each in progress)
     assert 2 <= progress[-1].cases <= 12
 
 
