@@ -37,8 +37,9 @@ bench: $(STAMP)
 bench-columns: $(STAMP)
 	$(BIN)/python benchmarks/columns.py
 
-# Mutated beacons and sequences a second, in process and against a live node on both links.
+# Mutated beacons and sequences a second, in process, by two workers, and against a live node on both links.
 bench-fuzz: $(STAMP)
+	$(BIN)/python benchmarks/fuzz.py --jobs 2
 	$(BIN)/python benchmarks/fuzz.py --live
 
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.

@@ -4,11 +4,11 @@
 
 Without options: mutated beacons a second through dissect and decode, and sequences a second against the node in
 process with where their time goes, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our
-node as a process, beside what that node takes at most. --jobs: sequences a second by so many workers, beside the same
-ones by one process; beside other load only the CPU time that they cost means something. --soak: so many mutated frames
-through our own decoder and one node that lives all the time; nothing may be raised, memory is written down ten times on
-the way, and one of ten epochs of 50 frames is followed by the model: what it is certain of (state, number, value and
-attributes of variables) must be what the node holds.
+node as a process, beside what that node takes at most. --jobs: sequences a second by so many workers, beside one
+process and beside as many by themselves. --soak: so many mutated frames through our own decoder and one node that lives
+all the time; nothing may be raised, memory is written down ten times on the way, and one of ten epochs of 50 frames is
+followed by the model: what it is certain of (state, number, value and attributes of variables) must be what the node
+holds.
 """
 
 from __future__ import annotations
@@ -20,24 +20,23 @@ import json
 import os
 import random
 import resource
+import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from dcp_conformance.bench import Session
-from dcp_conformance.cli.fuzz import stack_campaign
-from dcp_conformance.fuzz import Limits
+from dcp_conformance.fuzz.campaign import read_state
 from dcp_conformance.fuzz.live import LiveTarget
 from dcp_conformance.fuzz.observing import Observer
 from dcp_conformance.fuzz.sequences import Sequences
 from dcp_conformance.fuzz.soaking import Soak
 from dcp_conformance.fuzz.stack import StackTarget
 from dcp_conformance.fuzz.steps import Frame
-from dcp_conformance.fuzz.workers import run_in_workers
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
@@ -167,47 +166,82 @@ def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
 
 
 def workers_rate(profile: str, jobs: int, seconds: float) -> dict[str, Any]:
-    """The same sequences by one process and by workers: by the clock, and by CPU time of everybody in it."""
-    make = partial(stack_campaign, {"profile": profile, "seed": SEED, "mutant": "", "recording": (), "resume": False})
-    # As many as one process does in that time.
-    with make() as campaign:
-        share = campaign.run(Limits(seconds=seconds)).cases
-    alone_s, alone_cpu = 0.0, time.process_time()
-    for number in range(jobs):
-        with make(f"{SEED}/0/{number}") as campaign:
-            alone_s += campaign.run(Limits(cases=share)).seconds
-    alone_cpu = time.process_time() - alone_cpu
-    _, beginning = _by_workers(make, jobs, jobs)
-    together_s, together_cpu = _by_workers(make, jobs, jobs * share)
-    extra = (together_cpu - beginning) / alone_cpu - 1
+    """Campaigns of one process, of several that know nothing of each other, and of workers, as the command runs them.
+
+    By the clock, and by CPU time: what workers cost is what they take more than the several do, since processes that
+    share a machine make each other slower.
+    """
+    one = Campaigns(profile)
+    share = round(one.run(500).per_second * seconds)
+    alone, apart = one.run(share), Campaigns(profile, copies=jobs).run(share)
+    workers = Campaigns(profile, jobs=jobs)
+    together = workers.run(jobs * share)
     found = {
         "jobs": jobs,
-        "per_second": jobs * share / together_s,
-        "one_per_second": jobs * share / alone_s,
-        "ratio": alone_s / together_s,
-        "extra_cpu": extra,
-        "beginning_s": beginning / jobs,
+        "one": alone._asdict(),
+        "apart": apart._asdict(),
+        "together": together._asdict(),
+        "ratio": together.per_second / alone.per_second,
+        "ratio_apart": apart.per_second / alone.per_second,
+        "extra_cpu": together.cpu_ms / apart.cpu_ms - 1,
         "load": os.getloadavg()[0],
     }
     print(
-        f"  {jobs} workers: {found['per_second']:,.0f} sequences/s, {found['ratio']:.2f} times the "
-        f"{found['one_per_second']:,.0f}/s of one process (load {found['load']:.1f}); {100 * extra:+.1f} % CPU time "
-        f"for the same {jobs * share} sequences, and {found['beginning_s']:.2f} s for each worker to begin"
+        f"  {jobs} workers: {together.per_second:,.0f} sequences/s, {found['ratio']:.2f} times the "
+        f"{alone.per_second:,.0f}/s of one process; {jobs} processes by themselves: {found['ratio_apart']:.2f} times "
+        f"(load {found['load']:.1f})"
+    )
+    print(
+        f"  CPU time for each of {jobs * share}: {together.cpu_ms:.3f} ms by workers, {apart.cpu_ms:.3f} ms by "
+        f"processes by themselves ({100 * found['extra_cpu']:+.1f} %), {alone.cpu_ms:.3f} ms by one alone; to begin "
+        f"{workers.beginning:.2f} s, one alone {one.beginning:.2f} s"
     )
     return found
 
 
-def _by_workers(make: Any, jobs: int, cases: int) -> tuple[float, float]:
-    """Seconds by the clock without those to begin, and seconds of CPU time with them."""
+class Rate(NamedTuple):
+    """How fast campaigns were, without their beginning. ``cpu_ms``: of all processes, for each test."""
 
-    def spent() -> float:
-        own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+    per_second: float
+    cpu_ms: float
 
-    with make() as campaign:
-        begun = spent()
-        seconds = run_in_workers(campaign, make, jobs, Limits(cases=cases)).seconds
-    return seconds, spent() - begun
+
+class Campaigns:
+    """Campaigns against the stack in process, each by a command of its own; ``copies`` at a time."""
+
+    def __init__(self, profile: str, *, jobs: int = 1, copies: int = 1) -> None:
+        code = "from dcp_conformance.cli import main; main()"
+        words = ["fuzz", "stack", "--profile", profile, "--jobs", str(jobs), "--quiet", "--max-cases"]
+        self._command = [sys.executable, "-c", code, *words]
+        self._copies = copies
+        self.beginning = 0.0
+        """Seconds of CPU time until the first test."""
+        self.beginning = self._spent(jobs)[1]
+
+    def run(self, cases: int) -> Rate:
+        """So many tests, by each copy."""
+        seconds, cpu = self._spent(cases)
+        cases *= self._copies
+        return Rate(cases / seconds, 1e3 * cpu / cases)
+
+    def _spent(self, cases: int) -> tuple[float, float]:
+        """Seconds by the clock, and of CPU time of all processes, without those to begin."""
+        with tempfile.TemporaryDirectory() as name:
+            folders = [Path(name) / str(number) for number in range(self._copies)]
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            running = [
+                subprocess.Popen(
+                    [*self._command, str(cases), "--seed", str(SEED + number), "--artefacts", str(folder)],
+                    stdout=subprocess.DEVNULL,
+                )
+                for number, folder in enumerate(folders)
+            ]
+            statuses = [process.wait() for process in running]
+            if any(statuses):
+                sys.exit("our own node: a campaign has found something, or was ended")
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            seconds = max(read_state(folder).seconds for folder in folders)
+        return seconds, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime - self.beginning
 
 
 def live_rate(profile: str, seconds: float) -> dict[str, Any]:
