@@ -227,7 +227,7 @@ def test_a_crash_of_a_worker_is_a_finding_with_the_steps_that_it_was_at(run, fau
 
 
 def test_a_worker_that_fails_says_why_and_what_it_has_found_is_kept(run, faulty):
-    with pytest.raises(WorkerError, match=r"worker 1 of 2 .* has ended after 5 tests: MemoryError: nothing left"):
+    with pytest.raises(WorkerError, match=r"worker 1 of 2 .* after 5 tests: MemoryError: nothing left \(in draw, "):
         run(Limits(cases=100), make=lambda said: partial(faulty.failing, said, 5), mutant=ALWAYS)
     [campaign] = run.kept
     assert len(campaign.artefacts) == 1

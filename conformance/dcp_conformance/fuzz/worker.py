@@ -13,10 +13,12 @@ import pickle
 import signal
 import struct
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from multiprocessing.connection import Connection
+from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NamedTuple
 
@@ -259,7 +261,9 @@ def work(make: Make, settings: Settings, connection: Connection, memory: Any) ->
         except (BrokenPipeError, ConnectionResetError, EOFError):
             raise
         except Exception as error:
-            connection.send(Failure(f"{type(error).__name__}: {error}"))
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(last.filename).name}:{last.lineno}"
+            connection.send(Failure(f"{type(error).__name__}: {error} (in {last.name}, {place})"))
 
 
 def _serve(worker: Worker, connection: Connection, stop: Stop) -> None:
