@@ -4,11 +4,10 @@
 
 Without options: mutated beacons a second through dissect and decode, and sequences a second against the node in
 process with where their time goes, both on one core, by CPU time. --live: frames a second that the fuzzer sends to our
-node as a process, beside what that node takes at most. --jobs: sequences a second by so many workers, beside one
-process and beside as many by themselves. --soak: so many mutated frames through our own decoder and one node that lives
-all the time; nothing may be raised, memory is written down ten times on the way, and one of ten epochs of 50 frames is
-followed by the model: what it is certain of (state, number, value and attributes of variables) must be what the node
-holds.
+node as a process, beside what that node takes at most. --jobs: tests a second by so many workers, beside one process
+and beside as many by themselves. --soak: so many mutated frames through our own decoder and one node that lives all the
+time; nothing may be raised, memory is written down ten times on the way, and one of ten epochs of 50 frames is followed
+by the model: what it is certain of (state, number, value and attributes of variables) must be what the node holds.
 """
 
 from __future__ import annotations
@@ -187,7 +186,7 @@ def workers_rate(profile: str, jobs: int, seconds: float) -> dict[str, Any]:
         "load": os.getloadavg()[0],
     }
     print(
-        f"  {jobs} workers: {together.per_second:,.0f} sequences/s, {found['ratio']:.2f} times the "
+        f"  {jobs} workers: {together.per_second:,.0f} tests/s, {found['ratio']:.2f} times the "
         f"{alone.per_second:,.0f}/s of one process; {jobs} processes by themselves: {found['ratio_apart']:.2f} times "
         f"(load {found['load']:.1f})"
     )

@@ -46,8 +46,8 @@ class Failing:
         self.left = tests
 
     @property
-    def last(self) -> str:
-        return self.generator.last
+    def kinds(self) -> tuple[str, ...]:
+        return self.generator.kinds
 
     def draw(self) -> list[Step]:
         if not self.left:

@@ -10,8 +10,8 @@ campaign follows from its seed, its workers and its cases; who was faster has no
 
 **Each for itself.** Workers do not tell each other what they have reached; each prefers what it has not reached itself.
 Together they come as far as one process with as many tests: of 300 pairs of field and class two workers have reached
-286, 286 and 271 after 1000 tests (seeds 1, 2, 3), eight 265, 275 and 252, one process 286, 291 and 287; after 2000
-there is no difference. Told of the others every 16 tests, two workers have reached 278, 271 and 284.
+286, 286 and 271 after 1000 sequences (seeds 1, 2, 3), eight 265, 275 and 252, one process 286, 291 and 287; after 2000
+there is no difference. Told of the others every 16 sequences, two workers have reached 278, 271 and 284.
 
 **Processes are spawned** by this one: they have none of its sockets and files, and the kernel ends them with it. The
 server that the lanes of a run are forked from (:mod:`dcp_conformance.lanes`) would stand between: a signal to the whole
@@ -45,9 +45,9 @@ from .worker import SLOT_SIZE, Failure, Make, Order, Report, Settings, Shown, Sl
 _AHEAD: Final = 2
 #: Tests of a worker in the first round, and the most in any; each round has twice as many as the one before.
 _FIRST_ROUND: Final = 8
-_ROUND: Final = 500
+_ROUND: Final = 250
 #: The most where lines of code are traced, which makes tests slow.
-_GUIDED_ROUND: Final = 50
+_GUIDED_ROUND: Final = 20
 #: Seconds that workers have for their last reports, and to end.
 _PATIENCE: Final = 10.0
 #: How a process ends by its own fault, in code that is not Python's.
