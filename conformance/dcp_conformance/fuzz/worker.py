@@ -164,17 +164,22 @@ class Slot:
 
 
 class _Noted:
-    """A target whose tests are written down before they are carried out."""
+    """A target whose tests are written down before they are carried out, and which a signal interrupts.
 
-    def __init__(self, campaign: Campaign, slot: Slot) -> None:
+    It interrupts nothing else: what a test has shown is not lost.
+    """
+
+    def __init__(self, campaign: Campaign, slot: Slot, stop: Stop) -> None:
         self._target: Target = campaign.target
         self._state = campaign.state
         self._slot = slot
+        self._stop = stop
         self.name = self._target.name
 
     def run(self, steps: list[Step]) -> Effect | None:
         self._slot.write(self._state.cases, steps)
-        return self._target.run(steps)
+        with self._stop.heeded():
+            return self._target.run(steps)
 
 
 class Worker:
@@ -183,7 +188,6 @@ class Worker:
     def __init__(self, campaign: Campaign, settings: Settings, slot: Slot, stop: Stop) -> None:
         self._campaign = campaign
         self._rate = settings.rate
-        self._stop = stop
         self._known = set(settings.state.findings)
         coverage = settings.state.coverage
         # What the campaign has reached is not preferred any more, and is not this worker's.
@@ -192,7 +196,7 @@ class Worker:
         campaign.aside = self._aside
         self._guide: Guide | None = guide(campaign) if settings.guided else None
         self._slot = slot
-        campaign.target = _Noted(campaign, slot)
+        campaign.target = _Noted(campaign, slot, stop)
         self._effects: Counter[str] = Counter()
         self._waiting: dict[str, Shown] = {}
         """Effects that the campaign has not decided about, by signature."""
@@ -202,7 +206,7 @@ class Worker:
     def carry_out(self, order: Order) -> None:
         """Do this, or as much of it as there is time for until a signal."""
         self._shown, self._findings = [], []
-        with contextlib.suppress(KeyboardInterrupt), self._stop.heeded():
+        with contextlib.suppress(KeyboardInterrupt):
             for signature in order.minimise:
                 self._minimise(self._waiting.pop(signature))
             left = None if order.until is None else order.until - time.monotonic()
