@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dcp_conformance.bench import Session
+from dcp_conformance.fuzz.batches import Lives
 from dcp_conformance.fuzz.campaign import read_state
 from dcp_conformance.fuzz.live import LiveTarget
 from dcp_conformance.fuzz.observing import Observer
@@ -136,25 +137,31 @@ def where_the_time_goes(codec: Codec, count: int) -> dict[str, float]:
     """us of CPU time for each part of a sequence, of so many; what the watch itself takes is among them."""
     watch = Stopwatch()
     target = TimedTarget(codec, watch)
-    sequences = Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec))
-    draw, run = watch.timed("drawing", sequences.draw), watch.timed("around it", target.run)
-    for _ in range(count):
+    lives = Lives(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
+    draw, run = watch.timed("drawing", lives.draw), watch.timed("around it", target.run)
+    drawn = 0
+    while drawn < count:
         run(draw())
-    return {part: 1e6 * spent / count for part, spent in watch.spent.most_common()}
+        drawn += len(lives.kinds)
+    return {part: 1e6 * spent / drawn for part, spent in watch.spent.most_common()}
 
 
 def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
-    """Draw a sequence, run it on a fresh node, compare with the model, probe."""
+    """Draw sequences, run them on fresh nodes as ``fuzz stack`` does, compare with the model, probe."""
     target = StackTarget(codec)
-    sequences = Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec))
-    count, begun = 0, time.process_time()
+    lives = Lives(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
+    nodes, count, begun = 0, 0, time.process_time()
     while time.process_time() - begun < seconds:
-        effect = target.run(sequences.draw())
+        effect = target.run(lives.draw())
         if effect is not None:
             sys.exit(f"our own node: {effect}")
-        count += 1
+        nodes += 1
+        count += len(lives.kinds)
     spent = time.process_time() - begun
-    print(f"  {count / spent:,.0f} sequences/s against the stack in process ({target.frames / spent:,.0f} frames/s)")
+    print(
+        f"  {count / spent:,.0f} sequences/s against the stack in process, {count / nodes:.0f} in the life of a node "
+        f"({target.frames / spent:,.0f} frames/s)"
+    )
     parts = where_the_time_goes(codec, min(count, 2000))
     print("  us of a sequence, measured: " + ", ".join(f"{part} {spent:.0f}" for part, spent in parts.items()))
     return {
