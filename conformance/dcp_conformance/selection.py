@@ -6,6 +6,7 @@ import difflib
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 from dcp_spec.requirements import UnknownRequirementError, requirement, requirements
 
@@ -79,11 +80,19 @@ def _matching(cases: Mapping[str, Case], pattern: str) -> list[Case]:
         if ids and not found:
             raise UsageError(f"no case decides {', '.join(ids)}; docs/traceability.md says why")
     if not found:
+        if pattern in _retired():
+            raise UsageError(f"the case {pattern} is retired: CHANGELOG.md says what has taken its place")
         names: Sequence[str] = list(dict.fromkeys((*cases, *(case.base for case in cases.values()), *requirements())))
         near = difflib.get_close_matches(pattern, names, n=3)
         hint = f"; did you mean {', '.join(near)}?" if near else "; 'dcp-conformance list' shows those there are"
         raise UsageError(f"no case is called {pattern!r}{hint}")
     return found
+
+
+def _retired() -> set[str]:
+    """The identifiers of cases that are no more: reports of earlier runs still name them."""
+    ledger = resources.files("dcp_conformance").joinpath("data", "case-ids.txt").read_text(encoding="utf-8")
+    return {name for name, _, retired in (line.partition(" ") for line in ledger.splitlines()) if retired}
 
 
 def _requirements(pattern: str) -> list[str]:

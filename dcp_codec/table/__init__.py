@@ -6,8 +6,9 @@ and ``dcp-codec table`` are built on it; docs/tables.md describes the tables.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from dcp_spec.exports import exported
 
 if TYPE_CHECKING:
     from .decoding import Batch, Block, ColumnDecoder
@@ -17,19 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = ["TABLES", "Batch", "Block", "ColumnDecoder", "OpenTable", "Recording", "Shape", "open_table"]
 
-_PLACES = {
-    "Batch": "decoding",
-    "Block": "decoding",
-    "ColumnDecoder": "decoding",
-    "OpenTable": "opening",
-    "Recording": "sources",
-    "Shape": "shape",
-    "TABLES": "shape",
-    "open_table": "opening",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)
+__getattr__ = exported(
+    __name__,
+    {
+        "decoding": ("Batch", "Block", "ColumnDecoder"),
+        "opening": ("OpenTable", "open_table"),
+        "shape": ("TABLES", "Shape"),
+        "sources": ("Recording",),
+    },
+)

@@ -133,6 +133,7 @@ class TestWhatIsRun:
         [
             (["TC_VD_UPD_BV_1"], "did you mean TC_VD_UPD_BV_01"),
             (["TC_NOTHING_LIKE_IT"], "no case is called 'TC_NOTHING_LIKE_IT'"),
+            (["TC_VD_HAZ_BO_04"], "the case TC_VD_HAZ_BO_04 is retired: CHANGELOG.md says what"),
             (["BP-HDR-1"], "did you mean BP-HDR-1"),
             (["-r", "XX-01"], "XX-01"),
             (["-s", "no such heading"], "no section is called 'no such heading'"),

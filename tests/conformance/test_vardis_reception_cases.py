@@ -31,7 +31,6 @@ MODULES = (
     "vardis_lengths",
     "vardis_robustness",
     "vardis_creation",
-    "vardis_hazards",
     "vardis_types",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}

@@ -438,18 +438,6 @@ def _read(descriptor: int) -> bytes:
         return b""
 
 
-@pytest.mark.parametrize("arguments", ["--help", "table --help", "profiles"])
-def test_nothing_is_imported_for_nothing(arguments):
-    code = (
-        "import sys; from dcp_codec.cli import main\n"
-        "try: main(sys.argv[1:])\n"
-        "except SystemExit: pass\n"
-        "print([n for n in ('numba', 'numpy', 'pyarrow', 'duckdb', 'distributed', 'pandas') if n in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code, *arguments.split()], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
-
-
 # -- in Python ----------------------------------------------------------------------------------------------------
 
 

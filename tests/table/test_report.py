@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from html.parser import HTMLParser
@@ -485,18 +484,6 @@ def test_a_page_has_an_end(run, tmp_path):
     done = run(tmp_path, "-o", tmp_path / "a.html")
     assert done.status == 2
     assert "a page holds 20 recordings, and these are 21" in done.err
-
-
-@pytest.mark.parametrize("arguments", ["--help", "report --help"])
-def test_nothing_is_imported_for_help(arguments):
-    code = (
-        "import sys; from dcp_codec.cli import main\n"
-        "try: main(sys.argv[1:])\n"
-        "except SystemExit: pass\n"
-        "print([n for n in ('matplotlib', 'jinja2', 'numba', 'numpy', 'pyarrow') if n in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code, *arguments.split()], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_missing_package_is_named(run, monkeypatch, tmp_path):

@@ -65,7 +65,7 @@ def crossing(bench: Bench, order: tuple[int, int]) -> None:
 @case(
     "TC_NET_RACE_BV_02",
     "Two producers create one identifier: {variant}",
-    requirements="VD-PC-02 VD-PC-10",
+    requirements="VD-PC-01 VD-PC-10",
     stimulus="a peer creates a variable, and while it is being repeated another one creates the same identifier",
     expect="since 2.0 the later creationTime stays, of two equal ones the first; before, always the first",
     window=30,
@@ -88,18 +88,18 @@ def two_producers(bench: Bench, difference: int) -> None:
     bench.check(not wrong, "VarCreates as they were sent", f"{len(wrong)} others", "VD-PC-10", frames=wrong[:4])
     if wanted is two:
         begun = next((place for place, each in enumerate(found) if each.record == two), None)
-        bench.require(begun is not None, "the later creation is passed on", "it is not", "VD-PC-02")
+        bench.require(begun is not None, "the later creation is passed on", "it is not", "VD-PC-01")
         late = [each for each in found[begun:] if each.record == one]
         text = f"{len(late)} of the first one"
-        bench.check(not late, "only the later creation from then on", text, "VD-PC-02", frames=late)
+        bench.check(not late, "only the later creation from then on", text, "VD-PC-01", frames=late)
         times = sum(each.record == two for each in found)
-        bench.check(times == count, f"the later creation in {count} beacons", f"{times}", "VD-PC-02", frames=found)
+        bench.check(times == count, f"the later creation in {count} beacons", f"{times}", "VD-PC-01", frames=found)
     else:
         times = sum(each.record == one for each in found)
         bench.check(times == len(found) == count, f"the first in {count} beacons", f"{times} of {len(found)}")
     record = held(bench, name)
     state = "nothing" if record is None else f"{record.spec.prod_id.hex(':')} {record.upd.value!r}"
-    bench.check(record == wanted, f"{wanted.spec.prod_id.hex(':')} {wanted.upd.value!r} stays", state, "VD-PC-02")
+    bench.check(record == wanted, f"{wanted.spec.prod_id.hex(':')} {wanted.upd.value!r} stays", state, "VD-PC-01")
 
 
 @case(
@@ -155,7 +155,7 @@ def created_and_deleted(bench: Bench, step: int) -> None:
 @case(
     "TC_NET_RACE_BO_01",
     "A slow echo does not bring a deleted variable back",
-    requirements="VD-PC-02 VD-PU-02 VD-PS-02",
+    requirements="VD-PC-01 VD-PU-02 VD-PS-02",
     stimulus="behind the deletion of a variable come its old VarCreate, a VarUpdate and a summary of another peer",
     expect="no reaction; the variable stays deleted",
     window=24,
@@ -170,7 +170,7 @@ def slow_echo(bench: Bench) -> None:
     bench.repeated(_DELETE, name, mark)
     mark = bench.mark()
     for record, requirement in (
-        (create, "VD-PC-02"),
+        (create, "VD-PC-01"),
         (echo.update(name, 3), "VD-PU-02"),
         (echo.summary(name, 3), "VD-PS-02"),
     ):
@@ -178,7 +178,7 @@ def slow_echo(bench: Bench) -> None:
         bench.require_alive("what concerns a deleted variable", requirement)
         trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, name)]
         bench.check(not trace, "no reaction", f"{len(trace)} records", requirement, frames=trace[:4])
-    check_deleted(bench, name, "VD-PC-02")
+    check_deleted(bench, name, "VD-PC-01")
 
 
 @case(

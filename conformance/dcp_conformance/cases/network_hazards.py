@@ -9,7 +9,7 @@ from dcp_spec.constants import ICType, SpecVersion, seqno_modulus
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
-from dcp_conformance.services import produced
+from dcp_conformance.services import create_request, produced
 
 from .network_conflicts import check_deleted, held
 
@@ -19,7 +19,7 @@ _ASK_CREATE = ICType.REQUEST_VARCREATES
 
 @case(
     "TC_NET_HAZARD_BV_01",
-    "Two nodes that lack a variable request it from each other (H1)",
+    "Two nodes that lack a variable request it from each other (H1, X29)",
     requirements="VD-RC-01",
     stimulus="a request for an unknown variable; each request of the implementation is answered by the same request",
     expect="a request for each request (1.0: none); how long that goes on is reported",
@@ -33,6 +33,7 @@ def mutual_requests(bench: Bench) -> None:
         bench.require_alive("a request for an unknown variable")
         found = bench.instructions(_ASK_CREATE, name, mark)
         bench.check(not found, "no request: 1.0 ignores it", f"{len(found)}", frames=found[:4])
+        bench.reading("X29", "nothing")
         bench.reading("H1", "does not arise in 1.0")
         return
     rounds = 0
@@ -40,6 +41,7 @@ def mutual_requests(bench: Bench) -> None:
         rounds += 1
         peer.send(peer.request_create(name))
     bench.check(rounds, "a request for the variable that it is asked for", "none")
+    bench.reading("X29", "requests it itself" if rounds else "nothing")
     lasting = "without end" if rounds == 6 else f"for {rounds} rounds"
     bench.reading("H1", f"two nodes request the variable from each other {lasting} (6 were tried)")
 
@@ -73,7 +75,7 @@ def forgotten_variable(bench: Bench) -> None:
 @case(
     "TC_NET_HAZARD_BO_02",
     "A deletion by somebody else splits a variable from its producer (H3)",
-    requirements="VD-PD-04 VD-PU-02 VD-PS-02",
+    requirements="VD-PD-04 VD-PU-02 VD-PS-02 VD-PC-01",
     stimulus="a peer that is not the producer deletes a variable; the producer goes on updating and summarising it",
     expect="the variable is deleted, and what the producer says of it is ignored; what can end that is reported",
     window=40,
@@ -101,7 +103,7 @@ def split(bench: Bench) -> None:
     trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, name)]
     bench.check(not trace, "no reaction to what the producer says", f"{len(trace)} records", frames=trace[:4])
     source.send(create)
-    check_deleted(bench, name, "VD-PD-04")
+    check_deleted(bench, name, "VD-PC-01")
     source.send(source.create(name, rep_cnt=count))
     healed = bench.until_instruction(_CREATE, name)
     bench.reading("H3", "lasts until it is created anew" if healed else "not even a new creation ends it")
@@ -110,9 +112,10 @@ def split(bench: Bench) -> None:
 @case(
     "TC_NET_HAZARD_BO_03",
     "A VarCreate of another node takes an own variable over (H4)",
-    requirements="VD-PC-02",
-    stimulus="the application creates a variable; a VarCreate with a later creationTime of another producer comes",
-    expect="the foreign variable replaces the own one; the application is told that it is not the producer",
+    requirements="VD-PC-01 VD-UPD-03",
+    stimulus="the application creates a variable; a VarCreate with a later creationTime of another producer comes; "
+    "then RTDB-Update and RTDB-Create of the application",
+    expect="the foreign variable replaces the own one: NOT-PRODUCER; what RTDB-Create answers is reported",
     window=20,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
 )
@@ -129,15 +132,16 @@ def taken_over(bench: Bench) -> None:
     peer.send(create)
     bench.until(lambda heard: heard.about(_CREATE, name) == create, 8)
     passed = any(each.record == create for each in bench.instructions(_CREATE, name, mark))
-    bench.check(passed, "the later creation replaces the own one and is passed on", "it is not")
-    answer = bench.call("RTDB-Update", varId=name, value="01")
-    bench.reading("H4", f"the application's next update is answered with {answer}")
+    bench.check(passed, "the later creation replaces the own one and is passed on", "it is not", "VD-PC-01")
+    update = bench.expect_status("VARDIS-STATUS-NOT-PRODUCER", "RTDB-Update", "VD-UPD-03", varId=name, value="01")
+    again = bench.call("RTDB-Create", **create_request(bench, name))
+    bench.reading("H4", f"the application's next update is answered with {update}, creating it anew with {again}")
 
 
 @case(
     "TC_NET_HAZARD_BO_04",
     "A creationTime in the future keeps later creations out (H5)",
-    requirements="VD-PC-02",
+    requirements="VD-PC-01",
     stimulus="a VarCreate with a creationTime one hour ahead; then one with the right time of another producer",
     expect="the second is ignored: the first stays",
     window=24,
@@ -161,7 +165,7 @@ def clock_ahead(bench: Bench) -> None:
 @case(
     "TC_NET_HAZARD_BO_05",
     "Before 2.0 a producer that starts again counts as outdated (H6)",
-    requirements="VD-PU-06 VD-PC-02",
+    requirements="VD-PU-06 VD-SCP-03",
     stimulus="a variable is known with number 50; its producer starts again with a VarCreate and VarUpdates 0 and 1",
     expect="the VarCreate is ignored, and the stored value with number 50 is sent in answer to the updates",
     window=24,
@@ -172,9 +176,9 @@ def starts_again(bench: Bench) -> None:
     bench.learn(source, source.create(name, value=b"fifty", seqno=50, rep_cnt=count))
     mark = bench.mark()
     source.send(source.create(name, value=b"again", seqno=0, rep_cnt=count))
-    bench.require_alive("a second VarCreate", "VD-PC-02")
+    bench.require_alive("a second VarCreate", "VD-SCP-03")
     found = bench.instructions(_CREATE, name, mark)
-    bench.check(not found, "the VarCreate of a known variable is ignored", f"{len(found)}", "VD-PC-02", frames=found)
+    bench.check(not found, "the VarCreate of a known variable is ignored", f"{len(found)}", "VD-SCP-03", frames=found)
     mark = bench.mark()
     source.send(source.update(name, 1, b"again"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-06")
@@ -210,7 +214,7 @@ def missed_creation(bench: Bench) -> None:
 @case(
     "TC_NET_HAZARD_BO_07",
     "An update of an earlier creation passes for a newer value (H8)",
-    requirements="VD-PC-02 VD-PU-07",
+    requirements="VD-PC-01 VD-PU-07",
     stimulus="a variable with number 9 is created anew with number 0; then VarUpdate 10 of the first one arrives",
     expect="the re-creation is taken, and then the VarUpdate, as its number is newer",
     window=24,
@@ -222,7 +226,7 @@ def earlier_update(bench: Bench) -> None:
     mark = bench.mark()
     second = source.create(name, value=b"second life", rep_cnt=count)
     source.send(second)
-    bench.check_repeated(_CREATE, name, count, mark, "VD-PC-02")
+    bench.check_repeated(_CREATE, name, count, mark, "VD-PC-01")
     mark = bench.mark()
     late.send(late.update(name, 10, b"first life"))
     bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
