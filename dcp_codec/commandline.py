@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import io
 import os
 import sys
 import traceback
@@ -80,6 +81,11 @@ def _before_click() -> Iterator[None]:
         yield
     except BrokenPipeError as error:
         raise _ReaderGone from error
+    except SystemExit as stop:
+        # rich does the same by itself.
+        if isinstance(stop.__context__, BrokenPipeError):
+            raise _ReaderGone from stop
+        raise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +121,7 @@ class CommandLine:
 
         A reader of the output that has seen enough (``| head``) is no failure.
         """
+        _prepare_streams()
         status = self._run(args)
         try:
             sys.stdout.flush()
@@ -122,7 +129,7 @@ class CommandLine:
             _discard_output()
         except OSError as error:
             _discard_output()
-            self.note(str(error))
+            self.note(_reason(error))
             status = UNUSABLE
         sys.exit(status)
 
@@ -156,12 +163,34 @@ class CommandLine:
             traceback.print_exception(error)
             return self.fault_status
         # What a subcommand did not foresee of the system: most often the place where the output goes is full.
-        self.note(str(error))
+        self.note(_reason(error))
         try:
             sys.stdout.flush()
         except OSError:
             _discard_output()
         return UNUSABLE
+
+
+def _reason(error: OSError) -> str:
+    """What the system did not do, and where."""
+    # Only opening knows a name; what comes later is nearly always that output finds no room.
+    where = error.filename if error.filename is not None else "output cannot be written"
+    return f"{where}: {error.strerror or error}"
+
+
+def _prepare_streams() -> None:
+    """Have standard streams that can be written to, whoever started the process, with whatever characters."""
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            # Closed by whoever started us; the lowest free number is this one, and no file of ours gets it.
+            os.open(os.devnull, os.O_RDONLY if descriptor == 0 else os.O_WRONLY)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(descriptor, "r" if descriptor == 0 else "w", closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Names of files and descriptions may hold what the encoding of a terminal cannot show.
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _discard_output() -> None:

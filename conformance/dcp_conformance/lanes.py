@@ -39,6 +39,8 @@ def run_pytest(run: ConformanceRun, extra: list[str] | None = None) -> None:
     """Run the cases with pytest in this process; with ``extra`` options pytest reports itself."""
     arguments = ["-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases", "-c", os.devnull]
     arguments += ["--rootdir", str(Path(__file__).parent), "-p", "no:cacheprovider", "--noconftest"]
+    # Where it is installed it makes a folder for its results wherever the user is.
+    arguments += ["-p", "no:benchmark"]
     if not extra:
         arguments += ["-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings"]
     status = pytest.main([*arguments, *(extra or [])], plugins=[run])

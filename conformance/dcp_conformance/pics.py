@@ -14,7 +14,7 @@ import msgspec
 from .errors import UsageError
 from .node_id import node_id_octets
 
-_Positive = Annotated[float, msgspec.Meta(gt=0)]
+_Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 
 

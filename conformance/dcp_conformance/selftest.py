@@ -18,6 +18,7 @@ from functools import cache
 from typing import Final
 
 import msgspec
+from dcp_spec.profile_loading import ProfileError, load_profile
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
@@ -256,11 +257,16 @@ def selftest(
     on_start: Callable[[int], None] | None = None,
     on_result: Progress | None = None,
 ) -> SelftestResult:
-    """Our node as it is, then each of ``mutants``.
+    """Our node as it is, then each of ``mutants``. Raises :class:`UsageError` for a profile that there is not.
 
     ``profiles``: instead of those in :data:`PROFILES` for the node and its own for each mutant; a mutant is tried on
     those of them in whose version it is a fault. ``jobs``: processes, by default one for each processor.
     """
+    for name in profiles:
+        try:
+            load_profile(name)
+        except ProfileError as error:
+            raise UsageError(str(error)) from None
     begun, started = time.monotonic(), timestamp()
     baselines: dict[str, Baseline] = {}
     trials: dict[tuple[str, str], Trial] = {}

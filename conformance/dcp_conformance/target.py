@@ -128,6 +128,9 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
     codec, pics = describe(options)
     if options.in_process and options.foreign:
         raise UsageError("--in-process tests our own node; it needs no --interface or --link")
+    for name in () if options.foreign else ("ut", "start", "stop", "restart", "pid"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name} is for an implementation of yours: name its --interface or --link")
     with contextlib.ExitStack() as stack:
         if options.in_process:
             session, control, notes = _in_process(options, codec, pics)

@@ -76,6 +76,8 @@ def open_sink(target: str | Path | BinaryIO) -> ByteSink:
         return ByteSink(target, stream_name(target), owned=False)
     try:
         stream = Path(target).open("wb", buffering=0)  # noqa: SIM115 - the sink closes it
+    except FileNotFoundError as error:
+        raise CaptureError(f"{target}: can not be written: there is no folder {Path(target).parent}") from error
     except (OSError, ValueError) as error:
         raise CaptureError(f"{target}: can not be written: {explain(error)}") from error
     return ByteSink(stream, str(target), owned=True)

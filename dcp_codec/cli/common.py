@@ -157,9 +157,6 @@ class Output:
         self._lines: list[str] = []
         self._size = 0
         self._immediate = sys.stdout.isatty()
-        if hasattr(sys.stdout, "reconfigure"):
-            # A description may hold what the terminal's encoding cannot show.
-            sys.stdout.reconfigure(errors="backslashreplace")
 
     def write(self, text: str) -> None:
         """Write one or more whole lines (without the last line feed)."""

@@ -117,7 +117,12 @@ def command(
         return run.hex(hex_text)
     if interface is not None:
         return run.live(interface)
-    return max(run.file(name) for name in files)
+    status = 0
+    for name in files:
+        status = max(status, run.file(name))
+        if run.enough:
+            break
+    return status
 
 
 class _Run:
@@ -138,6 +143,12 @@ class _Run:
         )
         self.shown = 0
         self._heading_done = False
+
+    @property
+    def enough(self) -> bool:
+        """Whether as many frames were shown as were asked for."""
+        limit = self.options["count"]
+        return limit is not None and self.shown >= limit
 
     def renderer(self, dissector: FrameDissector) -> _Renderer:
         form = self.options["form"]
@@ -171,7 +182,7 @@ class _Run:
             return max(status, report_capture_problems(reader, name))
 
     def frames(self, dissector: FrameDissector, frames: Iterator[Frame], name: str, advance: Any) -> int:
-        renderer, limit = self.renderer(dissector), self.options["count"]
+        renderer, before = self.renderer(dissector), self.shown
         others: Counter[str] = Counter()
         beacons, malformed = 0, 0
         examples: list[str] = []
@@ -192,7 +203,7 @@ class _Run:
                         examples.append(f"{name}: frame {frame.number}: {errors[0]}")
                 self.output.write(renderer.render(found))
                 self.shown += 1
-                if limit is not None and self.shown >= limit:
+                if self.enough:
                     break
         finally:
             self.output.flush()
@@ -202,6 +213,8 @@ class _Run:
             note(f"{name}: {malformed} of {beacons} DCP frames are malformed")
         if not beacons:
             no_beacons_note(name, dict(others.most_common()), dissector.link)
+        elif self.shown == before:
+            note(f"{name}: none of {beacons} DCP frames is what was asked for")
         return MALFORMED if malformed else 0
 
     def hex(self, text: str) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +10,7 @@ import click
 
 from dcp_codec.capture import CaptureError
 from dcp_codec.commandline import ExpectedError
+from dcp_codec.wholefile import refuse_irregular, write_whole
 
 from .common import note, profile_options
 from .recordings import check_input, extras, octets_progress, tell
@@ -66,6 +65,10 @@ def command(
         page = out or _default(recordings)
         if page.exists() and not force:
             raise ExpectedError(f"{page}: is there already; --force replaces it")
+        try:
+            refuse_irregular(page)
+        except OSError as error:
+            raise ExpectedError(f"{page}: {error.strerror}") from None
         from dcp_codec.report.page import render
 
         with octets_progress(recordings) as advance:
@@ -74,12 +77,13 @@ def command(
             raise ExpectedError("; ".join(str(outcome.failure) for outcome in outcomes[:5]))
         pictures = [plot for chapter in chapters for plot in chapter.plots]
         try:
-            _write(page, render(chapters).encode("utf-8", "backslashreplace"))
+            page.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(page, render(chapters).encode("utf-8", "backslashreplace"))
             for plot in pictures if png is not None else []:
                 assert png is not None
                 assert plot.png is not None
                 png.mkdir(parents=True, exist_ok=True)
-                _write(png / f"{plot.name}.png", plot.png)
+                write_whole(png / f"{plot.name}.png", plot.png)
         except OSError as error:
             raise ExpectedError(f"{error.filename or page}: {error.strerror or error}") from None
     note(f"{page}: {len(pictures)} plots")
@@ -114,24 +118,3 @@ def _chapters(
         chapters.append(chapter(recorded, number, png=png))
         outcomes.append(recorded.outcome)
     return chapters, outcomes
-
-
-def _write(path: Path, octets: bytes) -> None:
-    """All of a file or nothing of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(octets)
-        # mkstemp is for secrets; this is a file as any other.
-        Path(name).chmod(0o666 & ~_umask())
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask

@@ -103,6 +103,8 @@ def _check(order: Order) -> None:
             if name not in known:
                 raise TableError(f"profile {order.profile} has no table {name}, only {', '.join(sorted(known))}")
     out = order.out
+    if out.exists() and not (out.is_file() or out.is_dir()):
+        raise TableError(f"{out}: is neither a file nor a folder, and is not replaced")
     if not out.exists() or order.force:
         return
     if not out.is_dir():

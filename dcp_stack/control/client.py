@@ -55,7 +55,8 @@ class ControlClient:
             self._connect(patience)
         except OSError as error:
             self._socket.close()
-            raise ControlError(f"{path}: {_why_not(error)}") from None
+            why = "is no socket" if _is_something_else(self.path) else _why_not(error)
+            raise ControlError(f"{path}: {why}") from None
 
     def _connect(self, patience: float) -> None:
         deadline = time.monotonic() + patience
@@ -169,6 +170,13 @@ class ControlClient:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _is_something_else(path: Path) -> bool:
+    try:
+        return not path.is_socket() and path.exists()
+    except OSError:
+        return False
 
 
 def _why_not(error: OSError) -> str:

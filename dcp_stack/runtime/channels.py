@@ -157,7 +157,8 @@ class ControlSocket:
             self._socket.listen(MAX_CLIENTS)
         except OSError as error:
             self._socket.close()
-            raise ControlSocketError(f"{path}: {error.strerror or error}") from None
+            missing = f"there is no folder {self.path.parent}" if isinstance(error, FileNotFoundError) else ""
+            raise ControlSocketError(f"{path}: {missing or error.strerror or error}") from None
         except ControlSocketError:
             self._socket.close()
             raise

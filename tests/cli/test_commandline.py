@@ -26,6 +26,7 @@ main = CommandLine(name="trial", package="trial", commands={"end-it": "End.", "b
 SUBCOMMAND = """
 import click, sys
 from dcp_codec.commandline import ExpectedError
+from rich.console import Console
 from trial import Further
 
 def stop(error):
@@ -41,6 +42,8 @@ ENDS = {
     "interrupted": lambda: stop(KeyboardInterrupt()),
     "usage": lambda: stop(click.UsageError("not so")),
     "system": lambda: open("/nowhere/at/all"),
+    "table": lambda: Console(width=60).print("± " * 100_000),
+    "characters": lambda: print("± " + chr(0xDCF6)),
 }
 
 @click.command()
@@ -66,10 +69,15 @@ def trial(tmp_path: Path) -> Ends:
 
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
 
-    def run(*args: str, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:
+    def run(
+        *args: str, stdout: int = subprocess.PIPE, shell: str = "", **more: str
+    ) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-c", "from trial import main; main()", *args]
+        if shell:
+            command = ["sh", "-c", f'exec "$@" {shell}', "sh", *command]
+        both = {**environment, **more}
         return subprocess.run(
-            command, cwd=tmp_path, env=environment, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False
+            command, cwd=tmp_path, env=both, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False
         )
 
     return run
@@ -84,7 +92,7 @@ def trial(tmp_path: Path) -> Ends:
         ("expected-5", 5, "trial: put the fuse in\n"),
         ("failure", 4, "trial: no tester\n"),
         ("interrupted", 130, "\n"),
-        ("system", 2, "trial: [Errno 2] No such file or directory: '/nowhere/at/all'\n"),
+        ("system", 2, "trial: /nowhere/at/all: No such file or directory\n"),
     ],
 )
 def test_a_subcommand_decides_how_the_command_ends(trial: Ends, way: str, status: int, message: str):
@@ -128,12 +136,34 @@ def test_a_reader_that_has_seen_enough_is_no_failure(trial: Ends, lines: int, st
     assert (done.returncode, done.stderr) == (status, "")
 
 
+def test_a_reader_that_has_seen_enough_of_a_table_is_no_failure(trial: Ends):
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = trial("end-it", "table", stdout=writing)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("way", ["characters", "table"])
+def test_what_the_terminal_cannot_show_is_shown_by_its_number(trial: Ends, way: str):
+    done = trial("end-it", way, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\\xb1 " in done.stdout
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_standard_stream_may_be_closed(trial: Ends, closed: str):
+    done = trial("end-it", "three", shell=closed)
+    assert (done.returncode, done.stderr) == (3, "")
+    assert done.stdout == ("" if ">&-" in closed.split() else "said\n")
+
+
 @pytest.mark.parametrize("lines", [10, 100_000])
 @pytest.mark.parametrize("way", ["nothing", "expected-5"])
 def test_a_full_disk_is_told_in_one_line(trial: Ends, way: str, lines: int):
     with Path("/dev/full").open("w") as full:
         done = trial("end-it", way, "--lines", str(lines), stdout=full.fileno())
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1] == "trial: [Errno 28] No space left on device"
+    assert done.stderr.splitlines()[-1] == "trial: output cannot be written: No space left on device"
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr

@@ -132,6 +132,13 @@ def test_filters(run, tmp_path, good, options, expected):
     result = run("decode", "-p", "cpp-2.0", "-f", "jsonl", *options, write(tmp_path / "a.pcap", *good))
     assert [json.loads(line)["frame"] for line in result.out.splitlines()] == expected
     assert result.status == 0
+    assert ("none of 5 DCP frames is what was asked for" in result.err) == (not expected)
+
+
+def test_count_is_for_all_files_together(run, tmp_path, good):
+    files = [write(tmp_path / f"{name}.pcap", *good[:2]) for name in "abc"]
+    result = run("decode", "-p", "cpp-2.0", "-f", "jsonl", "--count", "3", *files)
+    assert [json.loads(line)["frame"] for line in result.out.splitlines()] == [1, 2, 1]
 
 
 def test_hex_tells_a_frame_from_a_bare_beacon(run, good):

@@ -34,6 +34,11 @@ def test_a_mutant_is_killed_by_a_case_that_names_its_requirement(identifier):
     assert outcome.killed, f"{outcome.what}: none of {outcome.candidates} cases; others that fail: {also}"
 
 
+def test_a_profile_that_there_is_not_is_told():
+    with pytest.raises(UsageError, match="unknown profile 'none-such'"):
+        selftest([MUTANTS[EQUAL]], profiles=["none-such"])
+
+
 def test_every_section_has_mutants_and_there_are_many():
     groups = {each.requirement.rpartition("-")[0] for each in MUTANTS.values()}
     assert len(MUTANTS) >= 130

@@ -147,6 +147,12 @@ class TestWhatIsRun:
             (["--link", "udp:nowhere"], "nowhere"),
             (["--in-process", "--link", "udp"], "--in-process tests our own node"),
             (["--ether-type", "IP"], "'IP' is no number"),
+            (["--ut", "unix:node.sock"], "--ut is for an implementation of yours: name its --interface or --link"),
+            (["--in-process", "--restart", "true"], "--restart is for an implementation of yours"),
+            (["--timing-scale", "0"], "0.0 is not in the range 0<x<=1000.0"),
+            (["--timing-scale", "nan"], "'nan' is no number"),
+            (["--beacon-period", "inf"], "inf is not in the range"),
+            (["--report-dir", __file__], f"{__file__}: cannot be written: is there, and is no folder"),
             (["--pytest", "-k nothing_at_all", "--in-process"], "no case is left to run"),
             (["--pytest", "--no-such-option", "--in-process"], "pytest could not begin"),
         ],
@@ -184,6 +190,14 @@ class TestWhatIsRun:
         done = dcp_conformance("run", "--in-process", SANITY, "--report-dir", tmp_path)
         assert done.status == 0
         assert [case.id for case in load_results(tmp_path).cases] == [SANITY]
+
+    def test_what_was_typed_need_be_no_text(
+        self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ):
+        name = os.fsdecode(b"\xf6")
+        monkeypatch.setattr(sys, "argv", ["dcp-conformance", "run", "--report-dir", name])
+        assert dcp_conformance("run", "--in-process", SANITY, "--report-dir", tmp_path / name).status == 0
+        assert load_results(tmp_path / name).command == r"dcp-conformance run --report-dir '\udcf6'"
 
     def test_everything_several_times(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance("run", "--in-process", ONE, "--repeat", "3", "--report-dir", tmp_path)

@@ -107,7 +107,10 @@ def test_print_config(run, tmp_path):
         (["--link", "udp", "--position", "csv:/no/such.csv"], "/no/such.csv"),
         (["--link", "udp", "--record", "/no/such/folder/x.mcap"], "/no/such/folder/x.mcap"),
         (["--link", "udp", "--neighbour-file", "/no/such/folder/x"], "/no/such/folder/x"),
-        (["--link", "udp", "--control", "/no/such/folder/x.sock"], "/no/such/folder/x.sock: No such file"),
+        (
+            ["--link", "udp", "--control", "/no/such/folder/x.sock"],
+            "/no/such/folder/x.sock: there is no folder /no/such/folder",
+        ),
         (["--link", "udp", "--control", "/tmp/" + "x" * 120], "at most 107 octets"),
         (["--link", "udp", "--control", "stdio", "--position", "stdin"], "cannot both be standard input"),
         (["--link", "udp", "--user", "no-such-user"], "there is no such user"),
@@ -181,6 +184,9 @@ def test_no_node_is_3(run, args, tmp_path):
     shown = run(*args, "--control", stale)
     assert shown.status == 3
     assert "nobody listens there" in shown.err
+    shown = run(*args, "--control", tmp_path)
+    assert shown.status == 3
+    assert f"{tmp_path}: is no socket" in shown.err
 
 
 def test_wrong_usage_is_2(run, tmp_path, monkeypatch):

@@ -295,6 +295,7 @@ def test_one_of_several_cannot_be_read(run, tmp_path, archive):
         ((C_LATEJOIN, "-o", "taken", "--format", "duckdb"), "a DuckDB database is a file"),
         ((C_LATEJOIN, "-o", "taken/file.duckdb"), "is there already; --force"),
         ((C_LATEJOIN, "-o", "taken/file.duckdb/below"), "taken/file.duckdb"),
+        ((C_LATEJOIN, "-o", "taken/pipe", "--force"), "is neither a file nor a folder, and is not replaced"),
         ((C_LATEJOIN, "-o", "out", "--engine", "dask", "--scheduler", "nonsense://x"), "cannot be reached"),
         (
             (C_LATEJOIN, "-o", "srp.csv", "-p", "sim-1.0", "--tables", "srp"),
@@ -307,6 +308,7 @@ def test_wrong_usage(run, tmp_path, monkeypatch, arguments, message):
     Path("empty").mkdir()
     Path("taken").mkdir()
     Path("taken/file.duckdb").write_text("precious")
+    os.mkfifo("taken/pipe")
     result = run(*arguments)
     assert result.status == 2
     assert message in result.err

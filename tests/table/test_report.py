@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable
@@ -442,16 +443,19 @@ def test_refusals(run, tmp_path, monkeypatch):
         (("*.nonsense", "-o", "b.html"), "nothing matches this pattern"),
         (("-", "-o", "b.html"), "name the --profile"),
         ((path, "-p", "dcp-2.0", "-o", path / "x.html"), "a.pcap"),
+        ((path, "-p", "dcp-2.0", "-o", "pipe", "--force"), "pipe: is no regular file, and is not replaced"),
     ]
+    os.mkfifo("pipe")
     for args, words in cases:
         done = run(*args)
         assert done.status == 2, args
         assert words in done.err
     assert (tmp_path / "a.html").read_bytes() == kept
+    assert (tmp_path / "pipe").is_fifo()
     # The same recording, the same octets.
     assert run(path, "-p", "dcp-2.0", "--force").status == 0
     assert (tmp_path / "a.html").read_bytes() == kept
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["a.html", "a.pcap"]
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["a.html", "a.pcap", "pipe"]
 
 
 def test_memory_has_an_end(tmp_path):

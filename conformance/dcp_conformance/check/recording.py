@@ -45,7 +45,9 @@ def judge_recording(
         pics = _with_period(pics, _period(path, codec))
     try:
         with open_capture(path) as reader:
-            judge = Judge(codec, pics, recording=path.name, command=command, period_known=period_known)
+            # As text that a report can hold: names of files are octets.
+            name = path.name.encode("utf-8", "backslashreplace").decode()
+            judge = Judge(codec, pics, recording=name, command=command, period_known=period_known)
             for frame in reader:
                 judge.feed(frame)
             problems = [problem.message for problem in reader.problems]

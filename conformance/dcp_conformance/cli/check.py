@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 import tomllib
 from pathlib import Path
 
 import click
 import msgspec
 
-from .options import EXIT_STATUS
+from .options import EXIT_STATUS, Factor, as_typed
 
 
 @click.command("check", epilog=EXIT_STATUS)
@@ -18,7 +17,10 @@ from .options import EXIT_STATUS
 @click.option("--ether-type", metavar="HEX", help="Another EtherType than the profile's.")
 @click.option("--pics", type=click.Path(path_type=Path), metavar="FILE", help="PICS and PIXIT (TOML).")
 @click.option(
-    "--beacon-period", type=float, metavar="MS", help="The beacon period.  [default: as it looks in the recording]"
+    "--beacon-period",
+    type=Factor(1e6),
+    metavar="MS",
+    help="The beacon period.  [default: as it looks in the recording]",
 )
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
@@ -54,9 +56,9 @@ def command(
         )
     worst_status = 0
     for capture in captures:
-        words = ["dcp-conformance", "check", str(capture), *(["--profile", profile] if profile else [])]
+        words = ["check", str(capture), *(["--profile", profile] if profile else [])]
         run, codec = judge_recording(
-            capture, profile, known, ether_type=ether_type, command=shlex.join(words), period_known=stated
+            capture, profile, known, ether_type=ether_type, command=as_typed(*words), period_known=stated
         )
         report = ""
         if report_dir is not None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -21,10 +24,33 @@ EXIT_STATUS = (
 )
 
 
+class Factor(click.FloatRange):
+    """A number above 0, up to ``most``."""
+
+    def __init__(self, most: float) -> None:
+        super().__init__(min=0, max=most, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; refuses what is out of range, and what is no number."""
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value!r} is no number", param, ctx)
+        return number
+
+
 def _applied(function: F, decorators: list[Callable[[F], F]]) -> F:
     for decorator in reversed(decorators):
         function = decorator(function)
     return function
+
+
+def as_typed(*words: str) -> str:
+    """``dcp-conformance`` with these arguments, or those of the process, as reports show it.
+
+    Octets that are no text are shown by their numbers.
+    """
+    command = shlex.join(["dcp-conformance", *(words or sys.argv[1:])])
+    return command.encode("utf-8", "backslashreplace").decode()
 
 
 def target_options(function: F) -> F:
@@ -49,8 +75,10 @@ def target_options(function: F) -> F:
             click.option("--stop", metavar="COMMAND", help="Stops it."),
             click.option("--restart", metavar="COMMAND", help="Restarts it, after it was found dead."),
             click.option("--pid", type=int, metavar="PID", help="Its process, to notice that it died."),
-            click.option("--beacon-period", type=float, metavar="MS", help="Its beacon period.  [default: 100]"),
-            click.option("--timing-scale", type=float, default=1.0, metavar="X", help="Stretch all time windows."),
+            click.option("--beacon-period", type=Factor(1e6), metavar="MS", help="Its beacon period.  [default: 100]"),
+            click.option(
+                "--timing-scale", type=Factor(1e3), default=1.0, metavar="X", help="Stretch all time windows."
+            ),
             click.option("--seed", type=int, default=1, metavar="N", help="For what is drawn by chance."),
         ],
     )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shlex
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ import msgspec
 from dcp_conformance.errors import UsageError
 from dcp_conformance.node_id import node_id_octets
 
-from .options import EXIT_STATUS, target_of, target_options
+from .options import EXIT_STATUS, as_typed, target_of, target_options
 
 
 @click.command("replay", epilog=EXIT_STATUS)
@@ -34,7 +32,7 @@ def command(capture: Path, **options: Any) -> int:
     """
     from dcp_conformance.outcome import assemble, exit_status
     from dcp_conformance.replay import Replay, ReplayOptions, cast_of, choose_node, decided
-    from dcp_conformance.reporting import write_report
+    from dcp_conformance.reporting import make_folder, write_report
     from dcp_conformance.runner import timestamp
     from dcp_conformance.target import describe, open_target
 
@@ -56,7 +54,10 @@ def command(capture: Path, **options: Any) -> int:
         node = chosen
     replay = Replay(capture, ReplayOptions(node, options["speed"], not options["no_services"]))
     begun, started = time.monotonic(), timestamp()
-    again = shlex.join(["dcp-conformance", *sys.argv[1:]])
+    again = as_typed()
+    report = options["report_dir"]
+    if report is not None:
+        make_folder(report)
     with open_target(target_options) as target:
         target.runner.prepare()
         replay.take_part(codec, target.runner.session.sut_id)
@@ -72,7 +73,6 @@ def command(capture: Path, **options: Any) -> int:
             command=again,
             notes=target.runner.notes,
         )
-    report = options["report_dir"]
     page = str(write_report(run, report, codec)) if report is not None else ""
     print_summary(run, report=page)
     return exit_status(cases)

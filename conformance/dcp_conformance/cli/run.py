@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from .options import EXIT_STATUS, selection_of, selection_options, target_of, target_options
+from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -57,7 +56,7 @@ def command(**options: Any) -> int:
         artefacts=options["artefacts"],
         repeat=options["repeat"],
         until_fail=options["until_fail"],
-        command=shlex.join(["dcp-conformance", *sys.argv[1:]]),
+        command=as_typed(),
         on_start=None if extra else display.start,
         on_result=None if extra else display.result,
     )
@@ -65,6 +64,11 @@ def command(**options: Any) -> int:
         for case in run.selected:
             click.echo(f"{case.id}  {case.purpose}")
         return 0
+    report = options["report_dir"]
+    if report is not None:
+        from dcp_conformance.reporting import make_folder
+
+        make_folder(report)
     lanes = 1 if extra else lanes_of(run, options["jobs"])
     if extra:
         run_pytest(run, extra)
@@ -72,7 +76,6 @@ def command(**options: Any) -> int:
         with display:
             run_in_lanes(run, lanes) if lanes > 1 else run_pytest(run)
     result = run.result()
-    report = options["report_dir"]
     if report is not None:
         from dcp_conformance.reporting import write_report
 

@@ -26,7 +26,12 @@ _FEW = 40
 @click.option("--full", is_flag=True, help="Every case against every mutant, not only those that name its requirement.")
 @click.option("--jobs", type=click.IntRange(1), metavar="N", help="Processes.  [default: one for each processor]")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write selftest.json there.")
-@click.option("--document", type=click.Path(path_type=Path), metavar="FILE", help="Write the kill matrix (Markdown).")
+@click.option(
+    "--document",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write the kill matrix (Markdown).",
+)
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
@@ -82,4 +87,4 @@ def _write(result: SelftestResult, directory: Path | None, document: Path | None
 
             document.write_text(markdown(result), encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"the report cannot be written: {error}") from None
+        raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import msgspec
 from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec.codec import Codec
+from dcp_codec.wholefile import write_whole
 from dcp_conformance.errors import UsageError
 from dcp_conformance.results import SCHEMA, RunResult
 
@@ -26,16 +25,25 @@ def write_report(run: RunResult, directory: Path, codec: Codec | None = None) ->
     from .page import render
     from .recordings import write_recordings
 
+    make_folder(directory)
     try:
-        directory.mkdir(parents=True, exist_ok=True)
         run = write_recordings(run, directory)
-        _replace(directory / RESULTS, msgspec.json.format(msgspec.json.encode(run), indent=1))
-        _replace(directory / "junit.xml", junit_xml(run))
+        write_whole(directory / RESULTS, msgspec.json.format(msgspec.json.encode(run), indent=1))
+        write_whole(directory / "junit.xml", junit_xml(run))
         page = directory / "report.html"
-        _replace(page, render(run, codec or codec_of(run)).encode())
+        write_whole(page, render(run, codec or codec_of(run)).encode())
     except OSError as error:
         raise UsageError(f"{error.filename or directory}: cannot be written: {error.strerror or error}") from None
     return page
+
+
+def make_folder(directory: Path) -> None:
+    """Have the folder of a report before there is anything to lose. Raises :class:`UsageError` if that cannot be."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "is there, and is no folder" if isinstance(error, FileExistsError) else error.strerror or error
+        raise UsageError(f"{error.filename or directory}: cannot be written: {why}") from None
 
 
 def load_results(path: Path) -> RunResult:
@@ -60,16 +68,3 @@ def codec_of(run: RunResult) -> Codec | None:
         return Codec(run.profile)
     except ProfileError:
         return None
-
-
-def _replace(path: Path, octets: bytes) -> None:
-    """Put a whole file in the place of the old one, or leave the old one."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}-", delete=False) as file:
-        try:
-            file.write(octets)
-            file.flush()
-            os.fchmod(file.fileno(), 0o644)
-            Path(file.name).replace(path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
