@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-import msgspec
-from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec.commandline import ExpectedError
-from dcp_stack.links.base import LinkError
-from dcp_stack.sim.defaults import default_scenario
-from dcp_stack.sim.loading import check, load_scenario, parse_topology
-from dcp_stack.sim.player import Simulation
-from dcp_stack.sim.report import lines
-from dcp_stack.sim.scenario import Scenario, ScenarioError
 
 from .common import Seconds
+
+if TYPE_CHECKING:
+    from dcp_stack.sim.scenario import Scenario
 
 NOT_MET = 1
 
@@ -37,6 +33,14 @@ def scenario_of(
 
     Raises :class:`ExpectedError` if that is no scenario.
     """
+    # Here, as in the command: --help needs neither nodes nor networks.
+    import msgspec
+    from dcp_spec.profile_loading import ProfileError
+
+    from dcp_stack.sim.defaults import default_scenario
+    from dcp_stack.sim.loading import check, load_scenario, parse_topology
+    from dcp_stack.sim.scenario import ScenarioError
+
     try:
         shape = None if topology is None else parse_topology(topology)
         if path is None:
@@ -114,6 +118,11 @@ def command(
     The same seed gives the same trace digest. Without a SCENARIO nodes move about, and a few variables are created
     and updated; options replace what a SCENARIO says.
     """
+    from dcp_stack.links.base import LinkError
+    from dcp_stack.sim.player import Simulation
+    from dcp_stack.sim.report import lines
+    from dcp_stack.sim.scenario import ScenarioError
+
     played = scenario_of(
         scenario,
         nodes=nodes,

@@ -17,10 +17,6 @@ from types import FrameType
 import click
 
 from dcp_codec.commandline import ExpectedError
-from dcp_stack.sim.namespaces import NamespaceError, permitted
-from dcp_stack.sim.report import lines
-from dcp_stack.sim.scenario import ScenarioError
-from dcp_stack.sim.testbed import StartError, Testbed
 
 from .common import Seconds, note
 from .simulate import NOT_MET, scenario_of
@@ -73,6 +69,11 @@ def command(
     While it runs, 'dcp-node ... --control DIR/node-0.sock' talks to the nodes. Afterwards nothing is left but what
     --keep asks for. Needs root, or a system that allows user namespaces.
     """
+    from dcp_stack.sim.namespaces import NamespaceError
+    from dcp_stack.sim.report import lines
+    from dcp_stack.sim.scenario import ScenarioError
+    from dcp_stack.sim.testbed import StartError, Testbed
+
     played = scenario_of(
         scenario,
         nodes=nodes,
@@ -133,6 +134,8 @@ def _signals() -> Iterator[None]:
 
 def _get_rights() -> None:
     """Go on if namespaces can be made; otherwise begin again in a user namespace, if that is possible."""
+    from dcp_stack.sim.namespaces import permitted
+
     if permitted():
         return
     if shutil.which("ip") is None:

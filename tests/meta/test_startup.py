@@ -33,8 +33,7 @@ SCHEMAS = frozenset(("construct", "dcp_spec.profile_loading", "dcp_codec.codec")
 #: Node, tester.
 MACHINES = frozenset(("dcp_stack.node", "dcp_stack.control.server", "dcp_conformance.bench", "dcp_conformance.runner"))
 #: Subcommands whose help still has modules of theirs behind it, where the time is spent on the work.
-_WITH_SCHEMAS = frozenset(f"dcp-codec {name}" for name in codec.commands) | {"dcp-node simulate", "dcp-node testbed"}
-_WITH_NODE = frozenset(("dcp-node simulate", "dcp-node testbed"))
+_WITH_SCHEMAS = frozenset(f"dcp-codec {name}" for name in codec.commands)
 
 
 def helps() -> Iterator[tuple[str, frozenset[str]]]:
@@ -43,12 +42,7 @@ def helps() -> Iterator[tuple[str, frozenset[str]]]:
         yield f"{command.name} --help", HEAVY | SHOWING | SCHEMAS | MACHINES | {"msgspec", "subprocess", "socket"}
         for subcommand in command.commands:
             name = f"{command.name} {subcommand}"
-            without = HEAVY | SHOWING
-            if name not in _WITH_SCHEMAS:
-                without |= SCHEMAS
-            if name not in _WITH_NODE:
-                without |= MACHINES
-            yield f"{name} --help", without
+            yield f"{name} --help", HEAVY | SHOWING | MACHINES | (frozenset() if name in _WITH_SCHEMAS else SCHEMAS)
 
 
 #: Commands that do something, and what that takes nothing of.
