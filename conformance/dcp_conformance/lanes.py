@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
+from . import plugin
 from .case import SANITY
 from .plugin import ConformanceRun
 from .results import CaseResult, Sut
@@ -37,13 +38,13 @@ class LaneEnd(NamedTuple):
 
 def run_pytest(run: ConformanceRun, extra: list[str] | None = None) -> None:
     """Run the cases with pytest in this process; with ``extra`` options pytest reports itself."""
-    arguments = ["-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases", "-c", os.devnull]
+    arguments = ["--pyargs", "dcp_conformance.cases", "-c", os.devnull]
     arguments += ["--rootdir", str(Path(__file__).parent), "-p", "no:cacheprovider", "--noconftest"]
     # Where it is installed it makes a folder for its results wherever the user is.
     arguments += ["-p", "no:benchmark"]
     if not extra:
         arguments += ["-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings"]
-    status = pytest.main([*arguments, *(extra or [])], plugins=[run])
+    status = pytest.main([*arguments, *(extra or [])], plugins=[plugin, run])
     if not run.finished:
         # It has not come to a session, and has said why.
         run.trouble, run.usage = f"pytest could not begin (its status is {int(status)})", True
