@@ -103,6 +103,8 @@ class CommandLine:
     """What each exit status means, for ``--help``: "0 all good; 1 ..."."""
     failures: Mapping[type[Exception], int] = field(default_factory=lambda: MappingProxyType({}))
     """Exceptions beside :class:`ExpectedError` whose message is for people -> exit status; the first that fits."""
+    extras: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    """Packages that only some installations have -> the extra of this project that brings them."""
     fault_status: int = 1
     """The status when the command itself is at fault: an exception that nobody expected, shown with its traceback."""
 
@@ -159,6 +161,10 @@ class CommandLine:
             if isinstance(error, kind):
                 self.note(str(error))
                 return status
+        package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+        if extra := self.extras.get(package):
+            self.note(f"{package} is not installed: pip install 'dcp-conformance-kit[{extra}]'")
+            return UNUSABLE
         if not isinstance(error, OSError):
             traceback.print_exception(error)
             return self.fault_status
