@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from dcp_codec.capture.bytesource import ByteSource
 from dcp_codec.capture.frame import ETHERNET, MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
-from dcp_codec.capture.linktypes import link_type_name, wrong_link_type
+from dcp_codec.capture.linktypes import wrong_link_type
 from dcp_codec.capture.pcapngblocks import (
     BYTE_ORDERS,
     ENHANCED_PACKET,
@@ -27,7 +27,8 @@ from dcp_codec.capture.pcapngblocks import (
     block_name,
     options,
 )
-from dcp_codec.capture.reader import CaptureReader, counted
+from dcp_codec.capture.pcapngproblems import BlockProblems
+from dcp_codec.capture.reader import CaptureReader
 
 #: Interfaces of one file that are told apart; a file with more is taken for damaged.
 MAX_INTERFACES = 65_536
@@ -54,6 +55,7 @@ class PcapngReader(CaptureReader):
 
     def __init__(self, source: ByteSource, link_types: frozenset[int]) -> None:
         super().__init__(source, link_types)
+        self._block_problems = BlockProblems(self._log)
         self._order = "<"
         self._sections = 0
         self._interface_count = 0
@@ -198,16 +200,7 @@ class PcapngReader(CaptureReader):
 
     def _pass_over(self, kind: int, offset: int) -> bool:
         if kind not in SKIPPED:
-            self._log.count(
-                ("unknown-block", kind),
-                "unknown-block",
-                lambda times: (
-                    f"{counted(times, 'block')} of the unknown type {kind:#010x}, the first at "
-                    f"octet {offset}, passed over."
-                ),
-                offset,
-                self._number,
-            )
+            self._block_problems.unknown_block(kind, offset, self._number)
         return True
 
     def _section(self, buffer: bytes, start: int, total: int) -> bool:
@@ -288,7 +281,7 @@ class PcapngReader(CaptureReader):
             which = struct.unpack_from(self._order + "H", buffer, start + 8)[0]
         interface = self._interfaces[which] if which < len(self._interfaces) else None
         if interface is None or not interface.accepted:
-            self._not_wanted(interface, which, start)
+            self._not_wanted(interface, start)
             return None
         body = start + _FIXED
         room = total - _FIXED - 4
@@ -317,7 +310,7 @@ class PcapngReader(CaptureReader):
         self._number += 1
         interface = self._interfaces[0] if self._interfaces else None
         if interface is None or not interface.accepted:
-            self._not_wanted(interface, 0, start)
+            self._not_wanted(interface, start)
             return None
         length: int = struct.unpack_from(self._order + "I", buffer, start + 8)[0]
         room = total - 16
@@ -326,62 +319,25 @@ class PcapngReader(CaptureReader):
             self._does_not_fit(captured, room, start)
             return None
         offset = self._source.base + start
-        self._log.count(
-            "no-time",
-            "no-time",
-            lambda times: (
-                f"{counted(times, 'simple packet block')}, the first at octet {offset}, without a time "
-                "of capture: 0 stands for it."
-            ),
-            offset,
-            self._number - 1,
-        )
+        self._block_problems.no_time(offset, self._number - 1)
         body = start + 12
         return Frame(self._number, 0, buffer[body : body + captured], length, interface.index, offset)
-
-    # What is wrong with single frames: all of it is counted, none of it ends the reading.
 
     def _interface_of(self, which: int, start: int) -> Interface | None:
         if which < len(self._interfaces):
             return self._interfaces[which]
-        offset = self._source.base + start
-        self._log.count(
-            "unknown-interface",
-            "unknown-interface",
-            lambda times: (
-                f"{counted(times, 'block')}, the first at octet {offset}, for an interface that its "
-                "section does not describe, passed over."
-            ),
-            offset,
-            self._number,
-        )
+        self._block_problems.unknown_interface(self._source.base + start, self._number)
         return None
 
-    def _not_wanted(self, interface: Interface | None, which: int, start: int) -> None:
+    def _not_wanted(self, interface: Interface | None, start: int) -> None:
+        offset = self._source.base + start
         if interface is None:
-            self._interface_of(which, start)
-            return
-        index, kind = interface.index, link_type_name(interface.link_type)
-        self._log.count(
-            ("wrong-link-type", index),
-            "wrong-link-type",
-            lambda times: f"{counted(times, 'frame')} of interface {index} passed over: its link type is {kind}.",
-            self._source.base + start,
-            self._number - 1,
-        )
+            self._block_problems.unknown_interface(offset, self._number)
+        else:
+            self._block_problems.wrong_link_type(interface, offset, self._number - 1)
 
     def _does_not_fit(self, captured: int, room: int, start: int) -> None:
-        offset = self._source.base + start
-        self._log.count(
-            "bad-record",
-            "bad-record",
-            lambda times: (
-                f"{counted(times, 'frame')} passed over, the first in the block at octet {offset}, "
-                f"which claims {captured} octets where its block has {room}."
-            ),
-            offset,
-            self._number - 1,
-        )
+        self._block_problems.does_not_fit(captured, room, self._source.base + start, self._number - 1)
 
     def _check_options(self, buffer: bytes, start: int, stop: int, block: int) -> None:
         try:
@@ -391,33 +347,12 @@ class PcapngReader(CaptureReader):
             self._bad_option(error, block)
 
     def _bad_option(self, error: BadOptionError, start: int) -> None:
-        offset = self._source.base + start
-        self._log.count(
-            "bad-option",
-            "bad-option",
-            lambda times: (
-                f"{counted(times, 'block')} with options that are damaged, the first at octet {offset} "
-                f"({error}); the rest of such a block was read."
-            ),
-            offset,
-            self._number,
-        )
+        self._block_problems.bad_option(error, self._source.base + start, self._number)
 
     def _rounded(self, scaled: int, interface: Interface, start: int) -> int:
         """`scaled` / `divide`, to the nearest nanosecond."""
         time_ns, rest = divmod(scaled, interface.divide)
         if not rest:
             return time_ns
-        offset = self._source.base + start
-        index, unit = interface.index, interface.resolution
-        self._log.count(
-            ("rounded-time", index),
-            "rounded-time",
-            lambda times: (
-                f"{counted(times, 'time')} of interface {index}, whose clock counts in {unit}, rounded "
-                "to the nearest nanosecond."
-            ),
-            offset,
-            self._number - 1,
-        )
+        self._block_problems.rounded_time(interface, self._source.base + start, self._number - 1)
         return time_ns + (2 * rest >= interface.divide)
