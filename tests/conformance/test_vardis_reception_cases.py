@@ -1,23 +1,21 @@
-"""The cases about received VarDis payloads against our node: what they find must be what is there."""
+"""The cases about received VarDis payloads, one after the other, against nodes that cannot be reset or are late."""
 
 from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Callable
 
 import pytest
 from dcp_conformance.bench import MS, Session
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.results import CaseResult
 from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
 
-from .rig import OTHER_PROFILES, PROFILES, codec_of, ids_of, known_cases
+from .rig import codec_of, ids_of, known_cases
 
 MODULES = (
     "vardis_states",
@@ -34,28 +32,6 @@ MODULES = (
     "vardis_types",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
-WIRE_PROFILES = ("dcp-1.2", "cpp-2.0")
-
-
-@pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("case_id", ids_of(*MODULES))
-def test_our_node_conforms(case_id: str, profile: str, run_case: Callable[..., CaseResult]) -> None:
-    result = run_case(case_id, profile)
-    assert result.verdict in FINE, f"{result.verdict}: {result.reason} {result.error_detail}"
-
-
-@pytest.mark.parametrize("profile", OTHER_PROFILES)
-@pytest.mark.parametrize("case_id", ids_of(*MODULES))
-def test_no_case_stumbles_over_a_profile(case_id: str, profile: str, run_case: Callable[..., CaseResult]) -> None:
-    result = run_case(case_id, profile)
-    assert result.verdict is not Verdict.ERROR, f"{result.reason} {result.error_detail}"
-
-
-@pytest.mark.parametrize("profile", WIRE_PROFILES)
-@pytest.mark.parametrize("case_id", ids_of(*MODULES))
-def test_without_an_upper_tester(case_id: str, profile: str, run_case: Callable[..., CaseResult]) -> None:
-    result = run_case(case_id, profile, upper=False)
-    assert result.verdict in FINE, f"{result.verdict}: {result.reason} {result.error_detail}"
 
 
 class Slow(Node):

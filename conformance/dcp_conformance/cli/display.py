@@ -125,7 +125,8 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
         out.print(line, soft_wrap=True)
     for note in run.notes:
         out.print(f"note: {escape(note)}", soft_wrap=True)
-    out.print(f"{len(run.cases)} cases in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
+    number = f"{len(run.cases)} case" + ("" if len(run.cases) == 1 else "s")
+    out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
 
 
 def _readings(run: RunResult) -> Iterator[str]:

@@ -1,0 +1,58 @@
+"""Every case of the suite against our node in this process: what it finds must be what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+from dcp_conformance.verdict import Verdict
+
+from .rig import OTHER_PROFILES, PROFILES, known_cases, one_case
+
+CASES = tuple(known_cases())
+WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
+#: One of each kind of version: who applies to none of them applies to none at all.
+VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.0")
+FINE = frozenset((Verdict.PASS, Verdict.NOT_APPLICABLE))
+#: These only report what the specification leaves open, and what the PICS says nothing of, without their variants.
+OPEN = frozenset(
+    (
+        *("TC_BP_PTI_BV_01", "TC_BP_REC_BV_01", "TC_BP_TX_TI_03", "TC_SRP_NT_BV_03", "TC_SRP_REC_BV_01"),
+        *("TC_VD_DDB_BV_02", "TC_VD_LEN_BI_01", "TC_VD_PAY_BV_08"),
+    )
+)
+
+
+def otherwise(case_id: str, profiles: Iterable[str], wanted: frozenset[Verdict], *, upper: bool = True) -> list[str]:
+    """On which profiles the case comes out otherwise than wanted, and why."""
+    found = []
+    for profile in profiles:
+        result = one_case(case_id, profile, upper=upper)
+        if result.verdict not in wanted:
+            found.append(f"{profile}: {result.verdict}: {result.reason}\n{result.error_detail}")
+    return found
+
+
+def good(case_id: str) -> frozenset[Verdict]:
+    return FINE | {Verdict.INFO} if known_cases()[case_id].base in OPEN else FINE
+
+
+@pytest.mark.parametrize("case_id", CASES)
+def test_our_node_passes(case_id: str):
+    assert otherwise(case_id, PROFILES, good(case_id)) == []
+
+
+@pytest.mark.parametrize("case_id", CASES)
+def test_the_wire_alone_is_enough_for_those_that_say_so(case_id: str):
+    assert otherwise(case_id, WIRE_PROFILES, good(case_id), upper=False) == []
+
+
+@pytest.mark.parametrize("case_id", CASES)
+def test_no_case_stumbles_over_a_profile(case_id: str):
+    assert otherwise(case_id, OTHER_PROFILES, frozenset(Verdict) - {Verdict.ERROR}) == []
+
+
+@pytest.mark.parametrize("case_id", [each.id for each in known_cases().values() if not each.needs.pics])
+def test_every_case_applies_somewhere(case_id: str):
+    verdicts = (one_case(case_id, profile).verdict for profile in VERSIONS)
+    assert any(verdict is not Verdict.NOT_APPLICABLE for verdict in verdicts)
