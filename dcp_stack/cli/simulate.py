@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.commandline import UNUSABLE, ExpectedError
 
 from .common import Seconds
 
@@ -71,7 +71,8 @@ def scenario_of(
 
 @click.command(
     "simulate",
-    epilog="Exit status: 0 everything that is expected is so, 1 something is not, 2 wrong usage or a bad scenario.",
+    epilog="Exit status: 0 everything that is expected is so, 1 something is not, 2 wrong usage, a bad scenario or a "
+    "recording that could not be written to its end.",
 )
 @click.argument("scenario", required=False, metavar="[SCENARIO]")
 @click.option("-n", "--nodes", type=click.IntRange(min=1), help="How many nodes.")
@@ -145,4 +146,6 @@ def command(
         raise ExpectedError(f"{record}: {error.strerror}") from None
     report = simulation.run()
     click.echo(json.dumps(report.plain(), indent=2) if as_json else "\n".join(lines(report)))
+    if not simulation.recorded:
+        return UNUSABLE
     return 0 if report.met else NOT_MET

@@ -128,6 +128,11 @@ class Simulation:
                     raise ScenarioError(f"tracks[{index}].source: {error}") from None
                 self.network.attach(node, source)
 
+    @property
+    def recorded(self) -> bool:
+        """Whether all that was to be recorded was; the log says what was not."""
+        return not any(recorder.problem for recorder in self._recorders)
+
     def _record(self, directory: Path | None, medium: Path | None) -> None:
         def recorder(path: Path) -> Recorder:
             made = Recorder(path, self.codec, overwrite=True, clock=lambda: self.network.now)

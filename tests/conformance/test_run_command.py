@@ -199,6 +199,13 @@ class TestWhatIsRun:
         assert dcp_conformance("run", "--in-process", SANITY, "--report-dir", tmp_path / name).status == 0
         assert load_results(tmp_path / name).command == r"dcp-conformance run --report-dir '\udcf6'"
 
+    def test_a_report_that_cannot_be_written_loses_nothing(self, dcp_conformance: Command, tmp_path: Path):
+        (tmp_path / "results.json").mkdir()
+        done = dcp_conformance("run", "--in-process", SANITY, "--report-dir", tmp_path)
+        assert done.status == USAGE
+        assert "results.json: cannot be written: is no regular file, and is not replaced" in done.err
+        assert "1 case in" in done.out
+
     def test_everything_several_times(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance("run", "--in-process", ONE, "--repeat", "3", "--report-dir", tmp_path)
         assert done.status == 0

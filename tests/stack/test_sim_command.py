@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -60,6 +62,17 @@ def test_recordings(run, tmp_path):
     assert status == 0
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["node-0.mcap", "node-1.mcap", "node-2.mcap"]
     assert (tmp_path / "all.mcap").stat().st_size > 1000
+
+
+def test_a_recording_that_ends_early_is_told(tmp_path):
+    """Files may become so long and no longer: as on a full disk."""
+    simulate = [sys.executable, "-m", "dcp_stack.cli", "simulate", "-n", "4", "--duration", "30"]
+    limited = ["sh", "-c", 'ulimit -f 20; exec "$@"', "sh", *simulate, "--record-medium", str(tmp_path / "all.mcap")]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert f"{tmp_path}/all.mcap: can not be written: File too large" in done.stderr
+    # The rest is there.
+    assert "met      no node raises anything" in done.stdout
 
 
 def test_a_network_of_one(run):

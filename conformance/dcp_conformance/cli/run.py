@@ -76,11 +76,15 @@ def command(**options: Any) -> int:
         with display:
             run_in_lanes(run, lanes) if lanes > 1 else run_pytest(run)
     result = run.result()
-    if report is not None:
-        from dcp_conformance.reporting import write_report
+    page = ""
+    try:
+        if report is not None:
+            from dcp_conformance.reporting import write_report
 
-        write_report(result, report)
-    print_summary(result, report="" if report is None else str(report / "report.html"))
+            page = str(write_report(result, report))
+    finally:
+        # Also where the report found no room: what a long run has found is not lost.
+        print_summary(result, report=page)
     if run.trouble:
         click.echo(f"dcp-conformance: {run.trouble}", err=True)
     return run.exit_status()
