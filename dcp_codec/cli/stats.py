@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from typing import Any
 
@@ -21,6 +22,9 @@ from .common import (
     progress,
     report_capture_problems,
 )
+
+#: Characters of the table of senders with one and with two spaces between its columns.
+_NARROWEST, _ROOMY = 76, 85
 
 
 @click.command(
@@ -71,8 +75,10 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
     from rich.console import Console
     from rich.table import Table
 
-    width = None if sys.stdout.isatty() else 120
+    # What is narrower than the numbers of a sender breaks lines: better than numbers of which the half is left out.
+    width = max(shutil.get_terminal_size().columns, _NARROWEST) if sys.stdout.isatty() else 120
     console = Console(width=width, highlight=False, emoji=False, markup=False)
+    padding = (0, 2 if width >= _ROOMY else 1, 0, 0)
     span = f", {data['duration_s']:.1f} s" if data["duration_s"] is not None else ""
     console.print(f"{name}", style="bold", soft_wrap=True)
     console.print(
@@ -81,7 +87,7 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
     )
     console.print(f"  payloads: {data['srp']} SRP, {data['vardis']} VarDis, {data['other_payloads']} other\n")
     if data["senders"]:
-        table = Table("sender", box=None, padding=(0, 2, 0, 0), header_style="bold")
+        table = Table("sender", box=None, padding=padding, header_style="bold")
         for heading in ("beacons", "first", "last", "lost", "restarts", "interval ms", "± ms", "max ms"):
             table.add_column(heading, justify="right")
         for sender, one in data["senders"].items():
@@ -91,7 +97,7 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
             table.add_row(sender, *("-" if number is None else str(number) for number in numbers), *shown)
         console.print(table)
     if data["containers"]:
-        table = Table("container", box=None, padding=(0, 2, 0, 0), header_style="bold")
+        table = Table("container", box=None, padding=padding, header_style="bold")
         table.add_column("containers", justify="right")
         table.add_column("records", justify="right")
         for kind, count in data["containers"].items():
@@ -99,7 +105,7 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
         console.print()
         console.print(table)
     if data["last_sent_value"]:
-        table = Table("variable", box=None, padding=(0, 2, 0, 0), header_style="bold")
+        table = Table("variable", box=None, padding=padding, header_style="bold")
         table.add_column("seqno", justify="right")
         table.add_column("last value sent", overflow="ellipsis", no_wrap=True)
         for var_id, last in data["last_sent_value"].items():

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import struct
+import subprocess
+import sys
+import termios
 import tomllib
 from pathlib import Path
 
@@ -66,6 +70,21 @@ def test_stats_wrap_of_the_sequence_number_is_no_loss(run, tmp_path, codec):
     result = run("stats", "-f", "json", "-p", "cpp-2.0", write(tmp_path / "a.pcap", *frames))
     one = json.loads(result.out)["senders"]["02:00:00:00:00:01"]
     assert (one["lost"], one["restarts"]) == (0, 0)
+
+
+@pytest.mark.parametrize("columns", [40, 80, 200])
+def test_stats_leave_out_nothing_of_a_sender_on_any_terminal(tmp_path, good, columns):
+    master, slave = pty.openpty()
+    termios.tcsetwinsize(slave, (25, columns))
+    program = "from dcp_codec.cli import main; main()"
+    command = [sys.executable, "-c", program, "stats", "-p", "cpp-2.0", str(write(tmp_path / "a.pcap", *good))]
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"TERM": "xterm"}
+    subprocess.run(command, stdin=slave, stdout=slave, stderr=subprocess.DEVNULL, env=environment, check=True)
+    os.close(slave)
+    shown = os.read(master, 1 << 16).decode()
+    os.close(master)
+    row = next(line for line in shown.splitlines() if line.startswith("02:00:00:00:00:01"))
+    assert row.split()[1:4] == ["3", "0", "2"]
 
 
 def test_stats_text_names_senders_containers_and_malformed_frames(run, tmp_path, good):
