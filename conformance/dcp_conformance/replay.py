@@ -29,7 +29,7 @@ from .case import Case, Kind
 from .circular import Circle
 from .errors import UsageError
 from .heard import Heard
-from .oracle import Limits, Oracle
+from .oracle import Limits, Oracle, Waiting
 from .results import CaseResult, Mark
 
 MS = 1_000_000
@@ -151,6 +151,7 @@ class Replay:
             bench.probe(10)
         self.take_part(bench.codec, bench.session.sut_id)
         oracle = self._oracle(bench, bench.session.sut_id or self.node)
+        waiting = Waiting(bench.period, bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE"))
         recorded: dict[int, int | None] = {}
         actions = _Applications(bench, oracle, self.node) if self._options.services and bench.session.upper else None
         # What it has said before is no part of the play.
@@ -163,7 +164,7 @@ class Replay:
             elif heard.sender == self.node:
                 # In step: a beacon of the implementation for each of the node whose part it plays.
                 bench.beacons(1, 3)
-            judged = self._judge(bench, oracle, judged)
+            judged = self._judge(bench, oracle, waiting, judged)
             if heard.sender == self.node:
                 _remember(recorded, heard)
                 if actions is not None:
@@ -174,7 +175,7 @@ class Replay:
                 oracle.hear([each.record for each in heard.instructions()], bench.now(), number)
             else:
                 _doubt(bench.codec, oracle, heard)
-        self._finish(bench, oracle, judged)
+        self._finish(bench, oracle, waiting, judged)
         self._tell(bench, oracle)
         self._compare(bench, oracle, recorded)
 
@@ -202,11 +203,12 @@ class Replay:
                 octets = bench.forge.patched(bench.codec.envelope_plan, octets, {"bp.networkId": network})
         return bench.transmit(octets, source)
 
-    def _judge(self, bench: Bench, oracle: Oracle, judged: int) -> int:
+    def _judge(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> int:
         """Hold what was heard since against the model; what has been judged now."""
         for heard in bench.heard[judged:]:
             said = [(each.kind, each.record) for each in heard.instructions()]
-            for each in oracle.said(said, heard.time, heard.number):
+            waited = waiting.of(len(heard.octets), vardis=bool(said))
+            for each in oracle.said(said, heard.time, heard.number, waited=waited):
                 self._complain(each.requirement, each.expected, f"variable {each.var_id}: {each.observed}", each.frame)
         for owed in oracle.overdue(bench.now() - bench.period):
             text = f"{owed.kind.label} of variable {owed.var_id}"
@@ -220,12 +222,12 @@ class Replay:
         if kept is not None and len(kept) < 3:
             kept.append((expected, observed, frame))
 
-    def _finish(self, bench: Bench, oracle: Oracle, judged: int) -> None:
+    def _finish(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> None:
         """Wait until everything that is owed had its time, and every variable its summary."""
         alive = sum(version.state == "alive" for _, version in oracle.holdings())
         rounds = math.ceil(alive / max(1, bench.parameter("VARDISPAR_MAX_SUMMARIES")))
         bench.wait(bench.reaction + 2 + rounds)
-        self._judge(bench, oracle, judged)
+        self._judge(bench, oracle, waiting, judged)
 
     # -- judging -----------------------------------------------------------------------------------------------
 

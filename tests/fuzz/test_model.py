@@ -198,6 +198,24 @@ def test_the_node_as_it_is_says_all_that_it_has_to(profile: str):
         assert effect is None
 
 
+def test_a_payload_that_found_no_room_beside_a_report_is_older_than_others():
+    codec = Codec("cpp-2.0")
+    forge, target = Forge(codec), StackTarget(codec)
+    width = codec.profile.types.node_id.width
+
+    def beacon(*records: VardisRecord) -> Frame:
+        return Frame(forge.beacon(PEER[-width:], 1, [forge.vardis(*records)], network_id=codec.profile.bp.network_id))
+
+    def many(first: int) -> Frame:
+        specs = (VarSpec(var_id, PEER[-width:], 9, b"d" * 20, 1, 0) for var_id in range(first, first + 15))
+        return beacon(*(VarCreate(spec, VarUpdate(spec.var_id, 0, b"v" * 20)) for spec in specs))
+
+    report = Call("SRP-UpdateSafetyData", {"sData": {"x": 1.5, "y": 1.5, "z": 1.5}})
+    deletions = beacon(*map(VarDelete, range(60)))
+    effect = target.run([many(0), many(15), many(30), many(45), Wait(3.1), deletions, report, Wait(4.0)])
+    assert effect is None
+
+
 def test_who_has_too_much_to_say_may_be_late():
     rng = random.Random(1)
     target = StackTarget(CODEC)

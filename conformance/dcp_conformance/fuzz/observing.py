@@ -25,7 +25,7 @@ from dcp_codec.values import (
 )
 from dcp_conformance.circular import Circle
 from dcp_conformance.heard import KIND_OF
-from dcp_conformance.oracle import Limits, Oracle, Version
+from dcp_conformance.oracle import Limits, Oracle, Version, Waiting
 from dcp_conformance.oracle.knowledge import NEVER, NO_CREATION
 
 from .steps import Effect
@@ -83,7 +83,7 @@ class Observer:
         profile = codec.profile
         self._skips = profile.behaviour.vardis_receive_error == "skip-element"
         self._id_width, self._id_order = profile.types.var_id.width, profile.types.var_id.byte_order
-        self._latency = round(LATENCY * period)
+        self._period = period
         self._network = network if profile.has_header_field("networkId") else None
         most = profile.limits
         limits = limits or Limits(most.max_value_length, most.max_description_length, most.max_repetitions)
@@ -94,11 +94,12 @@ class Observer:
             self._features,
             profile.types.var_seqno.width,
             limits,
-            latency=self._latency,
+            latency=round(LATENCY * period),
             window=round(window * period),
             scrubbing=scrubbing,
         )
         self._judges_timeouts = scrubbing is not None
+        self._waiting: Waiting | None = None
         # In half of a payload there is room for any record.
         self._roomy = 0 if room is None else room // 2
 
@@ -267,15 +268,18 @@ class Observer:
         roomy = len(octets) <= self._roomy
         if not roomy:
             self.busy = True
-        for payload in beacon.payloads:
-            if isinstance(payload.content, tuple):
-                effect = self._judged(payload.content, roomy, time, number, step)
-                if effect is not None:
-                    return effect
+        said = [payload.content for payload in beacon.payloads if isinstance(payload.content, tuple)]
+        if self._waiting is None:
+            self._waiting = Waiting(self._period, most)
+        waited = self._waiting.of(len(octets), vardis=bool(said))
+        for containers in said:
+            effect = self._judged(containers, roomy, waited, time, number, step)
+            if effect is not None:
+                return effect
         return None
 
     def _judged(
-        self, containers: tuple[Container, ...], roomy: bool, time: int, number: int, step: int
+        self, containers: tuple[Container, ...], roomy: bool, waited: int, time: int, number: int, step: int
     ) -> Effect | None:
         said: list[tuple[ICType, VardisRecord]] = []
         for container in containers:
@@ -284,7 +288,7 @@ class Observer:
             said += [(kind, record) for record in container.records]
             if kind is ICType.REQUEST_VARCREATES:
                 self.requested.update([record.var_id for record in container.records])
-        for each in self.oracle.said(said, time, number, roomy=roomy):
+        for each in self.oracle.said(said, time, number, roomy=roomy, waited=waited):
             detail = f"variable {each.var_id}: expected {each.expected}, said {each.observed}"
             return Effect("said", detail, step, each.requirement)
         return None

@@ -2,5 +2,6 @@
 
 from .knowledge import Complaint, Limits, Owed, Variable, Version
 from .vardis import Oracle
+from .waiting import Waiting
 
-__all__ = ["Complaint", "Limits", "Oracle", "Owed", "Variable", "Version"]
+__all__ = ["Complaint", "Limits", "Oracle", "Owed", "Variable", "Version", "Waiting"]

@@ -46,15 +46,22 @@ class Oracle(Model):
         """When payloads came into which more would have fitted."""
 
     def said(
-        self, records: Iterable[tuple[ICType, VardisRecord]], time: int, frame: int, *, roomy: bool = False
+        self,
+        records: Iterable[tuple[ICType, VardisRecord]],
+        time: int,
+        frame: int,
+        *,
+        roomy: bool = False,
+        waited: int = 0,
     ) -> list[Complaint]:
         """Judge a payload of the node; what it owed and says is settled.
 
         ``roomy``: any other instruction would have fitted, so that those that are missing were not to be said.
+        ``waited``: so much longer than usual it may be since the payload was composed (:class:`~.waiting.Waiting`).
         """
         complaints: list[Complaint] = []
         variables, owed, removes = self.variables, self._owed, self._features.removed_after_deletion
-        composed = time - self._latency
+        composed = time - self._latency - waited
         for kind, record in records:
             if isinstance(record, VarCreate):
                 var_id, seqno = record.spec.var_id, record.upd.seqno
@@ -72,7 +79,7 @@ class Oracle(Model):
                     # Most of what a node says, and there is nothing else in it.
                     self._occur(kind)
                 else:
-                    complaints += self._judge(kind, record, variable, var_id, seqno, time, frame, exhausted)
+                    complaints += self._judge(kind, record, variable, var_id, seqno, composed, frame, exhausted)
             if removes and variable.versions[-1].state == "deleted":
                 self._remove_when_told(variable, time)
         if roomy:
@@ -116,11 +123,11 @@ class Oracle(Model):
         variable: Variable,
         var_id: int,
         seqno: int,
-        time: int,
+        composed: int,
         frame: int,
         exhausted: bool,
     ) -> Iterator[Complaint]:
-        versions = self._lately(variable, time)
+        versions = self._since(variable, composed)
         if kind is _CREATE_REQUESTS or kind is _UPDATE_REQUESTS:
             yield from self._judge_request(kind, variable, var_id, seqno, versions, frame)
             return
@@ -212,9 +219,9 @@ class Oracle(Model):
         armed, behind = stood
         return len(self._roomy) - bisect_right(self._roomy, armed + self._latency) > behind
 
-    def _lately(self, variable: Variable, time: int) -> list[Version]:
-        """What the variable was at any time within the latency, in order."""
-        versions, since = variable.versions, time - self._latency
+    def _since(self, variable: Variable, since: int) -> list[Version]:
+        """What the variable was at any time since then, in order."""
+        versions = variable.versions
         found = [versions[-1]]
         place = len(versions) - 1
         while place > 0 and versions[place].since >= since:
