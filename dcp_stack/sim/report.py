@@ -21,13 +21,15 @@ class Finding(msgspec.Struct, frozen=True):
 
 class NodeTraffic(msgspec.Struct, frozen=True):
     """What one node sent and received. ``beacons_per_s`` is None for a node that was not up all the time: that was
-    down at the start, or switched off or on later."""
+    down at the start, or switched off or on later. ``left_out_per_s`` are slots for beacons that passed unused besides,
+    because the machine was too busy."""
 
     node: int
     beacons_sent: int
     octets_sent: int
     beacons_received: int
     beacons_per_s: float | None
+    left_out_per_s: float = 0.0
 
 
 class HopDelay(msgspec.Struct, frozen=True):
@@ -59,6 +61,8 @@ class Report(msgspec.Struct):
     digest: str = ""
     elapsed_s: float = 0.0
     cpu_s: float = 0.0
+    held_up_s: float = 0.0
+    """How late the machine let something happen at most, or a node that is switched on begin: 0 in virtual time."""
 
     @property
     def met(self) -> bool:
@@ -97,6 +101,8 @@ def hop_delays(delays: dict[int, list[int]]) -> list[HopDelay]:
 
 #: Rows of a table that are printed; the rest is summed up in one line.
 SHOWN = 24
+#: Seconds of delay by the machine from which on it is told: scenarios expect things within seconds.
+HELD_UP = 0.5
 
 
 def lines(report: Report) -> Iterator[str]:
@@ -113,6 +119,8 @@ def lines(report: Report) -> Iterator[str]:
         yield f"digest     {report.digest}"
     if report.ground == "simulate":
         yield f"speed      {report.speed_up:.1f} times real time ({report.elapsed_s:.2f} s, {report.cpu_s:.2f} s CPU)"
+    if report.held_up_s > HELD_UP:
+        yield f"held up    by up to {report.held_up_s:.1f} s: the machine is too busy for what is expected of times"
     yield ""
     for finding in report.findings:
         found = f": {finding.found}" if finding.found else ""
