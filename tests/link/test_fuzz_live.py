@@ -18,10 +18,11 @@ from dcp_conformance.fuzz import Frame
 from dcp_conformance.fuzz.live import LiveTarget
 from dcp_conformance.target import TargetOptions, open_target
 
+from ..ports import own_port
 from .conftest import PATIENCE, Namespace
 from .faulty_node import WORD
 
-LINK = f"udp:239.73.126.79:{30_000 + os.getpid() % 10_000}"
+LINK = f"udp:239.73.126.79:{own_port()}"
 HARMLESS = Frame(b"\x01\x49\x7e")
 BAD = Frame(b"\x01\x49\x7e" + WORD)
 
