@@ -61,8 +61,10 @@ class Report(msgspec.Struct):
     digest: str = ""
     elapsed_s: float = 0.0
     cpu_s: float = 0.0
-    held_up_s: float = 0.0
-    """How late the machine let something happen at most, or a node that is switched on begin: 0 in virtual time."""
+    late_s: float = 0.0
+    """How late an event or a look at the nodes was at most, since the machine was busy: 0 in virtual time."""
+    slowest_start_s: float = 0.0
+    """What it took at most until a node answered that was switched on after the start: 0 in virtual time."""
 
     @property
     def met(self) -> bool:
@@ -102,7 +104,7 @@ def hop_delays(delays: dict[int, list[int]]) -> list[HopDelay]:
 #: Rows of a table that are printed; the rest is summed up in one line.
 SHOWN = 24
 #: Seconds of delay by the machine from which on it is told: scenarios expect things within seconds.
-HELD_UP = 0.5
+LATE, SLOW_START = 0.5, 1.5
 
 
 def lines(report: Report) -> Iterator[str]:
@@ -119,8 +121,9 @@ def lines(report: Report) -> Iterator[str]:
         yield f"digest     {report.digest}"
     if report.ground == "simulate":
         yield f"speed      {report.speed_up:.1f} times real time ({report.elapsed_s:.2f} s, {report.cpu_s:.2f} s CPU)"
-    if report.held_up_s > HELD_UP:
-        yield f"held up    by up to {report.held_up_s:.1f} s: the machine is too busy for what is expected of times"
+    if report.late_s > LATE or report.slowest_start_s > SLOW_START:
+        late = f"{report.late_s:.1f} s late at most, starting a node took {report.slowest_start_s:.1f} s"
+        yield f"machine    {late}: it is too busy for what is expected of times"
     yield ""
     for finding in report.findings:
         found = f": {finding.found}" if finding.found else ""

@@ -72,7 +72,7 @@ class Testbed:
         self.nodes: list[NodeProcess] = []
         self._problems: list[str] = []
         self._begin = 0.0
-        self._held_up = 0.0
+        self._late = self._slowest_start = 0.0
         sweep()
         prefix = own_prefix()
         self._janitor = Janitor(prefix, None if keep else str(directory))
@@ -153,7 +153,7 @@ class Testbed:
             act()
         self._wait_until(self.scenario.duration)
         for node, before in zip(self.nodes, started_before, strict=True):
-            self._held_up = max([self._held_up, *node.starts[before:]])
+            self._slowest_start = max([self._slowest_start, *node.starts[before:]])
         for node in self.nodes:
             if node.answers:
                 # Also what it sent is counted up to here.
@@ -175,7 +175,7 @@ class Testbed:
             self._look_around()
             left = (at - self.now) / NS_PER_S
             if left <= 0:
-                self._held_up = max(self._held_up, -left)
+                self._late = max(self._late, -left)
                 return
             time.sleep(min(left, LOOK_INTERVAL))
 
@@ -291,7 +291,8 @@ class Testbed:
             convergences=self.clock.events,
             traffic=traffic,
             elapsed_s=elapsed,
-            held_up_s=round(self._held_up, 3),
+            late_s=round(self._late, 3),
+            slowest_start_s=round(self._slowest_start, 3),
         )
 
     def _traffic(self) -> Iterator[NodeTraffic]:
