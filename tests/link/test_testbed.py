@@ -122,6 +122,13 @@ class Runs:
         assert process.returncode == (0 if report["met"] else 1)
         return report
 
+    def end(self) -> None:
+        """End those that nobody has waited for."""
+        for name, process in self.processes.items():
+            if name not in self._outputs:
+                process.terminate()
+                process.communicate(timeout=PATIENCE)
+
 
 @pytest.fixture(scope="module")
 def runs(rights, tmp_path_factory) -> Iterator[Runs]:
@@ -129,10 +136,7 @@ def runs(rights, tmp_path_factory) -> Iterator[Runs]:
     try:
         yield made
     finally:
-        for process in made.processes.values():
-            if process.poll() is None:
-                process.terminate()
-                process.communicate(timeout=PATIENCE)
+        made.end()
 
 
 def unmet(report: dict) -> list[dict]:
