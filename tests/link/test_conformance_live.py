@@ -9,20 +9,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from ipaddress import IPv4Address
 from pathlib import Path
 
 import pytest
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import SANITY, Case, Kind, all_cases
 from dcp_conformance.errors import ConformanceError, UpperTesterError
+from dcp_conformance.lower.udp import DEFAULT_GROUP
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.process import started_at
 from dcp_conformance.reference.namespace import Namespace, NamespaceError
-from dcp_conformance.reference.process import ReferenceProcess, reference_process
+from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process
 from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
-from dcp_codec import Codec
+from dcp_codec import Codec, sockets
 
 PERIOD_MS = 50
 PATIENCE = 60.0
@@ -222,6 +224,13 @@ def test_runs_side_by_side_do_not_hear_each_other():
         for var_id, each in enumerate((one, other), 1):
             variables = each.upper.call("RTDB-DescribeDatabase", {}).result["variables"]
             assert [variable["varId"] for variable in variables] == [var_id]
+
+
+def test_runs_over_udp_have_a_port_each(inside):
+    inside.ip("link", "set", "lo", "up")
+    Path("/proc/sys/net/ipv4/ip_local_port_range").write_text("50000 50001")
+    with sockets.open_udp_receiver(IPv4Address(DEFAULT_GROUP), 50000):
+        assert {free_port() for _ in range(20)} == {50001}
 
 
 def test_virtual_ethernet_without_privileges():
