@@ -59,10 +59,15 @@ def answers(client: socket.socket, count: int) -> list[dict]:
 HELLO = b'{"jsonrpc":"2.0","id":1,"method":"UT-Hello"}\n'
 
 
+def patient(folder: Path) -> tuple[str, str]:
+    """Options of a node that does not forget a neighbour whom the machine keeps waiting."""
+    path = folder / "patient.toml"
+    path.write_text("[srp]\nneighbour_table_timeout_ms = 600000\n")
+    return "--config", str(path)
+
+
 def test_two_nodes_and_the_commands(node, tmp_path):
-    # A neighbour that the machine keeps waiting is not forgotten.
-    (tmp_path / "patient.toml").write_text("[srp]\nneighbour_table_timeout_ms = 60000\n")
-    second = node("--config", str(tmp_path / "patient.toml"))
+    second = node(*patient(tmp_path))
     first = node("--position", "track:circle,radius=5")
     for each in (first, second):
         each.client().close()
@@ -293,9 +298,9 @@ def test_standard_input_may_be_a_file(tmp_path):
     assert len(lines((tmp_path / "answers").read_text())) == 3
 
 
-def test_positions_from_standard_input(node):
+def test_positions_from_standard_input(node, tmp_path):
     running = node("--position", "stdin", stdin=subprocess.PIPE)
-    listener = node()
+    listener = node(*patient(tmp_path))
     with listener.client() as client:
         running.client().close()
         running.popen.stdin.write('nonsense\n{"x": 1.5, "y": 2, "z": 3}\n')
