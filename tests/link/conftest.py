@@ -7,7 +7,6 @@ where all tools are promised (DCP_REQUIRE_TOOLS=1).
 from __future__ import annotations
 
 import ctypes
-import itertools
 import json
 import os
 import queue
@@ -21,7 +20,6 @@ from typing import Any
 
 import pytest
 
-_NUMBERS = itertools.count(1)
 #: Seconds that anything here may take on a busy machine.
 PATIENCE = 60.0
 
@@ -138,7 +136,8 @@ class Namespace:
 @pytest.fixture
 def namespace() -> Iterator[Namespace]:
     """A namespace with a cable, deleted afterwards."""
-    name = f"dcptest-{os.getpid()}-{next(_NUMBERS)}"
+    # Also where one of another process with this number was left behind.
+    name = f"dcptest-{os.getpid()}-{time.monotonic_ns()}"
     done = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         message = f"network namespaces cannot be made here ({done.stderr.strip()}): run as root (CAP_NET_ADMIN)"
