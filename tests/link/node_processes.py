@@ -51,11 +51,17 @@ class NodeProcess:
         self.log.extend(self.popen.stderr)
 
     def client(self) -> ControlClient:
-        """A connection, as soon as the node takes one."""
+        """A connection, as soon as the node answers: one that only listens may not have made all that it needs."""
         deadline = time.monotonic() + PATIENCE
         while True:
             try:
-                return ControlClient(self.path, patience=PATIENCE)
+                client = ControlClient(self.path, patience=PATIENCE)
+                try:
+                    client.call("UT-Hello")
+                except ControlError:
+                    client.close()
+                    raise
+                return client
             except ControlError:
                 if self.popen.poll() is not None or time.monotonic() > deadline:
                     pytest.fail(f"the node does not answer: {''.join(self.log)}")
