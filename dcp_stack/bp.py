@@ -55,6 +55,7 @@ _OK = BPStatus.OK
 
 # What any node can count, whoever is registered and whatever it hears.
 _COUNTED = (
+    "beacons-left-out",
     "beacons-received",
     "beacons-sent",
     "beacons-without-payload",
@@ -322,7 +323,8 @@ class BeaconingProtocol:
     def counters(self) -> dict[str, int]:
         """What was counted since the start, by name; ``/`` is followed by a protocol identifier or a reason.
 
-        Those with a ``/`` are there once they count something, the others from the start.
+        Those with a ``/`` are there once they count something, the others from the start. ``beacons-left-out`` are
+        slots that passed altogether while nobody called: with those used, they are as many as the time has periods.
 
         Submissions by outcome are ``payloads-stored``, ``-displaced`` (kept, and the oldest one was dropped) and
         ``-discarded``.
@@ -366,7 +368,8 @@ class BeaconingProtocol:
         if not self._active or now < self._schedule.due:
             return
         blocks = self._clients.take(self._room(), self._wire.block_size, BP_MAX_PAYLOADS)
-        self._schedule.passed(now, sent=bool(blocks))
+        if left_out := self._schedule.passed(now, sent=bool(blocks)):
+            self._counters.count("beacons-left-out", left_out)
         ##= BP-FMT-03
         ##= BP-HDR-09
         if not blocks:

@@ -59,17 +59,23 @@ class BeaconSchedule:
         self._slot = self._anchor + interval
         self.due = self._slot if self._sent_at is None else max(self._slot, self._sent_at + self._gap)
 
-    def passed(self, now: int, *, sent: bool) -> None:
-        """The beacon that was due has been prepared at ``now``, or there was nothing to send; plan the next."""
+    def passed(self, now: int, *, sent: bool) -> int:
+        """The beacon that was due has been prepared at ``now``, or there was nothing to send; plan the next.
+
+        Returns how many slots have passed altogether meanwhile.
+        """
         ##= BP-TX-01
         if sent:
             self._sent_at = now
         self._anchor = self._slot
         self._plan()
-        if self._slot <= now:
-            # In one step: a machine that slept for a month must not loop through the slots of a month.
-            self._anchor += ((now - self._slot) // self._period + 1) * self._period
-            self._place()
+        if self._slot > now:
+            return 0
+        # In one step: a machine that slept for a month must not loop through the slots of a month.
+        left_out = (now - self._slot) // self._period + 1
+        self._anchor += left_out * self._period
+        self._place()
+        return left_out
 
     def trigger(self, now: int) -> None:
         """Bring the next beacon forward to ``now``, or as near to it as the rules above allow."""

@@ -26,6 +26,8 @@ DEFAULT_PROFILE = "dcp-2.0"
 #: Beacon period in ms of our own node as a process: short, since nobody else is on its link, and everything is timed in
 #: periods.
 OWN_PERIOD = 20.0
+#: Seconds that an upper tester may take to answer.
+UPPER_PATIENCE = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,10 +179,16 @@ def _own_node(options: TargetOptions, codec: Codec, pics: Pics, stack: contextli
             profile=options.profile,
             node_id=options.node_id or NODE_ID,
             options=options.node_options,
+            patience=_patience(pics),
         )
     )
     session = _session(options, codec, pics, node.lower, node.upper)
     return session, node.control, [node.about]
+
+
+def _patience(pics: Pics) -> float:
+    """Seconds that the upper tester may take to answer: what is usual, unless the implementation needs more."""
+    return max(UPPER_PATIENCE, pics.pixit.least_patience_ms / 1000)
 
 
 def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib.ExitStack) -> _Opened:
@@ -200,7 +208,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     if options.ut is not None:
         from .upper.opening import open_upper
 
-        upper = open_upper(options.ut, starting=process is not None)
+        upper = open_upper(options.ut, _patience(pics), starting=process is not None)
         if process is not None:
             process.after_restart.append(upper.reconnect)
     return _session(options, codec, pics, lower, upper), control, []

@@ -14,9 +14,15 @@ def machine(function: _Function) -> _Function:
     """``function`` as machine code that lets other threads run; compiled when it is first called.
 
     Numba keeps it beside the source or in the user's cache. Where neither can be written, each process compiles anew.
+    It is for arguments of one kind: processes that keep machine code for several at once mix them up.
     """
     try:
         compiled: Any = njit(cache=True, nogil=True)(function)
     except RuntimeError:
         compiled = njit(nogil=True)(function)
     return cast(_Function, compiled)
+
+
+def helper(function: _Function) -> _Function:
+    """``function`` as machine code that is kept as a part of those who call it, for arguments of any kind."""
+    return cast(_Function, njit(nogil=True)(function))

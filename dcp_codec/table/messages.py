@@ -11,7 +11,7 @@ import numpy as np
 
 from dcp_codec.capture.frame import ETHERNET, MAX_TIME_NS
 
-from .jit import machine
+from .jit import helper, machine
 
 _I64: Any = np.int64
 _U64: Any = np.uint64
@@ -55,7 +55,7 @@ _BASE64 = np.full(256, _NO_DIGIT, np.uint8)
 _BASE64[np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8)] = np.arange(64)
 
 
-@machine
+@helper
 def _little(b: Any, at: int, size: int) -> Any:
     found = _I64(0)
     for i in range(size):
@@ -63,7 +63,7 @@ def _little(b: Any, at: int, size: int) -> Any:
     return found
 
 
-@machine
+@helper
 def _same(b: Any, at: int, stop: int, part: int) -> bool:
     """Whether a fixed part of the message, but the last, stands at ``at``."""
     if stop - at < _SIZES[part]:

@@ -39,10 +39,9 @@ Nothing is lost by it. What VarDis and positions hand down goes on the air with 
 that wait in the kernel, with their time of arrival, are processed before it is made. Nobody sees the difference: before
 a request is answered the frames are taken, too, and while somebody is to be told of them they are taken at once.
 """
-PATIENCE: Final = 5 * MS
-"""How long a beacon waits for the processing of frames that waited for it."""
 FLOOD: Final = 64
-"""Frames at once after which the link is not left alone until the next beacon."""
+"""As many frames that waited for a beacon are processed before it, however late it is; more at once are a flood, after
+which the link is not left alone until the next beacon."""
 _NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
 #: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -195,18 +194,17 @@ class Driver:
     def _on_link(self, _events: int = 0) -> None:
         """Take what has arrived, and keep the node's time while doing so."""
         # Frames that were left to wait for a beacon belong before it, and the beacon can wait for them a little.
-        patience = PATIENCE if self._lazy else 0
+        before_it = FLOOD if self._lazy else 0
         node = self.node
         receptions = self.link.receive()
         self._flooded = len(receptions) > FLOOD
         # Between the two clocks: frames carry the time of day at which the kernel received them.
         offset = time.time_ns() - time.monotonic_ns()
-        for reception in receptions:
+        for number, reception in enumerate(receptions):
             now = time.monotonic_ns()
-            if self._wake is not None and now >= self._wake + patience:
+            if number >= before_it and self._wake is not None and now >= self._wake:
                 self._timeout(now, time.time_ns())
                 self._plan()
-                patience = 0
             # For the node time goes forward, whatever the clocks do.
             arrived = self._node_time = min(max(reception.wall - offset, self._node_time), now)
             node.handle_frame(reception.octets, now=arrived, wall=reception.wall)

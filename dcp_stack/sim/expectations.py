@@ -139,15 +139,18 @@ def _converged(expected: Converged, convergences: Sequence[Convergence]) -> Find
 def _rate(expected: BeaconRate, traffic: Sequence[NodeTraffic]) -> Finding:
     what = f"nodes send {expected.per_s:g} beacons/s within {expected.tolerance:.1%}"
     asked = [
-        (each.beacons_per_s, each.node)
+        (each.beacons_per_s, each)
         for each in traffic
         if each.beacons_per_s is not None and (expected.nodes is None or each.node in expected.nodes)
     ]
     if not asked:
         return Finding(what, False, "no node was up all the time")
-    worst, node = max(asked, key=lambda each: abs(each[0] - expected.per_s))
+    worst, who = max(asked, key=lambda each: abs(each[0] - expected.per_s))
     met = abs(worst - expected.per_s) <= expected.tolerance * expected.per_s
-    return Finding(what, met, f"node {node} is furthest away with {worst:.3f}")
+    found = f"node {who.node} is furthest away with {worst:.3f}"
+    if who.left_out_per_s:
+        found += f", and left out {who.left_out_per_s:.3f} while the machine was too busy"
+    return Finding(what, met, found)
 
 
 def readable(value: bytes) -> str:

@@ -29,6 +29,7 @@ class Look(NamedTuple):
     now: int
     """Its monotonic clock in ns, which is that of the machine."""
     beacons_sent: int
+    beacons_left_out: int
     octets_sent: int
     beacons_received: int
     active: bool
@@ -60,6 +61,9 @@ class NodeProcess:
         self._client: ControlClient | None = None
         self._first: Look | None = None
         self._last: Look | None = None
+        self._begun = 0.0
+        self.starts: list[float] = []
+        """Seconds that it took until it answered, each time it was switched on."""
 
     @property
     def on(self) -> bool:
@@ -90,6 +94,7 @@ class NodeProcess:
         self.control.unlink(missing_ok=True)
         recording.unlink(missing_ok=True)
         command = [sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(path)]
+        self._begun = time.monotonic()
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(  # noqa: S603 - our own program
                 [*enter_command(self.namespace), *command],
@@ -105,6 +110,7 @@ class NodeProcess:
             try:
                 self._client = ControlClient(self.control, patience=ANSWER_PATIENCE)
                 self._first = self.look()
+                self.starts.append(time.monotonic() - self._begun)
             except ControlError:
                 # Bound, and not yet listening.
                 self.disconnect()
@@ -148,6 +154,7 @@ class NodeProcess:
         self._last = Look(
             status["now"],
             counters.get("beacons-sent", 0),
+            counters.get("beacons-left-out", 0),
             counters.get("octets-sent", 0),
             counters.get("beacons-received", 0),
             bool(vardis.get("active")),

@@ -21,13 +21,15 @@ class Finding(msgspec.Struct, frozen=True):
 
 class NodeTraffic(msgspec.Struct, frozen=True):
     """What one node sent and received. ``beacons_per_s`` is None for a node that was not up all the time: that was
-    down at the start, or switched off or on later."""
+    down at the start, or switched off or on later. ``left_out_per_s`` are slots for beacons that passed unused besides,
+    because the machine was too busy."""
 
     node: int
     beacons_sent: int
     octets_sent: int
     beacons_received: int
     beacons_per_s: float | None
+    left_out_per_s: float = 0.0
 
 
 class HopDelay(msgspec.Struct, frozen=True):
@@ -59,6 +61,10 @@ class Report(msgspec.Struct):
     digest: str = ""
     elapsed_s: float = 0.0
     cpu_s: float = 0.0
+    late_s: float = 0.0
+    """How late an event or a look at the nodes was at most, since the machine was busy: 0 in virtual time."""
+    slowest_start_s: float = 0.0
+    """What it took at most until a node answered that was switched on after the start: 0 in virtual time."""
 
     @property
     def met(self) -> bool:
@@ -97,6 +103,8 @@ def hop_delays(delays: dict[int, list[int]]) -> list[HopDelay]:
 
 #: Rows of a table that are printed; the rest is summed up in one line.
 SHOWN = 24
+#: Seconds of delay by the machine from which on it is told: scenarios expect things within seconds.
+LATE, SLOW_START = 0.5, 1.5
 
 
 def lines(report: Report) -> Iterator[str]:
@@ -113,6 +121,9 @@ def lines(report: Report) -> Iterator[str]:
         yield f"digest     {report.digest}"
     if report.ground == "simulate":
         yield f"speed      {report.speed_up:.1f} times real time ({report.elapsed_s:.2f} s, {report.cpu_s:.2f} s CPU)"
+    if report.late_s > LATE or report.slowest_start_s > SLOW_START:
+        late = f"{report.late_s:.1f} s late at most, starting a node took {report.slowest_start_s:.1f} s"
+        yield f"machine    {late}: it is too busy for what is expected of times"
     yield ""
     for finding in report.findings:
         found = f": {finding.found}" if finding.found else ""

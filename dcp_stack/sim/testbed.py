@@ -72,6 +72,7 @@ class Testbed:
         self.nodes: list[NodeProcess] = []
         self._problems: list[str] = []
         self._begin = 0.0
+        self._late = self._slowest_start = 0.0
         sweep()
         prefix = own_prefix()
         self._janitor = Janitor(prefix, None if keep else str(directory))
@@ -146,10 +147,13 @@ class Testbed:
         """
         started = time.perf_counter()
         self.start()
+        started_before = [len(node.starts) for node in self.nodes]
         for at, act in self._timeline():
             self._wait_until(at)
             act()
         self._wait_until(self.scenario.duration)
+        for node, before in zip(self.nodes, started_before, strict=True):
+            self._slowest_start = max([self._slowest_start, *node.starts[before:]])
         for node in self.nodes:
             if node.answers:
                 # Also what it sent is counted up to here.
@@ -171,6 +175,7 @@ class Testbed:
             self._look_around()
             left = (at - self.now) / NS_PER_S
             if left <= 0:
+                self._late = max(self._late, -left)
                 return
             time.sleep(min(left, LOOK_INTERVAL))
 
@@ -286,17 +291,20 @@ class Testbed:
             convergences=self.clock.events,
             traffic=traffic,
             elapsed_s=elapsed,
+            late_s=round(self._late, 3),
+            slowest_start_s=round(self._slowest_start, 3),
         )
 
     def _traffic(self) -> Iterator[NodeTraffic]:
         interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)}
         interrupted |= set(self.scenario.down_at_start)
         for node in self.nodes:
-            rate: float | None = None
+            rate, left_out = None, 0.0
             for first, last in node.runs:
                 seconds = seconds_between(first, last)
                 if node.index not in interrupted and seconds > 0:
                     rate = (last.beacons_sent - first.beacons_sent) / seconds
+                    left_out = (last.beacons_left_out - first.beacons_left_out) / seconds
             lives = [last for _, last in node.runs]
             yield NodeTraffic(
                 node=node.index,
@@ -304,4 +312,5 @@ class Testbed:
                 octets_sent=sum(last.octets_sent for last in lives),
                 beacons_received=sum(last.beacons_received for last in lives),
                 beacons_per_s=rate,
+                left_out_per_s=left_out,
             )

@@ -291,7 +291,7 @@ class TestPage:
 
 CHROMIUM = (
     "chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 )  # fmt: skip
 
 
@@ -300,7 +300,7 @@ class TestInABrowser:
     def show(self, page: Path, tmp_path: Path, *options: str, fragment: str = "") -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [*CHROMIUM, f"--user-data-dir={tmp_path / 'profile'}", *options, f"file://{page}{fragment}"],
-            capture_output=True, text=True, timeout=120, check=True,
+            capture_output=True, text=True, timeout=600, check=True,
         )  # fmt: skip
 
     def test_its_script_runs_without_errors(self, failed: RunResult, tmp_path: Path):
@@ -360,7 +360,7 @@ class TestRecordings:
         tshark = shutil.which("tshark") or ""
         done = subprocess.run(
             [tshark, "-r", tmp_path / f"{case.recording}.pcapng", "-T", "fields", "-e", "eth.type"],
-            capture_output=True, text=True, timeout=60, check=True,
+            capture_output=True, text=True, timeout=600, check=True,
         )  # fmt: skip
         assert len(done.stdout.split()) == sum(bool(event.octets) for event in case.evidence)
 

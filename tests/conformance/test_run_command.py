@@ -6,10 +6,10 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,18 +19,23 @@ from dcp_conformance.expected import ExpectedResults
 from dcp_conformance.lanes import lanes_of, run_in_lanes, run_pytest
 from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, TESTER_ERROR, UNEXPECTED, USAGE, exit_status
 from dcp_conformance.plugin import ConformanceRun
+from dcp_conformance.process import started_at
 from dcp_conformance.reporting import load_results
 from dcp_conformance.results import CaseResult
 from dcp_conformance.selection import Selection, select
-from dcp_conformance.target import TargetOptions
+from dcp_conformance.target import TargetOptions, open_target
 from dcp_conformance.verdict import Verdict
 
+from ..ports import own_port
 from .command import Command
 
-#: Cases for some seconds against our own node, in two lanes.
-RUN = (sys.executable, "-c", "from dcp_conformance.cli import main; main()", "run", "VD-CRE-*", "-j", "2")
+#: Two cases against our own node, each in a lane of its own, that wait for something that must not come.
+RUN = (
+    *(sys.executable, "-c", "from dcp_conformance.cli import main; main()", "run", "-j", "2"),
+    *("TC_VD_STATE_BV_03-deleted-producer.app-update", "TC_VD_STATE_BV_03-deleted-consumer.app-update"),
+)
 ONE = "TC_VD_UPD_BV_01"
-PATIENCE = 30.0
+PATIENCE = 120.0
 
 
 def expected_file(folder: Path, *entries: str) -> Path:
@@ -58,7 +63,7 @@ class TestExitStatus:
 
     def test_1_unexpected_fail(self, dcp_conformance: Command, tmp_path: Path):
         """Nobody is there to answer."""
-        link = f"udp:239.77.1.{os.getpid() % 250}:{free_port()}"
+        link = f"udp:239.77.1.1:{own_port()}"
         done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--report-dir", tmp_path)
         assert done.status == UNEXPECTED
         assert SANITY in done.out
@@ -75,7 +80,7 @@ class TestExitStatus:
         """It answers so many requests and is gone; the report says so."""
         upper = tmp_path / "upper.py"
         upper.write_text(_UPPER)
-        link = f"udp:239.77.2.{os.getpid() % 250}:{free_port()}"
+        link = f"udp:239.77.2.1:{own_port()}"
         done = dcp_conformance(
             "run", "--link", link, "--beacon-period", "20", "--ut", f"exec:{sys.executable} {upper}", SANITY,
             "--report-dir", tmp_path / "report",
@@ -92,7 +97,7 @@ class TestExitStatus:
 
     def test_4_the_testers_own_trouble(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance(
-            "run", "--link", "udp", "--ut", f"tcp:127.0.0.1:{free_port()}", ONE, "--report-dir", tmp_path
+            "run", "--link", "udp", "--ut", f"tcp:127.0.0.1:{own_port()}", ONE, "--report-dir", tmp_path
         )
         assert done.status == TESTER_ERROR == 4
         assert "127.0.0.1" in done.err
@@ -114,13 +119,6 @@ for number, line in enumerate(sys.stdin):
         answer = {"error": {"code": -32601, "message": "no such method"}}
     print(json.dumps({"jsonrpc": "2.0", "id": request.get("id"), **answer}), flush=True)
 """
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def result_of(verdict: Verdict) -> CaseResult:
@@ -213,7 +211,7 @@ class TestWhatIsRun:
         assert attempts == [1, 2, 3]
 
     def test_until_it_fails(self, dcp_conformance: Command, tmp_path: Path):
-        link = f"udp:239.77.3.{os.getpid() % 250}:{free_port()}"
+        link = f"udp:239.77.3.1:{own_port()}"
         done = dcp_conformance(
             "run", "--link", link, "--beacon-period", "20", SANITY, ONE, "--until-fail", "--repeat", "5",
             "--report-dir", tmp_path,
@@ -243,13 +241,13 @@ class TestWhatIsRun:
 
 class TestExpectedResults:
     def test_what_is_expected_to_fail_and_does(self, dcp_conformance: Command, tmp_path: Path):
-        link = f"udp:239.77.4.{os.getpid() % 250}:{free_port()}"
+        link = f"udp:239.77.4.1:{own_port()}"
         known = expected_file(tmp_path, entry(SANITY, match='"."'))
         done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--expected", known)
         assert done.status == AS_EXPECTED, done.out
 
     def test_that_it_fails_for_another_reason(self, dcp_conformance: Command, tmp_path: Path):
-        link = f"udp:239.77.5.{os.getpid() % 250}:{free_port()}"
+        link = f"udp:239.77.5.1:{own_port()}"
         known = expected_file(tmp_path, entry(SANITY, match='"quite another"'))
         done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--expected", known)
         assert done.status == UNEXPECTED
@@ -329,14 +327,28 @@ class TestPytest:
 class TestLanes:
     """Our own node as a process; over UDP, so that no privilege is needed."""
 
-    def options(self) -> TargetOptions:
-        return TargetOptions(beacon_period_ms=20.0)
+    @pytest.fixture
+    def options(self, tmp_path: Path) -> TargetOptions:
+        """For a node that may be kept waiting by the machine: what is waited for comes, however late."""
+        pics = tmp_path / "patient.toml"
+        pics.write_text("[pixit]\nleast_patience_ms = 20000\n")
+        return TargetOptions(beacon_period_ms=20.0, pics=pics)
 
-    def test_they_come_to_the_same_as_one(self):
-        wanted = Selection(patterns=("VD-UPD-0*", "BP-HDR-01", "SRP-RX-06"))
+    def test_the_upper_tester_has_the_patience_of_the_pixit(self, options: TargetOptions, tmp_path: Path):
+        upper = tmp_path / "upper.py"
+        upper.write_text(_UPPER)
+        link = f"udp:239.77.6.1:{own_port()}"
+        foreign = replace(options, link=link, ut=f"exec:{sys.executable} {upper}")
+        with open_target(foreign) as target:
+            assert target.runner.session.upper is not None
+            assert target.runner.session.upper._patience == 20
+
+    def test_they_come_to_the_same_as_one(self, options: TargetOptions):
+        # Without those that wait all of that time for something that must not come.
+        wanted = Selection(patterns=("VD-UPD-0*", "BP-HDR-01", "SRP-RX-06"), exclude=("*deleted*",))
         verdicts = []
         for lanes in (1, 3):
-            run = ConformanceRun(self.options(), wanted)
+            run = ConformanceRun(options, wanted)
             run_in_lanes(run, lanes)
             assert run.exit_status() == AS_EXPECTED, run.trouble
             verdicts.append({result.id: result.verdict for result in run.results if result.id != SANITY})
@@ -356,47 +368,59 @@ class TestLanes:
     def test_there_are_no_more_than_there_is_work_for(self, target, patterns, jobs: int, lanes: int):
         assert lanes_of(ConformanceRun(target, Selection(patterns=patterns)), jobs) == lanes
 
-    def test_the_sanity_case_alone_stays_alone(self):
-        run = ConformanceRun(self.options(), Selection(patterns=(SANITY,)))
+    def test_the_sanity_case_alone_stays_alone(self, options: TargetOptions):
+        run = ConformanceRun(options, Selection(patterns=(SANITY,)))
         run_in_lanes(run, 4)
         assert {result.id for result in run.results} == {SANITY}
 
     def test_a_lane_that_is_killed_is_the_testers_trouble(self, tmp_path: Path):
-        command = [*RUN, "--report-dir", str(tmp_path)]
+        command = self._for_ever(tmp_path)
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         ) as process:
-            lane = self._lane_of(process.pid)
-            os.kill(lane, signal.SIGKILL)
+            for lane in self._lanes_of(process.pid):
+                os.kill(lane, signal.SIGKILL)
             _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == TESTER_ERROR, err
         assert "a lane of the tester has ended" in err
         assert any("a lane of the tester" in note for note in load_results(tmp_path).notes)
 
     def test_an_interrupted_run_leaves_a_report_and_nothing_else(self, tmp_path: Path):
-        command = [*RUN, "--report-dir", str(tmp_path)]
+        command = self._for_ever(tmp_path)
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         ) as process:
-            lane = self._lane_of(process.pid)
+            lanes = self._lanes_of(process.pid)
             process.send_signal(signal.SIGTERM)
             _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == TESTER_ERROR, err
         assert "interrupted after" in err
         assert (tmp_path / "report.html").exists()
-        assert not Path(f"/proc/{lane}").exists()
+        deadline = time.monotonic() + PATIENCE
+        while any(started_at(lane) is not None for lane in lanes):
+            assert time.monotonic() < deadline, "a lane goes on"
+            time.sleep(0.02)
 
-    def _lane_of(self, parent: int) -> int:
-        """A lane's process, once it has a node of its own."""
+    def _for_ever(self, folder: Path) -> list[str]:
+        """A run that is not over before it is ended, however long the machine takes to end it."""
+        pics = folder / "patient.toml"
+        pics.write_text("[pixit]\nleast_patience_ms = 3600000\n")
+        return [*RUN, "--pics", str(pics), "--report-dir", str(folder)]
+
+    def _lanes_of(self, parent: int) -> list[int]:
+        """The processes of both lanes, once they have nodes of their own."""
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
-            for each in below(parent):
-                if "dcp_stack" not in command_line(each) and any(
-                    "dcp_stack" in command_line(c) for c in children(each)
-                ):
-                    return each
+            found = [
+                each
+                for each in below(parent)
+                if "dcp_stack" not in command_line(each)
+                and any("dcp_stack" in command_line(child) for child in children(each))
+            ]
+            if len(found) == 2:
+                return found
             time.sleep(0.05)
-        raise AssertionError("no lane has started")
+        raise AssertionError("the lanes have not started")
 
 
 def children(pid: int) -> list[int]:

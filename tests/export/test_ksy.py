@@ -64,7 +64,7 @@ def compiled(codec: Codec, compiler: Path) -> Any:
     """The root class that Kaitai generates for a profile."""
     document = json.dumps(yaml.safe_load(kaitai_struct(codec)))
     done = subprocess.run(
-        ["node", "-e", COMPILE, str(compiler)], input=document, capture_output=True, text=True, timeout=60
+        ["node", "-e", COMPILE, str(compiler)], input=document, capture_output=True, text=True, timeout=600
     )
     assert (done.returncode, done.stderr) == (0, "")
     [(name, source)] = json.loads(done.stdout).items()

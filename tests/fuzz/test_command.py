@@ -13,7 +13,7 @@ from dcp_codec.capture import open_capture
 
 def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", "fuzz", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
 
 
 @pytest.mark.parametrize("mode", ["live", "differential"])

@@ -14,7 +14,7 @@ HAS_ATHERIS = importlib.util.find_spec("atheris") is not None
 
 def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", "fuzz", "codec", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
 
 
 @pytest.mark.skipif(HAS_ATHERIS, reason="atheris is installed")

@@ -211,6 +211,29 @@ def test_one_that_fell_silent_is_restarted_once_and_waited_for(slow):
     assert target.restarts == 1
 
 
+def test_one_that_somebody_else_starts_again_is_waited_for():
+    """Whoever starts it may be slow about it, on a busy machine too."""
+
+    class Absent(Node):
+        back_at = 0
+
+        def handle_frame(self, octets, *, now, wall):
+            if octets == BAD:
+                self.back_at = now + 6_000_000_000
+            if now >= self.back_at:
+                super().handle_frame(octets, now=now, wall=wall)
+
+    where = opened(lambda c, r, n, w: Absent(c, rng=r, now=n, wall=w), upper=False)
+    where.runner.control = None
+    target = LiveTarget(where)
+    assert target.run([Frame(b"\1")]) is None
+    effect = target.run([Frame(BAD)])
+    assert effect is not None
+    assert effect.signature == "mute: mute"
+    assert target.run([Frame(b"\1")]) is None
+    assert target.restarts == 0
+
+
 def test_one_that_is_not_healthy_after_its_restart_ends_the_campaign_with_what_was_found(tmp_path):
     target = LiveTarget(frail(1 << 62))
     generator = type("Drawn", (), {"kinds": ("drawn",), "draw": lambda self: [Frame(b"\1"), Frame(BAD)]})()

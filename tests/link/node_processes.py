@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -16,9 +15,11 @@ import pytest
 
 from dcp_stack.control import ControlClient, ControlError
 
+from ..ports import own_port
+
 PATIENCE = 60.0
 #: Test processes that run side by side must not hear each other.
-LINK = f"udp:239.73.126.78:{30_000 + os.getpid() % 10_000}"
+LINK = f"udp:239.73.126.78:{own_port()}"
 
 
 class NodeProcess:
@@ -50,11 +51,17 @@ class NodeProcess:
         self.log.extend(self.popen.stderr)
 
     def client(self) -> ControlClient:
-        """A connection, as soon as the node takes one."""
+        """A connection, as soon as the node answers: one that only listens may not have made all that it needs."""
         deadline = time.monotonic() + PATIENCE
         while True:
             try:
-                return ControlClient(self.path, patience=PATIENCE)
+                client = ControlClient(self.path, patience=PATIENCE)
+                try:
+                    client.call("UT-Hello")
+                except ControlError:
+                    client.close()
+                    raise
+                return client
             except ControlError:
                 if self.popen.poll() is not None or time.monotonic() > deadline:
                     pytest.fail(f"the node does not answer: {''.join(self.log)}")
@@ -80,6 +87,16 @@ def eventually(look: Any, what: str) -> Any:
             pytest.fail(f"not within {PATIENCE:g} s: {what}")
         time.sleep(0.02)
     return found
+
+
+def slots_a_second(before: dict[str, Any], after: dict[str, Any]) -> float:
+    """How many beacons a second a node has had time for, of two answers to UT-Status.
+
+    One that the machine lets wait too long leaves beacons out and counts them: they belong to its rate.
+    """
+    counters = [each["node"]["bp"]["counters"] for each in (before, after)]
+    first, last = (each["beacons-sent"] + each["beacons-left-out"] for each in counters)
+    return float((last - first) / ((after["now"] - before["now"]) / 1e9))
 
 
 def command(*args: object, stdin: str | None = None) -> subprocess.CompletedProcess[str]:

@@ -8,21 +8,23 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from ipaddress import IPv4Address
 from pathlib import Path
 
 import pytest
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import SANITY, Case, Kind, all_cases
 from dcp_conformance.errors import ConformanceError, UpperTesterError
+from dcp_conformance.lower.udp import DEFAULT_GROUP
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.process import started_at
 from dcp_conformance.reference.namespace import Namespace, NamespaceError
-from dcp_conformance.reference.process import ReferenceProcess, reference_process
+from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process
 from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
-from dcp_codec import Codec
+from dcp_codec import Codec, sockets
 
 PERIOD_MS = 50
 PATIENCE = 60.0
@@ -43,12 +45,15 @@ def node(request) -> Iterator[ReferenceProcess]:
     """A node on each kind of link."""
     if request.param == "ethernet":
         ethernet_or_skip()
-    with reference_process(Codec("dcp-2.0"), beacon_period_ms=PERIOD_MS, link=request.param) as running:
+    with reference_process(
+        Codec("dcp-2.0"), beacon_period_ms=PERIOD_MS, link=request.param, patience=PATIENCE
+    ) as running:
         yield running
 
 
 def runner_for(node: ReferenceProcess, profile: str = "dcp-2.0") -> Runner:
-    pics = Pics(pixit=Testing(beacon_period_ms=PERIOD_MS))
+    # Nothing here is quick or slow: what is waited for comes, however long the machine takes.
+    pics = Pics(pixit=Testing(beacon_period_ms=PERIOD_MS, least_patience_ms=20_000))
     runner = Runner(Session(Codec(profile), node.lower, node.upper, pics), node.control)
     runner.prepare()
     return runner
@@ -64,12 +69,22 @@ def pid_of(node: ReferenceProcess) -> int:
     return int(process.pid)
 
 
+def until_so(look: Callable[[], bool], what: str) -> None:
+    """Wait until something is so."""
+    deadline = time.monotonic() + PATIENCE
+    while not look():
+        assert time.monotonic() < deadline, f"not within {PATIENCE:g} s: {what}"
+        time.sleep(0.02)
+
+
 def until_gone(pid: int) -> None:
     """Wait until a process has ended."""
-    deadline = time.monotonic() + PATIENCE
-    while started_at(pid) is not None:
-        assert time.monotonic() < deadline, f"process {pid} is still there"
-        time.sleep(0.02)
+    until_so(lambda: started_at(pid) is None, f"process {pid} ends")
+
+
+def sent_by(node: ReferenceProcess) -> int:
+    """How many beacons the node has sent, as it says."""
+    return int(node.upper.call("UT-Status", {}).result["node"]["bp"]["counters"]["beacons-sent"])
 
 
 def test_cases_pass(node):
@@ -114,10 +129,13 @@ def test_time_stamps_are_those_of_the_kernel(node):
 
     def wait(bench: Bench) -> None:
         bench.must("RTDB-Create", varId=9, repCnt=1, descr="x", value="01")
-        time.sleep(0.4)
+        # Until it has sent so many: they wait meanwhile.
+        first = sent_by(node)
+        until_so(lambda: sent_by(node) >= first + 12, "beacons are sent")
         late = bench.wait_ns(0)
         times = [each.time for each in late]
-        bench.check(len(times) >= 4, "beacons that waited", str(len(times)))
+        bench.check(len(times) >= 12, "beacons that waited", str(len(times)))
+        # Also those of a node that was kept waiting are a quarter of a period apart.
         spread = times[-1] - times[0]
         bench.check(spread >= 0.1 * 1e9, "are told apart in time", f"{spread} ns")
         bench.check(bench.own_losses(), "it knows that it was late", "it does not")
@@ -194,18 +212,25 @@ def test_what_it_says_of_itself():
 def test_runs_side_by_side_do_not_hear_each_other():
     codec = Codec("student-2024")
     with (
-        reference_process(codec, beacon_period_ms=PERIOD_MS) as one,
-        reference_process(codec, beacon_period_ms=PERIOD_MS) as other,
+        reference_process(codec, beacon_period_ms=PERIOD_MS, patience=PATIENCE) as one,
+        reference_process(codec, beacon_period_ms=PERIOD_MS, patience=PATIENCE) as other,
     ):
         assert one.lower.name != other.lower.name
         for var_id, each in enumerate((one, other), 1):
             assert each.upper.call("RTDB-Create", {"varId": var_id, "repCnt": 1, "descr": "x", "value": "01"}).ok
-        until = one.lower.now() + 500_000_000
-        while one.lower.receive(until) is not None:
-            pass
+        first = [sent_by(each) for each in (one, other)]
+        for before, each in zip(first, (one, other), strict=True):
+            until_so(lambda before=before, each=each: sent_by(each) >= before + 8, "beacons are sent")
         for var_id, each in enumerate((one, other), 1):
             variables = each.upper.call("RTDB-DescribeDatabase", {}).result["variables"]
             assert [variable["varId"] for variable in variables] == [var_id]
+
+
+def test_runs_over_udp_have_a_port_each(inside):
+    inside.ip("link", "set", "lo", "up")
+    Path("/proc/sys/net/ipv4/ip_local_port_range").write_text("50000 50001")
+    with sockets.open_udp_receiver(IPv4Address(DEFAULT_GROUP), 50000):
+        assert {free_port() for _ in range(20)} == {50001}
 
 
 def test_virtual_ethernet_without_privileges():
@@ -232,7 +257,7 @@ def test_virtual_ethernet_without_privileges():
 
 @pytest.mark.parametrize("profile", ["student-2024", "sim-2.0", "dcp-1.0"])
 def test_other_profiles(profile):
-    with reference_process(Codec(profile), beacon_period_ms=PERIOD_MS) as running:
+    with reference_process(Codec(profile), beacon_period_ms=PERIOD_MS, patience=PATIENCE) as running:
         if profile == "student-2024":
             assert "the profile student-2024 has no frames of its own on Ethernet" in running.about
         assert runner_for(running, profile).run(all_cases()[SANITY]).verdict is Verdict.PASS

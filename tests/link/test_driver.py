@@ -5,14 +5,15 @@ from __future__ import annotations
 import random
 import time
 
+import pytest
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import get_codec
 from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarReqCreate, VarSumm
-from dcp_stack.config import NodeConfig
+from dcp_stack.config import BPConfig, NodeConfig
 from dcp_stack.links.base import LinkCounters, Reception
 from dcp_stack.node import Node
-from dcp_stack.runtime.driver import Driver
+from dcp_stack.runtime.driver import FLOOD, Driver
 
 CODEC = get_codec("dcp-2.0")
 SUMMARIES = CODEC.profile.vardis.container_types.by_name()[ICType.SUMMARIES.label]
@@ -48,7 +49,8 @@ class ListedLink:
         pass
 
 
-def test_what_waited_for_a_beacon_is_processed_before_it():
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_what_waited_for_a_beacon_is_processed_before_it(late):
     """What the node has to say to it goes out with the beacon, as if the node had been woken for the frame."""
     summary = (Container(SUMMARIES, (VarSumm(9, 0),)),)
     header = BPHeader(bytes.fromhex("020000000002"), 0, CODEC.profile.bp.network_id)
@@ -60,7 +62,66 @@ def test_what_waited_for_a_beacon_is_processed_before_it():
     vardis = node.vardis
     assert vardis is not None
     driver = link.driver = Driver(node, link)
-    driver.run(lambda: vardis.create(1, None, 1, b"own", b"v", 0, now=now, wall=wall))
+
+    def ready() -> None:
+        vardis.create(1, None, 1, b"own", b"v", 0, now=now, wall=wall)
+        # However late it is woken for the beacon.
+        time.sleep(late)
+
+    driver.run(ready)
     first = CODEC.decode(link.sent[0])
     records = [record for payload in first.payloads for each in payload.vardis or () for record in each.records]
     assert VarReqCreate(9) in records
+
+
+class Flood(ListedLink):
+    """Always has more than can be processed in a beacon period; is asked for it again and again."""
+
+    def __init__(self, frame: Reception, beacons: int) -> None:
+        super().__init__([])
+        self.frame = frame
+        self.beacons = beacons
+
+    def poll_timeout(self) -> int:
+        return 0
+
+    def receive(self) -> list[Reception]:
+        return [self.frame] * 5000
+
+    def send(self, octets: bytes) -> bool:
+        self.sent.append(octets)
+        assert self.driver is not None
+        if len(self.sent) >= self.beacons:
+            self.driver.stop()
+        return True
+
+
+class Counting(Node):
+    """Counts the frames that it gets in a row while a beacon is due."""
+
+    overdue = most = 0
+
+    def handle_frame(self, octets, *, now, wall):
+        due = self.bp.poll_timeout()
+        self.overdue += due is not None and time.monotonic_ns() >= due
+        self.most = max(self.most, self.overdue)
+        super().handle_frame(octets, now=now, wall=wall)
+
+    def handle_timeout(self, now, wall):
+        self.overdue = 0
+        super().handle_timeout(now, wall)
+
+
+def test_a_flood_does_not_hold_up_beacons():
+    """Counted and not timed: a machine that is busy may make a beacon late, the frames that wait may not."""
+    now, wall = time.monotonic_ns(), time.time_ns()
+    link = Flood(Reception(b"no beacon", wall), beacons=20)
+    config = NodeConfig(node_id=bytes.fromhex("020000000001"), codec=CODEC, bp=BPConfig(beacon_period_ms=10))
+    node = Counting(config, rng=random.Random(1), now=now, wall=wall)
+    driver = link.driver = Driver(node, link)
+    vardis = node.vardis
+    assert vardis is not None
+    driver.run(lambda: vardis.create(1, None, 1, b"own", b"v", 0, now=now, wall=wall))
+    assert len(link.sent) >= 20
+    # Besides those that waited for the first beacon, one may have been begun when the time had not come.
+    assert node.most <= FLOOD + 1

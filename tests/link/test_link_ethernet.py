@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import selectors
 import socket
 import struct
@@ -15,11 +16,13 @@ import pytest
 from dcp_stack.links.base import LinkError, Reception
 from dcp_stack.links.ethernet import EthernetLink, open_ethernet
 
+from .node_processes import eventually
+
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 pytestmark = pytest.mark.tool("ip")
 
 ETHER_TYPE = 0x4953
-PATIENCE = 30.0
+PATIENCE = 60.0
 _SOL_PACKET, _PACKET_STATISTICS = 263, 6
 
 
@@ -149,14 +152,18 @@ def test_a_tag_may_give_a_priority_but_no_vlan(ear, raw, inside):
     assert near.link.counters.ignored == 3
 
 
-def test_a_burst_is_received_or_counted_as_lost(ear):
+def test_a_burst_is_received_or_counted_as_lost(ear, inside):
     near, far = ear("near"), ear("far")
     for number in range(10_000):
         assert near.link.send(number.to_bytes(4, "big") + bytes(300))
-    heard = far.hear(10_000 - far.link.counters.kernel_drops)
+
+    def accounted(heard: list[Reception]) -> bool:
+        return len(heard) + far.link.counters.kernel_drops + inside.lost_on_the_cable() >= 10_000
+
+    heard = [each.octets for each in far.wait_until(accounted)]
     counters = far.link.counters
     assert len(heard) == counters.received
-    assert counters.received + counters.kernel_drops == 10_000
+    assert counters.received + counters.kernel_drops + inside.lost_on_the_cable() == 10_000
     assert [int.from_bytes(octets[:4], "big") for octets in heard] == sorted(
         int.from_bytes(octets[:4], "big") for octets in heard
     )
@@ -167,10 +174,11 @@ def test_losses_in_the_kernel_are_counted(ear):
     far.link._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 20_000)
     for _ in range(1000):
         near.link.send(bytes(300))
+    eventually(lambda: far.link.counters.kernel_drops > 500, "most find no room")
+    heard = far.wait_until(lambda heard: len(heard) + far.link.counters.kernel_drops >= 1000)
     drops = far.link.counters.kernel_drops
-    assert 500 < drops < 1000
-    heard = far.wait_until(lambda heard: len(heard) >= 1000 - drops)
-    assert len(heard) + far.link.counters.kernel_drops == 1000
+    assert len(heard) + drops == 1000
+    assert heard
     # Looking does not forget.
     assert far.link.counters.kernel_drops == drops
 
@@ -268,6 +276,7 @@ def test_what_waited_when_the_interface_went_down_is_not_news_when_it_is_back(ea
     near, far = ear("near"), ear("far")
     for times, notice in enumerate((far.link.receive, lambda: far.link.send(b"to nobody") or []), start=1):
         assert near.link.send(b"before")
+        assert select.select([far.link._socket], [], [], PATIENCE)[0]
         inside.ip("link", "set", "far", "down")
         before = [each.octets for each in notice()]
         assert far.link.counters.outages == times
@@ -360,7 +369,7 @@ def test_without_a_watch_calls_find_the_interface_again(ear, inside):
     while not (near.link.send(b"beacon") and far.link.receive()) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert near.link.send(b"found")
-    assert b"found" in far.hear()
+    assert far.wait_until(lambda heard: any(each.octets == b"found" for each in heard))[-1].octets == b"found"
 
 
 def test_the_loopback_interface_serves_nodes_on_one_host(ear, inside):
@@ -463,6 +472,7 @@ def test_nodes_on_one_host_hear_each_other_over_macvlan_interfaces(ear, inside):
     for name in ("one", "two"):
         inside.ip("link", "add", name, "link", "near", "type", "macvlan", "mode", "bridge")
         inside.ip("link", "set", name, "up")
+    inside.wait_for_carrier("one", "two")
     first, second, other = ear("one"), ear("two"), ear("far")
     assert first.link.send(b"hello")
     assert second.hear() == [b"hello"]

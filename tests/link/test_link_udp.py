@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 import socket
 import time
@@ -13,10 +12,13 @@ import pytest
 from dcp_stack.links.base import LinkError
 from dcp_stack.links.udp import UDPLink, open_udp
 
+from ..ports import own_port
+from .node_processes import eventually
+
 GROUP = "239.73.126.77"
 #: Test processes that run side by side must not hear each other.
-PORT = 20_000 + os.getpid() % 10_000
-PATIENCE = 30.0
+PORT, OTHER_PORT = own_port(), own_port()
+PATIENCE = 60.0
 
 
 @pytest.fixture
@@ -58,7 +60,7 @@ def test_all_hear_each_other_and_not_themselves(udp):
 
 
 def test_groups_and_ports_are_worlds_of_their_own(udp):
-    here, elsewhere, group = udp(), udp(port=PORT + 10_000), udp("239.73.126.78")
+    here, elsewhere, group = udp(), udp(port=OTHER_PORT), udp("239.73.126.78")
     here.send(b"x")
     assert hear(elsewhere, 1, 0.1) == []
     assert hear(group, 1, 0.1) == []
@@ -77,21 +79,28 @@ def test_broadcast_serves_as_well(udp):
 
 def test_a_burst_is_received_or_counted_as_lost(udp):
     one, two = udp(), udp()
-    for _ in range(10_000):
-        assert one.send(bytes(300))
-    heard = hear(two, 10_000 - two.counters.kernel_drops)
-    assert len(heard) == two.counters.received
-    assert two.counters.received + two.counters.kernel_drops == 10_000
+    heard = []
+    # As many as the loopback interface lets wait for the socket: what it drops itself nobody can know.
+    for burst in range(1, 21):
+        for _ in range(500):
+            assert one.send(bytes(300))
+        heard += hear(two, 500 * burst - len(heard) - two.counters.kernel_drops)
+        assert len(heard) == two.counters.received
+        assert two.counters.received + two.counters.kernel_drops == 500 * burst
 
 
 def test_losses_in_the_kernel_are_counted(udp):
     one, two = udp(), udp()
     two._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 20_000)
-    for _ in range(1000):
+    for _ in range(500):
         one.send(bytes(300))
+    eventually(lambda: two.counters.kernel_drops > 250, "most find no room")
+    heard = []
+    while len(heard) + two.counters.kernel_drops < 500:
+        heard += eventually(lambda: hear(two, 1, 0.1), "the rest arrives")
     drops = two.counters.kernel_drops
-    assert 500 < drops < 1000
-    assert len(hear(two, 1000 - drops)) + drops == 1000
+    assert len(heard) + drops == 500
+    assert heard
     assert two.counters.kernel_drops == drops
 
 
@@ -116,9 +125,9 @@ def test_after_close_nothing_happens(udp):
 
 def test_a_port_that_somebody_has_for_himself(udp):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind((GROUP, PORT + 1))
+        other.bind((GROUP, OTHER_PORT))
         with pytest.raises(LinkError, match="another program has this port"):
-            udp(port=PORT + 1)
+            udp(port=OTHER_PORT)
 
 
 @pytest.fixture
@@ -160,8 +169,8 @@ def test_an_interface_that_went_away_is_heard_again(addressed, udp, what):
     else:
         addressed.ip("address", "add", "192.0.2.1/24", "dev", "near")
     # Woken by their descriptors alone.
-    hear(one, 1, 0.2)
-    hear(two, 1, 0.2)
+    for link in (one, two):
+        eventually(lambda link=link: not hear(link, 1, 0.05) and not link._down, "the interface is found again")
     assert two.send(b"again")
     assert [each.octets for each in hear(one)] == [b"again"]
     assert one.send(b"back")

@@ -20,14 +20,16 @@ from dcp_conformance.lower.udp import DEFAULT_GROUP, parse_udp
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
 from dcp_spec.profile import Link
 
+from ..ports import own_port
+
 ETHERNET = Link(ether_type=0x4953)
 UDP = Link(transport="udp", udp_port=5950)
 PEERS = [bytes.fromhex("02dc90000001"), bytes.fromhex("02dc90000002")]
 BROADCAST = b"\xff" * 6
 MS = 1_000_000
-PATIENCE = 30 * 1000 * MS
+PATIENCE = 60 * 1000 * MS
 #: Test processes that run side by side must not hear each other.
-PORT = 41_000 + os.getpid() % 10_000
+PORT = own_port()
 
 
 def hear(lower: LowerTester, count: int = 1, patience: int = PATIENCE) -> list[Arrival]:
@@ -37,6 +39,17 @@ def hear(lower: LowerTester, count: int = 1, patience: int = PATIENCE) -> list[A
     while len(found) < count and (arrival := lower.receive(until)) is not None:
         found.append(arrival)
     return found
+
+
+def heard_and_dropped(lower: LowerTester, count: int) -> tuple[int, int]:
+    """How many of so many frames came, and how many the kernel dropped, as soon as all are accounted for."""
+    heard = dropped = 0
+    until = lower.now() + PATIENCE
+    while heard + dropped < count and lower.now() < until:
+        heard += len(hear(lower, count, 20 * MS))
+        dropped += lower.health().dropped
+    assert heard + dropped == count
+    return heard, dropped
 
 
 @pytest.fixture
@@ -106,7 +119,8 @@ class TestEthernet:
         for destination in (BROADCAST, b"\x33\x33\0\0\0\x01", b"\x02\0\0\0\0\x01"):
             near.send_frame(destination + PEERS[0] + bytes.fromhex("810000054953") + b"of a VLAN")
         near.send_frame(BROADCAST + PEERS[0] + bytes.fromhex("8100a0004953") + b"urgent")
-        assert [each.octets for each in hear(far, 2, 100 * MS)] == [b"urgent"]
+        assert [each.octets for each in hear(far)] == [b"urgent"]
+        assert far.receive(far.now() + 20 * MS) is None
 
     def test_what_is_longer_than_can_be_read_is_a_loss(self, ends, cable):
         ip(cable, "link", "set", "lo", "up", "mtu", "100000")
@@ -137,11 +151,11 @@ class TestEthernet:
         near = ends()
         begun = near.now()
         assert near.receive(begun + 50 * MS) is None
-        assert 50 * MS <= near.now() - begun < 5000 * MS
+        assert 50 * MS <= near.now() - begun < PATIENCE
         # The past is over at once.
         begun = near.now()
         assert near.receive(begun - 1) is None
-        assert near.now() - begun < 1000 * MS
+        assert near.now() - begun < PATIENCE
 
     def test_what_comes_later_is_kept(self, ends):
         near, far = ends(), ends(SUT_INTERFACE)
@@ -179,10 +193,7 @@ class TestEthernet:
         far._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
         for _ in range(400):
             near.send(bytes(1400), PEERS[0])
-        heard = len(hear(far, 400, 100 * MS))
-        dropped = far.health().dropped
-        assert heard + dropped == 400
-        assert dropped > 0
+        assert all(each > 0 for each in heard_and_dropped(far, 400))
         assert far.health().dropped == 0
 
     def test_many_frames_wait(self, ends):
@@ -299,7 +310,8 @@ def test_multicast(udp):
     near.send_frame(sent)
     near.send_frame(BROADCAST + PEERS[0] + b"\x08\x00" + b"no beacon")
     near.send_frame(PEERS[1] + PEERS[0] + b"\x49\x53" + b"for another")
-    assert [each.octets for each in hear(far, 2, 200 * MS)] == [b"beacon"]
+    assert [each.octets for each in hear(far)] == [b"beacon"]
+    assert far.receive(far.now() + 50 * MS) is None
 
 
 def test_datagrams_come_from_the_port_where_the_profile_wants_it(udp):
@@ -337,8 +349,7 @@ def test_drops_of_udp(udp):
     far._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
     for _ in range(400):
         near.send(bytes(1400), PEERS[0])
-    heard = len(hear(far, 400, 100 * MS))
-    assert heard + far.health().dropped == 400
+    assert all(each > 0 for each in heard_and_dropped(far, 400))
     assert far.health().dropped == 0
     with pytest.raises(LowerTesterError, match="66000 octets do not fit into a datagram"):
         near.send(bytes(66_000), PEERS[0])

@@ -23,7 +23,8 @@ from dcp_stack.control import ControlError
 from dcp_stack.links.udp import open_udp
 from dcp_stack.neighbour_file import NeighbourFileReader
 
-from .node_processes import LINK, PATIENCE, NodeProcess, command, eventually, lines
+from ..ports import own_port
+from .node_processes import LINK, PATIENCE, NodeProcess, command, eventually, lines, slots_a_second
 
 GROUP, PORT = LINK.split(":")[1], int(LINK.split(":")[2])
 
@@ -58,8 +59,16 @@ def answers(client: socket.socket, count: int) -> list[dict]:
 HELLO = b'{"jsonrpc":"2.0","id":1,"method":"UT-Hello"}\n'
 
 
-def test_two_nodes_and_the_commands(node):
-    first, second = node("--position", "track:circle,radius=5"), node()
+def patient(folder: Path) -> tuple[str, str]:
+    """Options of a node that does not forget a neighbour whom the machine keeps waiting."""
+    path = folder / "patient.toml"
+    path.write_text("[srp]\nneighbour_table_timeout_ms = 600000\n")
+    return "--config", str(path)
+
+
+def test_two_nodes_and_the_commands(node, tmp_path):
+    second = node(*patient(tmp_path))
+    first = node("--position", "track:circle,radius=5")
     for each in (first, second):
         each.client().close()
     shown = command("var", "create", 7, "--text", "85 %", "--descr", "battery", "--control", first.path)
@@ -289,9 +298,9 @@ def test_standard_input_may_be_a_file(tmp_path):
     assert len(lines((tmp_path / "answers").read_text())) == 3
 
 
-def test_positions_from_standard_input(node):
+def test_positions_from_standard_input(node, tmp_path):
     running = node("--position", "stdin", stdin=subprocess.PIPE)
-    listener = node()
+    listener = node(*patient(tmp_path))
     with listener.client() as client:
         running.client().close()
         running.popen.stdin.write('nonsense\n{"x": 1.5, "y": 2, "z": 3}\n')
@@ -320,9 +329,7 @@ def test_metrics(node):
     pytest.importorskip("prometheus_client")
     from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = own_port()
     running = node("--metrics", str(port), "--position", "track:circle")
     with running.client() as client:
         eventually(lambda: client.call("UT-Status")["node"]["bp"]["next_seqno"] > 1, "beacons are sent")
@@ -353,35 +360,35 @@ def test_a_flood_does_not_stop_beacons_or_answers(node):
         eventually(lambda: client.call("UT-Status")["node"]["bp"]["next_seqno"] > 1, "beacons are sent")
         before = client.call("UT-Status")
         foreign = bytes.fromhex("01497e0200000000031112000500010000000000010001ff")
-        beacons = [foreign, foreign[:10], b"", os.urandom(300), codec.profile.name.encode()]
-        end = time.monotonic() + 3
-        sent = answered = 0
-        while time.monotonic() < end:
+        beacons = [foreign, foreign[:10], b"", bytes(range(256)), codec.profile.name.encode()]
+        sent = 0
+
+        def flooded() -> dict | None:
+            nonlocal sent
             for _ in range(200):
                 flood.send(beacons[sent % len(beacons)])
                 sent += 1
-            client.call("UT-Hello")
-            answered += 1
-        after = client.call("UT-Status")
+            # Each of these is an answer in the flood.
+            after = client.call("UT-Status")
+            on_air = after["node"]["bp"]["next_seqno"] - before["node"]["bp"]["next_seqno"]
+            return after if sent > 5_000 and on_air >= 30 else None
+
+        after = eventually(flooded, "beacons in the flood")
     flood.close()
-    seconds = (after["now"] - before["now"]) / 1e9
-    rate = (after["node"]["bp"]["next_seqno"] - before["node"]["bp"]["next_seqno"]) / seconds
-    assert sent > 5_000
-    assert answered >= 10
-    assert 9 < rate < 11
+    # How late they are is for test_driver to say, where nobody else takes the processor.
+    assert slots_a_second(before, after) == pytest.approx(10, rel=0.12)
     assert sum(after["drops"].values()) > 1000
 
 
 def test_beacons_come_at_their_rate(node):
-    running = node("--position", "track:circle,rate=40", "--seed", "1")
+    running = node("--position", "track:circle,rate=100", "--beacon-period", "20", "--seed", "1")
     with running.client() as client:
         eventually(lambda: client.call("UT-Status")["node"]["bp"]["next_seqno"] > 1, "beacons are sent")
         before = client.call("UT-Status")
-        time.sleep(5)
+        time.sleep(2)
         after = client.call("UT-Status")
-    beacons = after["node"]["bp"]["next_seqno"] - before["node"]["bp"]["next_seqno"]
-    # 50 intervals of 10 % jitter: a standard deviation of 0.8 %, and one beacon at the edge.
-    assert beacons / ((after["now"] - before["now"]) / 1e9) == pytest.approx(10, rel=0.06)
+    # 100 intervals of 10 % jitter: a standard deviation of 0.6 %, and one beacon at each edge.
+    assert slots_a_second(before, after) == pytest.approx(50, rel=0.05)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give up being root")

@@ -16,7 +16,7 @@ RECORDING = ROOT / "captures" / "b_crud.mcap"
 
 def run(code: str, cwd: Path) -> str:
     """What a Python process prints for ``code``; fails the test when it does not end well."""
-    done = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -76,7 +76,7 @@ def test_the_start_up_script(name: str, tmp_path: Path) -> None:
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
     )
     assert f"profile {name}" in done.stdout, done.stderr
     assert "'payloads']" in done.stdout

@@ -403,6 +403,7 @@ def test_counters():
     rig.receive(good)
     rig.receive(b"")
     assert rig.bp.counters() == {
+        "beacons-left-out": 0,
         "beacons-received": 1,
         "beacons-sent": 1,
         "beacons-without-payload": 1,
@@ -426,6 +427,7 @@ def test_counters():
 def test_what_every_node_counts_is_there_from_the_start():
     fresh = Rig().bp.counters()
     assert set(fresh) == {
+        "beacons-left-out",
         "beacons-received",
         "beacons-sent",
         "beacons-without-payload",

@@ -94,6 +94,19 @@ def test_missed_beacons_are_not_made_up_for(sleep):
     assert moments[-1] - woken >= 9 * PERIOD * 0.9
 
 
+@pytest.mark.req("BP-MGT-06")
+@pytest.mark.parametrize("longest", [60, 250, 3000])
+def test_what_a_late_caller_costs_is_counted(longest):
+    """Whoever looks at the counters can tell a machine that was busy from a node that keeps another period."""
+    rig, lateness = repeating(), random.Random(7)
+    begun = rig.now
+    times(rig, 2000, lambda: lateness.randrange(longest * MS))
+    counters = rig.bp.counters()
+    assert (counters["beacons-left-out"] > 0) == (longest > 100)
+    slots = counters["beacons-sent"] + counters["beacons-left-out"]
+    assert slots == pytest.approx((rig.now - begun) / PERIOD, rel=0.01)
+
+
 def test_calling_early_does_no_harm():
     rig = repeating()
     due = rig.bp.poll_timeout()

@@ -21,6 +21,8 @@ from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileReader, NeighbourFileWriter
 from dcp_stack.neighbours import NeighbourTable
 
+#: What each reader has to see while the table is written: so often, and so many tables.
+READS, TABLES = 500, 50
 DOCS = Path(__file__).parents[2] / "docs" / "neighbour-file.md"
 OWN = bytes.fromhex("020000000001")
 S = 10**9
@@ -260,20 +262,16 @@ _TORN = r"""
 #define _POSIX_C_SOURCE 200809L
 #include <stdio.h>
 #include <stdlib.h>
-#include <time.h>
 #include "dcp_neighbours.h"
 
-/* Read for argv[2] ms; print how many tables were read, and fail for one whose values do not agree. */
+/* Read argv[2] times at least, and argv[3] different tables; fail for one whose values do not agree. */
 int main(int argc, char **argv) {
     struct dcp_neighbours file;
-    if (argc != 3 || dcp_open(&file, argv[1]) != 0) return 2;
+    if (argc != 4 || dcp_open(&file, argv[1]) != 0) return 2;
     void *copy = aligned_alloc(64, dcp_header(&file)->slot_size);
-    struct timespec clock;
-    clock_gettime(CLOCK_MONOTONIC, &clock);
-    double end = clock.tv_sec * 1e3 + clock.tv_nsec / 1e6 + atof(argv[2]);
-    unsigned long reads = 0, generations = 0;
+    long reads = 0, generations = 0;
     uint64_t last = 0;
-    do {
+    while (reads < atol(argv[2]) || generations < atol(argv[3])) {
         if (!dcp_read(&file, copy)) continue;
         const struct dcp_slot *slot = copy;
         uint32_t key = (uint32_t)slot->published_mono;
@@ -287,9 +285,7 @@ int main(int argc, char **argv) {
             if (entry->values[1] != 2.0 * key) return 6;
         }
         reads++;
-        clock_gettime(CLOCK_MONOTONIC, &clock);
-    } while (clock.tv_sec * 1e3 + clock.tv_nsec / 1e6 < end);
-    printf("%lu %lu\n", reads, generations);
+    }
     return 0;
 }
 """
@@ -318,7 +314,8 @@ def test_the_c_example_reads_the_same(compiled, path, name):
     fields = codec.profile.srp.safety_data
     table = table_of(codec, [([1 + node + axis for axis in range(len(fields))], node) for node in range(4)])
     with writer_for(path, codec) as writer, NeighbourFileReader(path) as reader:
-        writer.publish(table, now=time.monotonic_ns(), wall=time.time_ns())
+        # In an hour: the program, however late the machine lets it look, has no reason to think that the node is gone.
+        writer.publish(table, now=time.monotonic_ns() + 3600 * S, wall=time.time_ns())
         shown = subprocess.run([compiled / "neighbours", path], capture_output=True, text=True, check=True)
         found = reader.snapshot()
     expected = [f"generation 1 profile {name}"]
@@ -365,11 +362,10 @@ def _write_at_full_speed(path, ready, stop, published):
         published.value = writer._generation
 
 
-def _read_at_full_speed(path, seconds, results):
+def _read_at_full_speed(path):
     reads = generations = last = 0
     with NeighbourFileReader(path) as reader:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        while reads < READS or generations < TABLES:
             found = reader.snapshot()
             assert found.generation >= last
             generations += found.generation != last
@@ -381,26 +377,25 @@ def _read_at_full_speed(path, seconds, results):
                 assert entry.seqno == key
                 assert entry.reception_wall == key
             reads += 1
-    results.put((reads, generations))
 
 
 @pytest.mark.tool("gcc")
 def test_no_snapshot_is_torn(compiled, path):
     context = multiprocessing.get_context("spawn")
-    ready, stop, results, published = context.Event(), context.Event(), context.Queue(), context.Value("Q", 0)
+    ready, stop, published = context.Event(), context.Event(), context.Value("Q", 0)
     writer = context.Process(target=_write_at_full_speed, args=(str(path), ready, stop, published), daemon=True)
     writer.start()
     assert ready.wait(60)
-    readers = [context.Process(target=_read_at_full_speed, args=(str(path), 1.5, results)) for _ in range(3)]
+    readers = [context.Process(target=_read_at_full_speed, args=(str(path),), daemon=True) for _ in range(3)]
     for reader in readers:
         reader.start()
-    shown = subprocess.run([compiled / "torn", path, "1500"], capture_output=True, text=True)
-    found = [results.get(timeout=60) for _ in readers]
-    stop.set()
-    for process in (*readers, writer):
-        process.join(60)
+    # All of them race until they have seen enough, however long the machine takes for it.
+    done = subprocess.run([compiled / "torn", path, str(10 * READS), str(TABLES)], timeout=120)
+    for process in readers:
+        process.join(120)
         assert process.exitcode == 0
-    assert shown.returncode == 0, shown.returncode
-    found.append(tuple(map(int, shown.stdout.split())))
-    assert published.value > 1000
-    assert all(reads > 100 and generations > 10 for reads, generations in found), found
+    stop.set()
+    writer.join(60)
+    assert writer.exitcode == 0
+    assert done.returncode == 0
+    assert published.value > TABLES

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from dcp_stack.sim.expectations import judge_all
 from dcp_stack.sim.loading import load_scenario, parse_topology
 from dcp_stack.sim.player import Simulation, simulate
-from dcp_stack.sim.report import Report, lines
-from dcp_stack.sim.scenario import Converged, Scenario, ScenarioError, Topology
+from dcp_stack.sim.report import NodeTraffic, Report, lines
+from dcp_stack.sim.scenario import BeaconRate, Converged, Scenario, ScenarioError, Topology
 
 LINE = 'nodes = 5\nduration_s = 20\ntopology = "line"\n'
 
@@ -190,6 +191,17 @@ class TestUnmet:
         assert "is furthest away with" in text
         assert "node 1 updates variable 1: VARDIS-STATUS-NOT-PRODUCER" in text
         assert report.plain()["met"] is False
+
+    def test_what_the_machine_has_to_do_with_it_is_told(self):
+        calm, busy = NodeTraffic(0, 200, 0, 0, 10.0), NodeTraffic(1, 181, 0, 0, 9.05, left_out_per_s=0.95)
+        (finding,) = judge_all([BeaconRate(per_s=10)], [], [calm, busy])
+        assert not finding.met
+        assert finding.found == "node 1 is furthest away with 9.050, and left out 0.950 while the machine was too busy"
+        report = simulate(Scenario(nodes=2, duration_s=1))
+        assert (report.late_s, report.slowest_start_s) == (0, 0)
+        assert "machine" not in "\n".join(lines(report))
+        report.late_s = 1.25
+        assert "1.2 s late at most, starting a node took 0.0 s: it is too busy" in "\n".join(lines(report))
 
     def test_a_node_without_the_protocol(self, written):
         text = LINE + "srp = false\n" + event("create", 1, node=0, variable=1, text="x")

@@ -27,7 +27,7 @@ def test_every_scenario_comes_out_as_it_expects(path):
 
 def station(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(STATION / "base_station.py"), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
 
 
 def test_the_base_station_shows_what_its_readme_shows():

@@ -12,11 +12,13 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
+from numba.core.caching import NullCache
+from numba.core.dispatcher import Dispatcher
 from pyarrow import parquet
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
-from dcp_codec.table import ColumnDecoder, Recording
+from dcp_codec.table import ColumnDecoder, Recording, messages, native, walkers
 from dcp_codec.table.compiled import cache_folder
 from dcp_codec.table.jit import machine
 from dcp_codec.table.pools import Pool
@@ -199,6 +201,16 @@ def test_what_was_compiled_is_kept(tmp_path):
     (source,) = folder.glob("columns_*.py")
     source.write_text("raise SystemExit('executed')")
     assert program(path, str(tmp_path)).stdout == "445\n"
+
+
+def test_what_is_kept_is_kept_for_arguments_of_one_kind():
+    """Two processes that keep the same function for different arguments at once would mix them up in Numba's files."""
+    with Recording(C_LATEJOIN) as source:
+        assert sum(block.frames for block in source.blocks()) == 270
+    for module in (messages, native, walkers):
+        for name, function in vars(module).items():
+            if isinstance(function, Dispatcher) and not isinstance(function._cache, NullCache):
+                assert len(function.signatures) <= 1, name
 
 
 def test_without_a_place_to_keep_it():

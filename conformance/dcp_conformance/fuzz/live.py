@@ -213,7 +213,11 @@ class LiveTarget:
 
     def _ailing(self, bench: Bench) -> Effect | None:
         can_restart = self.control is not None and self.control.can_restart
-        patience = PATIENCE if self.restarts else _FIRST if can_restart and not self._was_well else 0
+        if self.restarts or (self._was_well and not can_restart):
+            # It begins anew, whoever has started it again.
+            patience = PATIENCE
+        else:
+            patience = _FIRST if can_restart and not self._was_well else 0
         deadline = bench.now() + round(patience * 1e9)
         while True:
             why = ailing(bench, self.control, self._probes)

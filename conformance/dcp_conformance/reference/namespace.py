@@ -19,7 +19,7 @@ SUT_INTERFACE, TESTER_INTERFACE = "dcp-sut", "dcp-tester"
 # Of <linux/sched.h>.
 _CLONE_NEWUSER, _CLONE_NEWNET = 0x10000000, 0x40000000
 #: Seconds that a command of the system may take.
-_PATIENCE = 10.0
+_PATIENCE = 30.0
 
 
 class NamespaceError(Exception):

@@ -163,15 +163,15 @@ def _open_link(
             about = "virtual Ethernet, in a network namespace of its own"
             return lower, ["--link", f"eth:{SUT_INTERFACE},type={ether_type:#06x}"], namespace, about
     # Also where the profile names a port: what else runs there on this host must not be heard.
-    port = _free_port()
+    port = free_port()
     about = f"UDP multicast over the loopback interface ({why})"
     return open_udp(DEFAULT_GROUP, port, link=link), ["--link", f"udp:{DEFAULT_GROUP}:{port}"], None, about
 
 
-def _free_port() -> int:
-    """A port that nobody has."""
+def free_port() -> int:
+    """A port on which nobody hears the group: those of other runs have theirs for as long as they last."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
-        trial.bind(("127.0.0.1", 0))
+        trial.bind((DEFAULT_GROUP, 0))
         port: int = trial.getsockname()[1]
         return port
 
