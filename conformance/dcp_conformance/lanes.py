@@ -43,7 +43,8 @@ def run_pytest(run: ConformanceRun, extra: list[str] | None = None) -> None:
     # Where it is installed it makes a folder for its results wherever the user is.
     arguments += ["-p", "no:benchmark"]
     if not extra:
-        arguments += ["-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings"]
+        # What is captured would be kept from the display, too.
+        arguments += ["-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings", "--capture", "no"]
     status = pytest.main([*arguments, *(extra or [])], plugins=[plugin, run])
     if not run.finished:
         # It has not come to a session, and has said why.

@@ -231,6 +231,15 @@ class TestWhatIsRun:
             done = dcp_conformance("run", "--in-process", "--plan", "smoke", "--profile", profile)
             assert done.status == 0, done.out
 
+    def test_lines_are_shown_by_a_command_of_its_own(self, tmp_path: Path):
+        """In one process pytest runs the cases, and must neither keep what is said meanwhile nor leave anything."""
+        command = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", "run", "--in-process"]
+        done = subprocess.run(
+            [*command, "-v", ONE], capture_output=True, text=True, timeout=PATIENCE, check=True, cwd=tmp_path
+        )
+        assert f"pass     {ONE}" in done.stdout
+        assert not list(tmp_path.iterdir())
+
     @pytest.mark.parametrize("options", [["-v"], ["-q"], []])
     def test_what_it_shows(self, dcp_conformance: Command, options: list[str]):
         done = dcp_conformance("run", "--in-process", ONE, *options)
