@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import random
 
 import pytest
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz import Call, Effect, Frame, Wait, load, save
 from dcp_conformance.fuzz.artefact import SavedTarget, codec_of, found_in, make_artefact
 from dcp_conformance.fuzz.cases import artefact_cases
+from dcp_conformance.fuzz.evidence import evidence_lines
 from dcp_conformance.fuzz.replaying import judged, replay, target_in_process
+from dcp_conformance.fuzz.steps import ROBUSTNESS
 
 from dcp_codec import Codec
 from dcp_codec.capture import open_capture
@@ -117,6 +120,32 @@ def test_cases_keep_their_identifiers_whatever_else_is_there(tmp_path):
     cases = artefact_cases(tmp_path)
     assert len(cases) == 2
     assert case.id in [each.id for each in cases]
+
+
+def test_what_decides_a_finding_is_kept_and_its_case_names_it(tmp_path):
+    """An answer that did not come is no death: the requirement is that of the answer."""
+    place = "missing REQUEST-VARCREATES VD-PS-01"
+    path = saved(tmp_path, Effect("said", "variable 5: REQUEST-VARCREATES did not come", 0, place))
+    assert load(path).effect.requirements == ("VD-PS-01",)
+    [case] = artefact_cases(tmp_path)
+    assert case.requirements == ("VD-PS-01", *ROBUSTNESS)
+    assert not case.robustness
+    assert load(saved(tmp_path / "dead", Effect("dead", "it is gone", 0, "dead"))).effect.requirements == ROBUSTNESS
+    [case] = artefact_cases(tmp_path / "dead")
+    assert (case.requirements, case.robustness) == (ROBUSTNESS, True)
+
+
+def test_an_artefact_is_told_with_what_was_sent(tmp_path):
+    beacon = valid_beacons(CODEC, random.Random(3), 1)[0]
+    steps = [*STEPS, *[Frame(beacon)] * 9]
+    told = [*evidence_lines(CODEC, load(saved(tmp_path, Effect("dead", "it is gone", 0, "dead"), steps=steps)))]
+    assert told[0].startswith("sent      SUMMARIES(")
+    assert told[0].endswith("ERROR beacon-overrun at bp.length [BP-RX-15]")
+    assert told[1] == "wait      0.5 beacon periods"
+    assert told[2] == 'call      RTDB-Read {"varId":1}'
+    assert "... and 7 more steps" in told
+    assert told[-2].startswith("decides   BP-RX-16 (dcp-bp.md")
+    assert told[-1].startswith("decides   VD-ROB-01 (")
 
 
 @pytest.mark.parametrize(("mutant", "verdict"), [("", "pass"), ("M-BP-RX-15-dies", "fail")])

@@ -62,6 +62,8 @@ def test_findings_are_saved_replayed_and_gone_on_from(tmp_path):
     assert done.returncode == 1
     assert "field x class of value" in done.stdout
     assert "state of a variable x message" in done.stdout
+    assert "  sent      " in done.stdout
+    assert "  decides   BP-RX-16 (dcp-bp.md" in done.stdout
     [artefact] = folder.glob("raised-*.json")
     again = fuzz("replay", str(folder))
     assert again.returncode == 1

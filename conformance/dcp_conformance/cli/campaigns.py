@@ -162,6 +162,7 @@ def run_campaign(
     ``run``: what runs it, unless it does so itself; ``make``: makes another one in a worker, if there may be some.
     """
     from dcp_conformance.errors import LowerTesterError, WorkerError
+    from dcp_conformance.fuzz.evidence import evidence_lines
     from dcp_conformance.fuzz.live import UnhealthyError
 
     jobs = options["jobs"] if make is not None else 1
@@ -188,7 +189,8 @@ def run_campaign(
     terminal = sys.stderr.isatty()
 
     def progress(now: Any) -> None:
-        text = f"{now.cases} cases, {now.per_second:.0f}/s, {now.findings} findings, {now.seconds:.0f} s"
+        rate = f"{now.per_second:.{0 if now.per_second >= 10 else 1}f}/s"
+        text = f"{now.cases} cases, {rate}, {now.findings} findings, {now.seconds:.0f} s"
         if terminal:
             click.echo(f"\r{text}   ", nl=False, err=True)
         elif int(now.seconds) % 10 == 0:
@@ -198,9 +200,12 @@ def run_campaign(
         if terminal:
             click.echo("", err=True)
         kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
-        click.echo(f"{artefact.id}: {artefact.effect.detail} ({artefact.frames} frames{kept})")
+        frames = f"{artefact.frames} frame{'' if artefact.frames == 1 else 's'}"
+        click.echo(f"{artefact.id}: {artefact.effect.detail} ({frames}{kept})")
+        for line in evidence_lines(campaign.codec, artefact):
+            click.echo(f"  {line}")
         if options["artefacts"] is not None:
-            click.echo(f"  again: {artefact.command}")
+            click.echo(f"  again     {artefact.command}")
 
     def effect(now: Any) -> None:
         if terminal:

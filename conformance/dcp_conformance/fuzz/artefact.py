@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
+from dcp_spec.requirements import requirements
 from dcp_spec.version import __version__
 
 from dcp_codec.capture import CaptureError, create_capture
@@ -18,7 +19,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.envelope import Envelope
 from dcp_conformance.errors import UsageError
 
-from .steps import Call, Effect, EffectKind, Frame, Step, Wait
+from .steps import ROBUSTNESS, STOPPED, Call, Effect, EffectKind, Frame, Step, Wait
 
 SCHEMA: Final = 1
 """Version of the form of the JSON file."""
@@ -46,6 +47,8 @@ class SavedEffect(msgspec.Struct, frozen=True, omit_defaults=True):
     detail: str
     step: int
     signature: str
+    requirements: tuple[str, ...] = ()
+    """What the specification says about it; none where that is not known, and in older files."""
 
 
 class SavedTarget(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -110,13 +113,20 @@ def make_artefact(
         profile=codec.profile.name,
         seed=seed,
         target=target,
-        effect=SavedEffect(effect.kind, effect.detail, effect.step, effect.signature),
+        effect=SavedEffect(effect.kind, effect.detail, effect.step, effect.signature, decided_by(effect)),
         steps=saved,
         command=f"dcp-conformance fuzz replay {directory / identifier}.json {target.options}".rstrip(),
         profile_text=profile_text,
         minimised=minimised,
         confirmed=confirmed,
     )
+
+
+def decided_by(effect: Effect) -> tuple[str, ...]:
+    """The requirements that decide an effect: those that the model names, and for who stops those of robustness."""
+    known = requirements()
+    named = tuple(word for word in effect.signature.split() if word in known)
+    return named or (ROBUSTNESS if effect.kind in STOPPED else ())
 
 
 def save(artefact: Artefact, directory: Path) -> Path:

@@ -12,10 +12,11 @@ from pathlib import Path
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Case, Kind
 
-from .artefact import Artefact, found_in, load
+from .artefact import Artefact, decided_by, found_in, load
 from .differential import Comparison
-from .live import RATE, REQUIREMENTS, carry_out, observer_of
+from .live import RATE, carry_out, observer_of
 from .liveness import PROBES, ailing
+from .steps import ROBUSTNESS, STOPPED
 
 BASE = "TC_DCP_FUZZ_BI_01"
 
@@ -27,11 +28,12 @@ def artefact_cases(folder: Path) -> list[Case]:
 
 
 def case_of(artefact: Artefact, path: Path) -> Case:
-    """The case of one artefact."""
+    """The case of one artefact. Whatever it is about, the implementation has to survive it."""
+    stops = artefact.effect.kind in STOPPED
     return Case(
         id=f"{BASE}-{artefact.id}",
         purpose=f"What the fuzzer once found does not show: {artefact.effect.detail}"[:160],
-        requirements=REQUIREMENTS,
+        requirements=tuple(dict.fromkeys((*artefact.effect.requirements, *ROBUSTNESS))),
         kind=Kind.INVALID,
         stimulus=f"the {len(artefact.steps)} steps of {path.name}, {artefact.frames} of them frames",
         expect="the implementation lives, answers, and holds what the model holds",
@@ -39,8 +41,8 @@ def case_of(artefact: Artefact, path: Path) -> Case:
         section="Fuzzing: findings of earlier campaigns",
         module=__name__,
         run=partial(run, artefact),
-        destructive=artefact.effect.kind in ("raised", "dead", "hang", "mute"),
-        robustness=True,
+        destructive=stops,
+        robustness=stops or not artefact.effect.requirements,
     )
 
 
@@ -55,4 +57,7 @@ def run(artefact: Artefact, bench: Bench) -> None:
     state = artefact.effect.kind in ("state", "said", "disagrees")
     comparison = Comparison(bench, observer_of(bench)) if state else None
     effect = carry_out(bench, artefact.as_steps(), None, round(1e9 / RATE), PROBES, comparison)
-    bench.check(effect is None, "nothing is wrong after these steps", effect.detail if effect is not None else "")
+    rules = decided_by(effect) if effect is not None else ()
+    bench.check(
+        effect is None, "nothing is wrong after these steps", effect.detail if effect is not None else "", *rules
+    )

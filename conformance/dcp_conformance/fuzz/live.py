@@ -21,7 +21,7 @@ from dcp_conformance.target import Target as Opened
 from .differential import Comparison
 from .liveness import PROBES, ailing, begun_again, dead, last_number
 from .observing import Observer
-from .steps import Call, Effect, Frame, Step, Wait
+from .steps import ROBUSTNESS, Call, Effect, Frame, Step, Wait
 
 #: Frames in a second unless a rate is given: more than peers of a crowd send, less than what makes links drop.
 RATE: Final = 500.0
@@ -36,8 +36,6 @@ _PAUSE: Final = 0.1
 _LOOKED_INTO: Final = 200
 #: Frames that may be sent without a look at what came.
 _UNHEARD: Final = 64
-REQUIREMENTS: Final = ("BP-RX-16", "VD-ROB-01")
-"""What every finding is about: nothing received may stop an implementation."""
 
 
 class UnhealthyError(ConformanceError):
@@ -367,7 +365,7 @@ def _case(purpose: str) -> Case:
     return Case(
         id="TC_DCP_FUZZ_BI_01",
         purpose=purpose,
-        requirements=REQUIREMENTS,
+        requirements=ROBUSTNESS,
         kind=Kind.INVALID,
         stimulus="drawn by chance",
         expect="it lives and answers",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import msgspec
 
@@ -15,6 +15,11 @@ lives and answers nothing; ``bad-beacon``: it sends what is no beacon of its pro
 does not cover; ``state``: it holds what the model does not hold; ``unbounded``: something grows
 without end; ``disagrees``: two views of the same octets differ.
 """
+
+ROBUSTNESS: Final = ("BP-RX-16", "VD-ROB-01")
+"""What every finding is about: nothing received may stop an implementation."""
+#: Effects of who has stopped.
+STOPPED: Final = ("raised", "hang", "dead", "mute")
 
 
 class Frame(msgspec.Struct, frozen=True, gc=False, tag="frame"):
