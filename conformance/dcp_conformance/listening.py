@@ -98,10 +98,15 @@ class Listening(Naming):
         return self.instructions(kind, var_id, since)
 
     def check_repeated(
-        self, kind: ICType, var_id: int, count: int, since: int, /, *requirements: str
+        self, kind: ICType, var_id: int, count: int, since: int, /, *requirements: str, absent: str = ""
     ) -> list[Instruction]:
-        """Check that exactly so many distinct beacons from a mark on have one record of this kind about a variable."""
+        """Check that exactly so many distinct beacons from a mark on have one record of this kind about a variable.
+
+        ``absent``: the requirement that decides if there is none at all, where that is another one.
+        """
         found = self.repeated(kind, var_id, since)
+        if absent and not found:
+            requirements = (absent,)
         beacons = {id(each.heard) for each in found}
         what = f"exactly {count} beacon{'s' if count != 1 else ''} with one {kind.label} record of variable {var_id}"
         came = f"{len(found)} records in {len(beacons)} beacons"

@@ -172,7 +172,7 @@ def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
     if what == "request" and not bench.features.rerequest_unknown:
         bench.require_alive("requests for an unknown variable", rule)
         found = bench.instructions(kind, name, mark)
-        bench.check(not found, "no request: 1.0 ignores requests for unknown variables", f"{len(found)}", rule)
+        bench.check(not found, "no request: 1.0 ignores requests for unknown variables", f"{len(found)} came", rule)
         return
     bench.require(bench.until_instruction(kind, name), "a request", "none", rule)
     found = bench.repeated(kind, name, mark)

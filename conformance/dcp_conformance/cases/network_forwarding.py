@@ -122,7 +122,7 @@ def single_hop(bench: Bench, kind: ICType) -> None:
     found = bench.instructions(kind, name, mark)
     if kind is ICType.SUMMARIES:
         found = [each for each in found if each.record.seqno != 4]
-    bench.check(not found, "no copy of it", f"{len(found)}", frames=found[:4])
+    bench.check(not found, "no copy of it", f"{len(found)} came", frames=found[:4])
 
 
 @case(

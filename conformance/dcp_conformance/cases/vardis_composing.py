@@ -301,7 +301,7 @@ def head_does_not_fit(bench: Bench) -> None:
     bench.check(asked, "other containers, although the head of createQ does not fit", "no request for the unknown one")
     bench.beacons(3)
     found = bench.instructions(_CREATE, large, mark)
-    bench.check(not found, f"no VarCreate that needs more than {limit} octets", f"{len(found)}", frames=found[:4])
+    bench.check(not found, f"no VarCreate that needs more than {limit} octets", f"{len(found)} came", frames=found[:4])
     broken = [each for each in bench.heard[mark:] if each.beacon is None or not all(c.records for c in each.containers)]
     bench.check(not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4])
 

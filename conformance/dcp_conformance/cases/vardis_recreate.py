@@ -183,7 +183,7 @@ def ends_repetitions(bench: Bench) -> None:
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
     bench.check(len(made) == count, f"{count} beacons with the new VarCreate", f"{len(made)}", frames=made)
     twice = [heard for heard in made if len(heard.instructions(_CREATE, var_id)) > 1]
-    bench.check(not twice, "no beacon with two VarCreates of the variable", f"{len(twice)}", frames=twice)
+    bench.check(not twice, "no beacon with two VarCreates of the variable", f"{len(twice)} came", frames=twice)
     late = [heard for heard in bench.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
     bench.check(not late, "no VarUpdate with or after the new VarCreate", f"{len(late)} beacons", frames=late)
 

@@ -139,7 +139,7 @@ def only_while_active(bench: Bench) -> None:
         peer.send(peer.summary(bench.unknown_id(), 1))
         bench.wait(6)
         found = [each for each in bench.heard[mark:] if each.has_vardis]
-        bench.check(not found, "no VarDis block while inactive", f"{len(found)}", frames=found[:4])
+        bench.check(not found, "no VarDis block while inactive", f"{len(found)} came", frames=found[:4])
     finally:
         bench.must("VD-MGMT-Activate")
     bench.check(bench.probe(), "VarDis takes part again after its activation", "no answer to a probe")

@@ -55,7 +55,7 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
     for kind in (ICType.SUMMARIES, ICType.CREATE_VARIABLES, ICType.UPDATES):
         late = bench.instructions(kind, name, begun)
         what = f"no {kind.label} record behind the first VarDelete"
-        bench.check(not late, what, f"{len(late)}", "VD-SCR-04", frames=late[:4])
+        bench.check(not late, what, f"{len(late)} came", "VD-SCR-04", frames=late[:4])
 
 
 @case(
@@ -97,7 +97,7 @@ def timeout_zero(bench: Bench) -> None:
         bench.reading("X26", "producer-only")
     bench.wait_ns(2 * period_ms * MS)
     found = bench.instructions(_DELETE, name)
-    bench.check(not found, "no VarDelete of a variable with timeout 0", f"{len(found)}", frames=found[:4])
+    bench.check(not found, "no VarDelete of a variable with timeout 0", f"{len(found)} came", frames=found[:4])
     _check_known(bench, name, "VD-SCR-02")
 
 

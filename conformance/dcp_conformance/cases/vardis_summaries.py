@@ -116,7 +116,7 @@ def no_summaries(bench: Bench) -> None:
     bench.check(asked, "a request for the unknown variable", "none", "VD-CMP-01")
     bench.wait(4)
     found = bench.instructions(_SUMMARY, since=mark)
-    bench.check(not found, "no summaries", f"{len(found)}", frames=found[:4])
+    bench.check(not found, "no summaries", f"{len(found)} came", frames=found[:4])
     passed = bench.instructions(ICType.UPDATES, name, mark)
     bench.check(passed, "the VarUpdate is passed on", "it is not", "VD-CMP-01")
 
@@ -136,7 +136,7 @@ def nothing_to_summarise(bench: Bench) -> None:
     bench.wait(2)
     number = bench.forge.ic_type(_SUMMARY)
     found = [each for each in bench.heard[mark:] if any(one.ic_type == number for one in each.containers)]
-    bench.check(not found, "no SUMMARIES container while no variable is known", f"{len(found)}", frames=found[:4])
+    bench.check(not found, "no SUMMARIES container while no variable is known", f"{len(found)} came", frames=found[:4])
 
 
 @case(
@@ -220,7 +220,7 @@ def deleted_not_summarised(bench: Bench) -> None:
     begun = bench.heard.index(bench.frames_with(ICType.DELETE_VARIABLES, gone[0], mark)[0])
     bench.until(lambda _: set(left) <= {each.var_id for each in bench.instructions(_SUMMARY, since=begun)}, 16)
     late = [each for each in bench.instructions(_SUMMARY, since=begun) if each.var_id in gone]
-    bench.check(not late, "no summary of a deleted variable", f"{len(late)}", frames=late[:4])
+    bench.check(not late, "no summary of a deleted variable", f"{len(late)} came", frames=late[:4])
     still = {each.var_id for each in bench.instructions(_SUMMARY, since=begun)} & set(left)
     bench.check(still == set(left), "summaries of the variables that are left", f"only of {sorted(still)}")
 
@@ -268,4 +268,4 @@ def unknown_not_summarised(bench: Bench) -> None:
     bench.require_alive("names of unknown variables")
     bench.beacons(3)
     found = [each for each in bench.instructions(_SUMMARY, since=mark) if each.var_id in names]
-    bench.check(not found, "no summary of an unknown variable", f"{len(found)}", frames=found[:4])
+    bench.check(not found, "no summary of an unknown variable", f"{len(found)} came", frames=found[:4])

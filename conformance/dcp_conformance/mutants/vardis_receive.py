@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, ClassVar
 
 from dcp_spec.constants import ICType, SpecVersion
@@ -27,12 +27,12 @@ class Containers(Extractor):
     def _collect(
         self, containers: tuple[Container, ...], offset: int, records: dict[ICType, list[tuple[int, Any]]]
     ) -> int:
-        end = offset
-        for container in containers:
-            end += self._sizes.ic_header
-            end += sum(self._sizes.record(self._kinds[container.ic_type], each) for each in container.records)
         super()._collect(tuple(self.chosen(containers)), offset, records)
-        return end
+        return offset + sum(map(self._octets, containers))
+
+    def _octets(self, container: Container) -> int:
+        kind = self._kinds[container.ic_type]
+        return self._sizes.ic_header + sum(self._sizes.record(kind, each) for each in container.records)
 
     def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
         """The containers that are processed."""
@@ -51,13 +51,11 @@ class FirstContainer(Containers):
         return containers[:1]
 
 
-@mutant("octets", "VD-RX-04", "processes what starts in the first half of the octets of a payload")
-class FirstHalfOctets(Extractor):
-    def extract(self, payload: bytes) -> Extracted:
-        found = super().extract(payload)
-        half = (len(payload) + 1) // 2
-        records = {kind: [each for each in listed if each[0] < half] for kind, listed in found.records.items()}
-        return Extracted(records, found.problems)
+@mutant("octets", "VD-RX-04", "processes containers only that start in the first half of the octets of a payload")
+class FirstHalfOctets(Containers):
+    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
+        ends = tuple(accumulate(map(self._octets, containers), initial=0))
+        return tuple(each for each, start in zip(containers, ends, strict=False) if 2 * start < ends[-1])
 
 
 @mutant("last-octets", "VD-RX-04", "stops when three octets of a payload or fewer are left")
