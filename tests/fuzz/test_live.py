@@ -24,7 +24,9 @@ from dcp_conformance.target import Target
 
 from dcp_codec import Codec
 from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.values import VarSumm
 from dcp_stack.node import Node
+from dcp_stack.vardis import Vardis
 
 CODEC = Codec("dcp-2.0")
 OWN = b"\x02\x00\x00\x00\x00\x01"
@@ -292,3 +294,22 @@ def test_a_node_without_vardis_is_alive_when_it_beacons():
     upper = where.runner.control.upper_tester()
     upper.call("SRP-UpdateSafetyData", {"sData": {"x": 1.0, "y": 2.0, "z": 3.0}})
     assert ailing(Bench(where.runner.session, next(iter(all_cases().values()))), None) is None
+
+
+@pytest.mark.parametrize(("count", "kind"), [(5, "said"), (250, None)])
+def test_payloads_beyond_its_own_maximum_may_be_lost(count, kind):
+    """How large payloads are that a node takes is not written; those that it could send itself it has to take."""
+
+    class Small(Vardis):
+        def handle_payload(self, payload, *, now, wall):
+            if len(payload) < 8:
+                super().handle_payload(payload, now=now, wall=wall)
+
+    class Picky(Node):
+        vardis_class = Small
+
+    steps = [sequences().frame(*[VarSumm(var_id, 1) for var_id in range(count)])]
+    target = opened(lambda c, r, n, w: Picky(c, rng=r, now=n, wall=w))
+    target.runner.session.parameters["VARDISPAR_MAX_PAYLOAD_SIZE"] = 400
+    effect = LiveTarget(target, differential=True).run(steps)
+    assert (effect and effect.kind) == kind

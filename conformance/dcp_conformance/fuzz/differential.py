@@ -55,7 +55,10 @@ class Comparison:
             self._sent(event.frame[event.start :], event.wall - since, event.number)
 
     def _sent(self, octets: bytes, time: int, number: int) -> None:
-        self._observer.hears(octets, time, number)
+        if self._is_large(octets):
+            self._observer.doubts(octets)
+        else:
+            self._observer.hears(octets, time, number)
         try:
             beacon = self._bench.codec.decode(octets)
         except DecodeError:
@@ -67,6 +70,19 @@ class Comparison:
             report = payload.srp
             if report is not None and report.node_id != self._observer.own_id:
                 self._reports[report.node_id] = time
+
+    def _is_large(self, octets: bytes) -> bool:
+        """Whether a payload is longer than those that the implementation makes itself.
+
+        VARDISPAR_MAX_PAYLOAD_SIZE is about payloads that a node makes; how long those are that it must take, the
+        specification does not say.
+        """
+        most = self._bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+        if not most or len(octets) <= most:
+            return False
+        payloads = self._bench.codec.dissect(octets).root.child("payloads")
+        lengths = [payload.child("length") for payload in payloads.children] if payloads is not None else []
+        return any(length is not None and (length.value or 0) > most for length in lengths)
 
     def called(self, step: Call, answer: Answer, at: int) -> Effect | None:
         """A service was called: whether success is what the model expects; if so, the model follows."""

@@ -123,6 +123,10 @@ class Observer:
                 touched += self._payload(containers, time, number)
         return touched
 
+    def doubts(self, octets: bytes) -> None:
+        """The node has received this bearer payload, and it is open what it takes of it."""
+        self._doubtful(octets)
+
     @property
     def compares_creations(self) -> bool:
         """Whether creation times decide which creation counts."""
