@@ -13,7 +13,8 @@ from dcp_spec.profile_loading import ProfileError
 from dcp_codec.codec import Codec
 from dcp_codec.frames import with_ether_type
 
-from .bench import Session
+from .bench import Bench, Session
+from .case import cases_of
 from .control import SutControl
 from .errors import UsageError
 from .lower import LowerTester
@@ -203,7 +204,13 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     lower = open_lower(options, codec)
     stack.callback(lower.close)
     if process is not None:
+        other = _somebody_there(_session(options, codec, pics, lower, None)) if options.start else ""
         process.start()
+        if other and process.alive():
+            raise UsageError(
+                f"--start: {other} has answered on {lower.name} before it was started: end what runs there, leave out "
+                "--start, or say who is tested (pixit.node_id) if others have to be there"
+            )
     upper = None
     if options.ut is not None:
         from .upper.opening import open_upper
@@ -212,6 +219,21 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
         if process is not None:
             process.after_restart.append(upper.reconnect)
     return _session(options, codec, pics, lower, upper), control, []
+
+
+def _somebody_there(session: Session) -> str:
+    """Who answers before the implementation is started, empty if nobody does.
+
+    Two of one implementation speak under one name and are blamed for each other, whatever is tested then.
+    """
+
+    from .cases import sanity
+
+    if session.pics.pixit.node_id is not None:
+        session.sut_id = node_id_octets(session.pics.pixit.node_id)
+    bench = Bench(session, next(cases_of(sanity)))
+    there = bench.beacons(1, 5) if bench.pics.vardis is False else bench.probe()
+    return session.sut_id.hex(":") if there and session.sut_id is not None else ""
 
 
 def open_lower(options: TargetOptions, codec: Codec) -> LowerTester:

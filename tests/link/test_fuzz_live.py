@@ -14,9 +14,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from dcp_conformance.case import SANITY, all_cases
+from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz import Frame
 from dcp_conformance.fuzz.live import LiveTarget
 from dcp_conformance.target import TargetOptions, open_target
+from dcp_conformance.verdict import Verdict
 
 from ..ports import own_port
 from .conftest import PATIENCE, Namespace
@@ -132,3 +135,30 @@ def test_what_was_found_is_kept_when_a_campaign_is_ended_and_it_can_be_gone_on_w
     replay = [*around, "fuzz", "replay", str(artefact), *words, "--attempts", "1"]
     done = subprocess.run(replay, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout[:6]) == (1, "failed"), done.stdout + done.stderr
+
+
+def test_a_second_one_is_not_started_beside_one_that_runs(tmp_path):
+    """Both would speak under one name, and be blamed for each other."""
+    start = faulty(tmp_path, "none")
+    other = subprocess.Popen(shlex.split(start), start_new_session=True, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + PATIENCE
+        while not (tmp_path / "n.sock").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        (tmp_path / "second").mkdir()
+        second = faulty(tmp_path / "second", "none")
+        with (
+            pytest.raises(
+                UsageError, match=r"--start: 02:00:00:00:00:01 has answered on .* before it was started: end"
+            ),
+            open_target(TargetOptions(link=LINK, start=second, beacon_period_ms=20)),
+        ):
+            pytest.fail("it was started")
+        # A command that launches something says by itself what it thinks of that.
+        with open_target(TargetOptions(link=LINK, start="true", beacon_period_ms=20)) as opened:
+            verdict = opened.runner.run(all_cases()[SANITY]).verdict
+        assert verdict is Verdict.PASS
+    finally:
+        os.killpg(other.pid, signal.SIGKILL)
+        other.wait(PATIENCE)
