@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Iterable
 
 from dcp_spec.parameters import parameters
+from dcp_spec.requirements import requirements
 
 from .applicability import why_not
 from .bench import Bench, Session
@@ -144,7 +145,7 @@ class Runner:
         bench.checks.append(
             Check(
                 Verdict.FAIL,
-                case.requirements,
+                _broken_by_death(case),
                 "the implementation survives",
                 f"{observed}{f': {why}' if why else ''}",
                 table=table,
@@ -283,6 +284,13 @@ class Runner:
             attempt=attempt,
             error_detail=detail,
         )
+
+
+def _broken_by_death(case: Case) -> tuple[str, ...]:
+    """The requirements of a case that a death violates: what is an implementation's own choice cannot be violated."""
+    known = requirements()
+    binding = tuple(each for each in case.requirements if each not in known or known[each].level != "optional")
+    return binding or case.requirements
 
 
 def _event_record(event: Event) -> EventRecord:

@@ -6,13 +6,14 @@ from collections.abc import Callable
 
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind
+from dcp_conformance.mutants import all_mutants
 from dcp_conformance.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.results import CaseResult
 from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
-from .rig import codec_of
+from .rig import codec_of, one_case
 
 
 def case_of(body: Callable[[Bench], None]) -> Case:
@@ -58,3 +59,11 @@ def test_the_identifiers_of_the_last_variables_are_found():
 
     verdict = run(all_but_one).verdict
     assert verdict is Verdict.PASS
+
+
+def test_a_death_violates_no_freedom():
+    """How an implementation reacts to an unknown type is its own choice (VD-RX-05): to survive it is what is asked."""
+    result = one_case("TC_VD_ROB_BI_01-type-0", make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
+    assert result.killed
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed == {"VD-ROB-01"}
