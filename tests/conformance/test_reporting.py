@@ -29,6 +29,7 @@ from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunRes
 from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
+from dcp_codec import Beacon, BPHeader, Payload
 from dcp_codec.capture import open_capture
 
 from .air import Script, judged
@@ -251,6 +252,45 @@ class TestPage:
         links = links_of(render(a_run_of(msgspec.structs.replace(case, checks=(check,))), None))
         assert "#r-BP-PAR-07" in links.links
         assert {"r-BP-PAR-07", "r-VD-TYP-01"} <= set(links.ids)
+
+    def test_requirements_that_fail_come_first_with_their_cases(self):
+        """One fault fails many cases: those that fail with a requirement are told together, the most first."""
+        cases = [a_case(Verdict.FAIL, f"TC_VD_X_BV_{number:02}") for number in range(3)]
+        other = a_case(Verdict.FAIL, "TC_VD_Y_BV_01")
+        check = msgspec.structs.replace(other.checks[0], requirements=("BP-RX-15",))
+        other = msgspec.structs.replace(other, checks=(check,))
+        text = render(a_run_of(other, *cases, a_case(Verdict.PASS, "TC_VD_X_BV_09")), None)
+        [shown] = re.findall(r'id="failing".*?</table>', text, re.DOTALL)
+        assert [*re.findall(r'href="#(r-[^"]*)"', shown)] == ["r-VD-TYP-01", "r-BP-RX-15"]
+        assert [*re.findall(r'href="#(f-c\d+)"', shown)] == ["f-c1", "f-c2", "f-c3", "f-c0"]
+        assert "no sentence of the specification says so" in shown[shown.index("BP-RX-15") :]
+        assert "no sentence of the specification says so" not in shown[: shown.index("BP-RX-15")]
+        assert 'id="failing"' not in render(a_run_of(other), None)
+
+    def test_only_the_first_findings_are_open(self):
+        cases = [a_case(Verdict.FAIL, f"TC_VD_X_BV_{number:02}") for number in range(30)]
+        cards = re.findall(r'<details class="card"( open)? id="f-c', render(a_run_of(*cases), None))
+        assert cards == [" open"] * 10 + [""] * 20
+
+    def test_beacons_that_only_repeat_are_told_together(self):
+        """They differ in their sequence number only. What a check has marked is shown."""
+        beacons = [
+            Beacon(BPHeader(b"\2\0\0\0\0\1", number, 0x1111), (Payload(0x7000, b"x" * (2 if number == 9 else 1)),))
+            for number in range(20)
+        ]
+        codec = codec_of("dcp-2.0")
+        octets = [codec.encode_envelope(each) for each in beacons]
+        events = tuple(EventRecord(n * 10**8, "heard", "node", n + 1, "", each.hex()) for n, each in enumerate(octets))
+        case = msgspec.structs.replace(a_case(Verdict.FAIL), evidence=events)
+        marked = msgspec.structs.replace(case.checks[0], frames=(Mark(15, 0, 1),))
+        text = render(a_run_of(msgspec.structs.replace(case, checks=(marked,))), codec)
+        lines = re.findall(r'<tr class="(heard|note)"><td>([^<]*)</td><td>(\d*)</td>.*<td>([^<]*)</td></tr>', text)
+        assert [(time, number) for _, time, number, _ in lines] == [
+            *(("0.0 ms", "1"), ("100.0 ms", "2"), ("", ""), ("900.0 ms", "10"), ("1000.0 ms", "11")),
+            *(("1100.0 ms", "12"), ("1200.0 ms", "13"), ("1300.0 ms", "14"), ("1400.0 ms", "15")),
+            *(("1500.0 ms", "16"), ("1600.0 ms", "17"), ("", "")),
+        ]
+        assert lines[2][3] == "... 7 more like this, until 800.0 ms"
 
     def test_it_shows_what_came_instead_with_the_octets_marked(self):
         air = Script()

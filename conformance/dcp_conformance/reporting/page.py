@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from itertools import groupby
 from typing import Any
 
 from dcp_spec.readings import readings
@@ -23,6 +24,10 @@ from dcp_conformance.verdict import Verdict
 
 #: Lines of a timeline that the page shows at its beginning and at its end; recordings have all of them.
 _LINES = 60
+#: Beacons that say the same before the others are told together, if there are more of these than that.
+_REPEATED = 2
+#: Findings that are open when the page is.
+_OPEN = 10
 #: Frames of a check that the page takes apart.
 _FRAMES = 3
 _ORDER = (
@@ -60,9 +65,11 @@ def render(run: RunResult, codec: Codec | None) -> str:
             tables=[table for table in ("conformance", "robustness") if any(run.summary.get(table, {}).values())],
             order=[str(verdict) for verdict in _ORDER],
             sections=_sections(run),
+            open_findings=_OPEN,
             findings=[case for case in cases if case["verdict"] in ("fail", "error")],
             cases=cases,
             matrix=list(_matrix(run, cases)),
+            failing=_failing(cases),
             requirement_counts=_counts(run),
             readings=[
                 {"id": key, "title": readings()[key].title, "observed": names}
@@ -111,6 +118,18 @@ def _matrix(run: RunResult, cases: list[dict[str, Any]]) -> Iterator[dict[str, A
             }
 
 
+def _failing(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The requirements that fail, with the cases in which they do; those with the most cases first."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for case in cases:
+        failed = [check["requirements"] for check in case["checks"] if check["verdict"] == "fail"]
+        for identifier in dict.fromkeys(each for names in failed for each in names):
+            found.setdefault(identifier, []).append(case)
+    known = requirements()
+    rows = sorted(found.items(), key=lambda row: -len(row[1]))
+    return [{"id": name, "entry": known[name], "cases": deciding} for name, deciding in rows if name in known]
+
+
 def _case(case: CaseResult, number: int, apart: _Apart) -> dict[str, Any]:
     events = {event.frame: event for event in case.evidence if event.frame}
     return {
@@ -129,7 +148,7 @@ def _case(case: CaseResult, number: int, apart: _Apart) -> dict[str, Any]:
         "explained": any(check.verdict is case.verdict and check.observed for check in case.checks),
         "duration": case.duration,
         "checks": [_check(check, events, apart, case) for check in case.checks],
-        "timeline": list(_timeline(case, apart)),
+        "timeline": _told_together(list(_timeline(case, apart)), case),
         "left_out": case.left_out,
         "recording": case.recording,
         "rerun": case.rerun,
@@ -182,6 +201,36 @@ def _timeline(case: CaseResult, apart: _Apart) -> Iterator[dict[str, Any]]:
             "text": apart.line(event) if event.octets else event.text,
             "kind": event.direction,
         }
+
+
+def _told_together(lines: list[dict[str, Any]], case: CaseResult) -> list[dict[str, Any]]:
+    """A timeline in which beacons that only say again what the last one said are one line.
+
+    Frames that the page takes apart have their line, and so has everything in stretches that are short.
+    """
+    frames = (dict.fromkeys(mark.frame for mark in check.frames) for check in case.checks)
+    apart = {number for each in frames for number in [*each][:_FRAMES]}
+
+    def what(line: dict[str, Any]) -> tuple[Any, ...]:
+        return line["kind"], line["who"], _without_number(line), line["frame"] in apart and line["frame"]
+
+    shown: list[dict[str, Any]] = []
+    for _, group in groupby(lines, key=what):
+        alike = list(group)
+        repeated = alike[_REPEATED:]
+        if alike[0]["kind"] != "heard" or len(repeated) <= _REPEATED:
+            shown += alike
+            continue
+        text = f"... {len(repeated)} more like this, until {alike[-1]['time']} ms"
+        shown += alike[:_REPEATED]
+        shown.append({"time": "", "arrow": "", "who": "", "frame": 0, "text": text, "kind": "note"})
+    return shown
+
+
+def _without_number(line: dict[str, Any]) -> str:
+    """What a beacon says, without its sequence number."""
+    text: str = line["text"]
+    return text.partition(" ")[2] if line["kind"] == "heard" else text
 
 
 _ARROWS = {
