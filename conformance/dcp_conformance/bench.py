@@ -73,8 +73,7 @@ class Bench(Listening):
 
         self.until_quiet(present, since=start)
         if missing := wanted - {each.var_id for each in self.instructions(ICType.CREATE_VARIABLES, since=start)}:
-            names = ", ".join(map(str, sorted(missing)))
-            self.inconclusive("the implementation learns variables, which this case needs", f"not {names}")
+            self.not_learnt(missing)
 
     def probe(self, periods: float | None = None) -> bool:
         """Whether VarDis answers: a summary of an unknown variable must bring a request for it (VD-PS-01)."""

@@ -41,6 +41,8 @@ class Findings:
         self.readings: dict[str, str] = {}
         self.dropped = 0
         self.late_ns = 0
+        self.assumptions: dict[str, str] = {}
+        """What this case hangs on and nobody has told, by parameter; in words for who can tell."""
 
     @property
     def profile(self) -> Profile:
@@ -74,11 +76,14 @@ class Findings:
     ) -> bool:
         """Say that something is as it must be, or is not. ``requirements``: those decided, by default all of the case.
 
-        A failure with losses of the tester's own in this case counts as inconclusive. Does not stop the case.
+        A failure with losses of the tester's own in this case counts as inconclusive, and so does one that hangs on
+        what was assumed. Does not stop the case.
         """
         verdict = Verdict.PASS if holds else Verdict.FAIL
         if not holds and (lost := self.own_losses()):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but the tester has lost something: {lost}"
+        elif not holds and self.assumptions:
+            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {self.assumed()}"
         self._add(verdict, expected, "" if holds else observed, requirements, frames)
         return bool(holds)
 
@@ -104,6 +109,8 @@ class Findings:
 
     def inconclusive(self, expected: str, observed: str, /, *requirements: str) -> NoReturn:
         """The case cannot be decided: stops it."""
+        if self.assumptions:
+            observed = f"{observed}; {self.assumed()}"
         self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, ())
         raise StopCase
 
@@ -168,6 +175,10 @@ class Findings:
         if field is None or event is None:
             return Mark(what.heard.number)
         return Mark(what.heard.number, event.start + field.offset, field.length, path)
+
+    def assumed(self) -> str:
+        """What the case hangs on and nobody has told, in words; empty if there is nothing."""
+        return "; ".join(self.assumptions.values())
 
     # -- what the tester has missed ------------------------------------------------------------------------------------
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Collection
+from typing import Any, NoReturn
 
 from dcp_spec.parameters import parameter
 
@@ -12,6 +13,18 @@ from dcp_codec.values import ExtendedSafetyData, VarCreate, VarSpec, VarUpdate
 from .case import Case
 from .findings import Findings
 from .session import Session
+
+#: Identifiers that a message names.
+_NAMES = 8
+#: Under which name a PICS tells a parameter.
+_PIXIT = {
+    "BPPAR_MAXIMUM_PACKET_SIZE": "max_packet_size",
+    "VARDISPAR_MAX_VALUE_LENGTH": "max_value_length",
+    "VARDISPAR_MAX_DESCRIPTION_LENGTH": "max_description_length",
+    "VARDISPAR_MAX_REPETITIONS": "max_repetitions",
+    "VARDISPAR_MAX_PAYLOAD_SIZE": "max_payload_size",
+    "VARDISPAR_MAX_SUMMARIES": "max_summaries",
+}
 
 
 class Naming(Findings):
@@ -61,6 +74,23 @@ class Naming(Findings):
         parameter(name)
         value = known[name]
         return int(value or 0)
+
+    def bound(self, name: str) -> int:
+        """As :meth:`parameter`, where the verdict hangs on it: if nobody has told it, nobody fails for it."""
+        value, pixit = self.parameter(name), _PIXIT[name]
+        if name not in self.session.parameters and getattr(self.pixit, pixit) is None:
+            self.assumptions[name] = (
+                f"{name} was taken to be {value}, as in the profile: say what it is (pixit.{pixit})"
+            )
+        return value
+
+    def not_learnt(self, missing: Collection[int]) -> NoReturn:
+        """Stop the case as inconclusive: it needs variables that the implementation has not taken."""
+        # They came in payloads as long as its own may be.
+        self.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
+        names = ", ".join(map(str, sorted(missing)[:_NAMES]))
+        more = f" and {len(missing) - _NAMES} more" if len(missing) > _NAMES else ""
+        self.inconclusive("the implementation learns variables, which this case needs", f"not {names}{more}")
 
     def rep_cnt(self, wanted: int) -> int:
         """A repetition count that the implementation accepts: the wanted one, or the largest."""

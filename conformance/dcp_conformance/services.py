@@ -149,7 +149,7 @@ def longest_description(bench: Bench) -> int:
     """The octets that a description may have; in 1.0 the limit counts the NUL at its end (VD-CRE-04)."""
     name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
     told = name in bench.session.parameters and bench.features.string_format == "nul-terminated"
-    return bench.parameter(name) - (1 if told else 0)
+    return bench.bound(name) - (1 if told else 0)
 
 
 def produced(bench: Bench, **request: Any) -> int:

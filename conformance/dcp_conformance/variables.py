@@ -86,8 +86,7 @@ def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[V
 
     bench.until(lambda _: heard_all(), bench.reaction + len(creates) / 2)
     if not heard_all():
-        names = ", ".join(map(str, sorted(missing)))
-        bench.inconclusive("the implementation learns variables, which this case needs", f"not {names}")
+        bench.not_learnt(missing)
     return creates
 
 

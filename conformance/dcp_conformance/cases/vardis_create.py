@@ -242,7 +242,7 @@ def description(bench: Bench) -> None:
     needs=_CREATE_READ,
 )
 def value(bench: Bench) -> None:
-    longest = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")
+    longest = bench.bound("VARDISPAR_MAX_VALUE_LENGTH")
     accepted(bench, "VD-CRE-05", value=b"v" * longest)
     refused(bench, VALUE_TOO_LONG, "VD-CRE-05", value=b"v" * (longest + 1))
 
@@ -301,7 +301,7 @@ def _long_descr(bench: Bench) -> str:
 
 
 def _long_value(bench: Bench) -> bytes:
-    return b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)
+    return b"v" * (bench.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
 
 
 @case(

@@ -39,7 +39,7 @@ def _plain(bench: Bench, peer: Peer, var_id: int) -> VarCreate:  # noqa: ARG001
 def _largest(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
     return peer.create(
         var_id,
-        value=bytes(range(min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255))),
+        value=bytes(range(min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255))),
         descr=b"d" * min(longest_description(bench), 254),
         seqno=modulus(bench) - 1,
         rep_cnt=max_repetitions(bench),

@@ -28,10 +28,10 @@ def _field(bench: Bench, what: str) -> tuple[int, int]:
     """The largest value that is allowed, and the largest that the field can express."""
     types = bench.profile.types
     if what == "repCnt":
-        return bench.parameter("VARDISPAR_MAX_REPETITIONS"), (1 << 8 * types.var_rep_cnt.width) - 1
+        return bench.bound("VARDISPAR_MAX_REPETITIONS"), (1 << 8 * types.var_rep_cnt.width) - 1
     if what == "description":
         return longest_description(bench), 254
-    return bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255
+    return bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255
 
 
 def _requirement(what: str) -> str:
@@ -69,6 +69,9 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
     number = bound(most)
     if not _expressible(bench, number, most, widest, allowed=allowed):
         return
+    if number <= 1:
+        # Whatever the maximum is.
+        bench.assumptions.clear()
     peer, var_id = bench.peer(), bench.unknown_id()
     bench.created.add(var_id)
     record = peer.create(
@@ -131,6 +134,8 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     number = bound(most)
     if not _expressible(bench, number, most, widest, allowed=allowed):
         return
+    if number <= 1:
+        bench.assumptions.clear()
     peer = bench.peer()
     var_id = taught(bench, peer, value=b"value")
     record, since = peer.update(var_id, 1, b"v" * number), bench.mark()
@@ -209,7 +214,7 @@ def longest(bench: Bench) -> None:
     variants={name: _BOUNDS[name][0] for name in ("0", "max+1", "255")},
 )
 def unknown_variable(bench: Bench, bound: Bound) -> None:
-    most, widest = _field(bench, "value")
+    most, widest = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255
     if not _expressible(bench, bound(most), most, widest, allowed=True):
         return
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()

@@ -22,8 +22,8 @@ _PARAMETERS = Needs(ut=("UT-Reset", "VD-SetParameter"))
 
 def longest(bench: Bench) -> tuple[bytes, bytes]:
     """The longest value and the longest description that can be relied on."""
-    value = min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200)
-    description = min(bench.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
+    value = min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    description = min(bench.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
     # The parameter of 1.0 counts the NUL behind the text.
     nul = bench.features.string_format == "nul-terminated"
     return b"v" * max(1, value), b"d" * max(1, description - nul)

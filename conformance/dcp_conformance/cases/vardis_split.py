@@ -220,8 +220,8 @@ def long_payloads(bench: Bench) -> None:
 def largest_payload(bench: Bench, peer: Peer) -> int:
     """The octets of a VarDis payload that the implementation would send, and that fit into one of our frames."""
     empty = len(peer.beacon(bench.forge.vardis(peer.request_create(0))))
-    room = min(bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") or 1000, 1400) - empty
-    return min(bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000, room)
+    room = min(bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") or 1000, 1400) - empty
+    return min(bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000, room)
 
 
 @case(

@@ -99,7 +99,7 @@ def layout(bench: Bench) -> None:
     window=12,
 )
 def lengths(bench: Bench) -> None:
-    peer, most = bench.peer(), min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255)
+    peer, most = bench.peer(), min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255)
     var_id = taught(bench, peer)
     value = b""
     for seqno, length in enumerate((1, most, min(2, most), max(1, most - 1), 1), 1):
@@ -139,7 +139,7 @@ def timeouts(bench: Bench) -> None:
 )
 def payload_size(bench: Bench) -> None:
     peer, limit = bench.peer(), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
-    value = b"v" * min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    value = b"v" * min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
     descr = b"d" * min(longest_description(bench), 200)
     size = bench.forge.record_size(peer.create(0, value=value, descr=descr))
     count = min(64, 5 * limit // (2 * size) + 1)

@@ -278,7 +278,7 @@ def deleted(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
     bench.must("RTDB-Delete", varId=var_id)
     mark = bench.mark()
-    for value in (b"newer", b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
+    for value in (b"newer", b"v" * (bench.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
         answer = bench.call("RTDB-Update", varId=var_id, value=value.hex())
         if answer.code != NOT_EXPRESSIBLE:
             allowed = statuses_after_deletion(bench)
@@ -298,7 +298,7 @@ def deleted(bench: Bench) -> None:
     needs=_UPDATE_READ,
 )
 def value(bench: Bench) -> None:
-    longest = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")
+    longest = bench.bound("VARDISPAR_MAX_VALUE_LENGTH")
     var_id = produced(bench)
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"v" * longest).hex())
     answer = bench.call("RTDB-Update", varId=var_id, value=(b"w" * (longest + 1)).hex())
