@@ -147,6 +147,8 @@ class ConformanceRun:
         try:
             self._target = self._stack.enter_context(open_target(self.options))
             self._target.runner.prepare()
+            if self.options.foreign and self.options.start:
+                self._target.runner.await_answer(self.cases[SANITY])
         except ConformanceError as error:
             self.trouble = str(error)
             self.usage = isinstance(error, UsageError)

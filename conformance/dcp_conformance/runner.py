@@ -24,6 +24,8 @@ from .verdict import Verdict
 _QUESTIONS = 4
 #: Seconds that an implementation which has hung up may take to be seen dead.
 DEATH_PATIENCE = 1.0
+#: Seconds that an implementation may take until it answers after it was started.
+START_PATIENCE = 30.0
 
 
 class Runner:
@@ -100,6 +102,8 @@ class Runner:
         detail = ""
         try:
             self._reset()
+            if self._reset_mode() == "restart" and (why := self.await_answer(case)):
+                bench.inconclusive("the implementation is there after its restart", why)
             bench.mark()
             bench.heard.clear()
             # What was lost, or looked at late, before the case is no excuse in it.
@@ -199,7 +203,38 @@ class Runner:
             self.dead = f"the implementation {how} in {case.id} and could not be restarted: {error}"
             self.notes.append(self.dead)
             return
+        self.session.known.clear()
+        self.session.summarised.clear()
+        if why := self.await_answer(case):
+            self.dead = f"the implementation {how} in {case.id}, was restarted, and {why}"
+            self.notes.append(self.dead)
+            return
         self.notes.append(f"the implementation {how} in {case.id} and was restarted")
+
+    def await_answer(self, case: Case) -> str:
+        """Wait until an implementation that was started answers: what is sent before that, it cannot hear.
+
+        ``case``: the next one, or the last. Returns why there is nothing to wait for any more, empty if it answers.
+        """
+        if not self._lived:
+            return ""
+        # What it takes is no evidence of the case.
+        bench, control = Bench(self.session, case), self.control
+        deadline = bench.now() + round(START_PATIENCE * 1e9)
+        while not self._answers(bench):
+            if bench.others and self.session.pics.pixit.node_id is None:
+                # Some draw a new identifier with each start; whoever speaks now is taken for it.
+                self.session.sut_id = None
+                bench.others.clear()
+            if control is not None and control.alive() is False:
+                return f"is dead again: {control.why_dead()}"
+            if bench.now() >= deadline:
+                return f"does not answer within {START_PATIENCE:g} s"
+            try:
+                bench.wait(1)
+            except LowerTesterError as error:
+                return f"cannot be reached: {error}"
+        return ""
 
     def _clean(self, bench: Bench) -> None:
         """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up."""

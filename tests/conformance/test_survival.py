@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind
 from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Pics
+from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.results import CaseResult
 from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
-from .rig import codec_of, one_case
+from .rig import codec_of, known_cases, one_case
 
 
 def case_of(body: Callable[[Bench], None]) -> Case:
@@ -67,3 +67,60 @@ def test_a_death_violates_no_freedom():
     assert result.killed
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     assert failed == {"VD-ROB-01"}
+
+
+class Slow(InProcess):
+    """Takes a while to be there after a restart."""
+
+    seconds = 3.0
+    ready = 0
+
+    def restart(self) -> None:
+        super().restart()
+        self.ready = self.now + round(self.seconds * 1e9)
+
+    def deliver(self, octets: bytes) -> None:
+        if self.now >= self.ready:
+            super().deliver(octets)
+
+
+class Gone(Slow):
+    """Is never there again."""
+
+    seconds = 1e6
+
+
+NEXT = "TC_VD_STATE_BV_01-unknown.rx-summary"
+
+
+def died_and_then(kind: type[InProcess], pics: Pics | None = None) -> tuple[Runner, CaseResult]:
+    """The runner, and the result of what is run behind a death."""
+    sut = kind(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, pics or Pics()), sut)
+    runner.prepare()
+    killed = runner.run(known_cases()["TC_VD_ROB_BI_01-type-0"]).killed
+    assert killed
+    return runner, runner.run(known_cases()[NEXT])
+
+
+def test_who_was_restarted_gets_time_to_be_there():
+    runner, result = died_and_then(Slow)
+    verdict = result.verdict
+    assert verdict is Verdict.PASS, result.reason
+    assert "was restarted" in runner.notes[-1]
+    # Its evidence begins with the case.
+    assert len([event for event in result.evidence if event.direction == "sent"]) < 4
+
+
+def test_who_is_restarted_before_each_case_gets_time_too():
+    pics = Pics(pixit=Testing(reset="restart"))
+    verdict = died_and_then(Slow, pics)[1].verdict
+    assert verdict is Verdict.PASS
+
+
+def test_who_does_not_come_back_is_not_blamed_for_more():
+    runner, result = died_and_then(Gone)
+    verdict = result.verdict
+    assert verdict is Verdict.INCONCLUSIVE
+    assert runner.notes[-1].endswith("died in TC_VD_ROB_BI_01-type-0, was restarted, and does not answer within 30 s")
+    assert "TC_VD_ROB_BI_01-type-0" in result.reason

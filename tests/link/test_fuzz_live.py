@@ -162,3 +162,11 @@ def test_a_second_one_is_not_started_beside_one_that_runs(tmp_path):
     finally:
         os.killpg(other.pid, signal.SIGKILL)
         other.wait(PATIENCE)
+
+
+def test_one_that_takes_its_time_to_begin_is_waited_for(tmp_path):
+    start = shlex.join(["sh", "-c", f"sleep 3; exec {faulty(tmp_path, 'none')}"])
+    python = [sys.executable, "-c", "from dcp_conformance.cli import main; main()"]
+    words = ["run", "--link", LINK, "--beacon-period", "20", "--start", start, SANITY]
+    done = subprocess.run([*python, *words], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
