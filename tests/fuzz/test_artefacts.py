@@ -14,14 +14,19 @@ from dcp_conformance.fuzz.evidence import evidence_lines
 from dcp_conformance.fuzz.replaying import judged, replay, target_in_process
 from dcp_conformance.fuzz.steps import ROBUSTNESS
 
-from dcp_codec import Codec
+from dcp_codec import Beacon, BPHeader, Codec, Payload
 from dcp_codec.capture import open_capture
 from dcp_codec.mutation_values import valid_beacons
+from dcp_codec.values import Container, VarSumm
 
 CODEC = Codec("dcp-2.0")
 #: A beacon that announces more octets than there are: M-BP-RX-15-dies dies of it.
 TOO_LONG = bytes.fromhex("01497e02dc900000011111ffff0100000001000200020100")
 STEPS = [Frame(TOO_LONG, b"", "by hand"), Wait(0.5), Call("RTDB-Read", {"varId": 1})]
+
+
+def summaries(count):
+    return (Container(1, tuple(VarSumm(each, 1) for each in range(count))),)
 
 
 def saved(folder, effect=None, mutant="M-BP-RX-15-dies", steps=STEPS, mode="stack", **more):
@@ -146,6 +151,13 @@ def test_an_artefact_is_told_with_what_was_sent(tmp_path):
     assert "... and 7 more steps" in told
     assert told[-2].startswith("decides   BP-RX-16 (dcp-bp.md")
     assert told[-1].startswith("decides   VD-ROB-01 (")
+
+
+def test_what_is_wrong_with_a_frame_is_told_however_long_it_is(tmp_path):
+    long = Frame(CODEC.encode(Beacon(BPHeader(b"\2\0\0\0\0\1", 1, 0x1111), (Payload(2, summaries(200)),)))[:-1])
+    [line] = evidence_lines(CODEC, load(saved(tmp_path, Effect("state", "x", 0), steps=[long])))
+    assert line.endswith("ERROR beacon-overrun at bp.length [BP-RX-15]")
+    assert len(line) < 300
 
 
 @pytest.mark.parametrize(("mutant", "verdict"), [("", "pass"), ("M-BP-RX-15-dies", "fail")])

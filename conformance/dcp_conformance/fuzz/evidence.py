@@ -25,7 +25,7 @@ def evidence_lines(codec: Codec, artefact: Artefact) -> Iterator[str]:
     # Inputs of functions are of any form.
     steps = [] if artefact.target.mode == "codec" else artefact.as_steps()
     for step in steps[:_STEPS]:
-        yield _shortened(_step_line(codec, step))
+        yield _step_line(codec, step)
     if len(steps) > _STEPS:
         yield f"... and {len(steps) - _STEPS} more steps"
     for identifier in artefact.effect.requirements:
@@ -37,7 +37,7 @@ def _step_line(codec: Codec, step: Step) -> str:
         return f"wait      {step.periods:g} beacon periods"
     if isinstance(step, Frame):
         return f"sent      {_frame_text(codec, step.octets)}"
-    return f"call      {step.method} {msgspec.json.encode(step.params).decode()}"
+    return f"call      {_shortened(f'{step.method} {msgspec.json.encode(step.params).decode()}')}"
 
 
 def _frame_text(codec: Codec, octets: bytes) -> str:
