@@ -416,7 +416,7 @@ WRONG: dict[Callable[[Model], list[str]], str] = {
     takes_its_own_variable_back: "VD-CMP-05",
     forgets_what_its_application_wrote: "VD-UPD-08",
     does_not_announce_what_its_application_created: "VD-CRE-12",
-    keeps_an_older_creation: "VD-UPD-10",
+    keeps_an_older_creation: "VD-PC-10",
 }
 
 

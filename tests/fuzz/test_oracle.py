@@ -62,3 +62,14 @@ def test_a_creation_before_the_epoch_of_the_clock_is_one():
         version = oracle.certain(4)
         assert version is not None
         assert version.spec == spec
+
+
+def test_a_creation_that_was_not_to_be_taken_is_told_as_that(oracle):
+    """Not as a wrong number or value of the one that was: it differs in who made it, when, and how often it stands."""
+    oracle.hear([create(1, 1)], 0, 1)
+    other = VarCreate(VarSpec(1, OWN[:-1] + b"\x09", 16, b"e", 5, 0), VarUpdate(1, 9, b"w"))
+    oracle.hear([other], 20, 2)
+    [complaint] = oracle.said([(ICType.CREATE_VARIABLES, other)], 60, 3)
+    assert complaint.requirement == "VD-PC-10"
+    assert complaint.expected == "the creation of 02:dc:90:00:00:01 with repCnt 2, creationTime 1, timeout 0, descr 64"
+    assert complaint.observed == "that of 02:00:00:00:00:09 with repCnt 16, creationTime 5, timeout 0, descr 65"

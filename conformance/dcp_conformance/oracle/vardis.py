@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate, VardisRecord
+from dcp_codec.values import VarCreate, VardisRecord, VarSpec
 
 from .knowledge import Complaint, Owed, State, Variable, Version
 from .model import DELETION, Model, key_of
@@ -139,6 +139,9 @@ class Oracle(Model):
             observed = f"{kind.label} of it, while it is {versions[-1].state}"
             yield Complaint(requirement, var_id, f"nothing of the kind about variable {var_id}", observed, frame)
             return
+        if isinstance(record, VarCreate) and (other := self._other_creation(record, var_id, fitting, frame)):
+            yield other
+            return
         if kind is not _DELETES:
             meant = [version for version in fitting if version.seqno == seqno]
             if not meant:
@@ -146,7 +149,7 @@ class Oracle(Model):
                 requirement = "VD-CMP-04" if kind is _SUMMARIES else "VD-UPD-10"
                 yield Complaint(requirement, var_id, f"sequence number {shown}", f"{kind.label} with {seqno}", frame)
                 return
-            yield from self._judge_content(record, var_id, fitting, meant, frame)
+            yield from self._judge_content(record, var_id, meant, frame)
             fitting = meant
         if kind is not _SUMMARIES and len(fitting) == 1 and fitting[0] is versions[-1]:
             # What is, or may be, of an earlier creation or of a moment ago is counted no more.
@@ -157,7 +160,7 @@ class Oracle(Model):
             self.occasions[requirement] += 1
 
     def _judge_content(
-        self, record: VardisRecord, var_id: int, fitting: list[Version], meant: list[Version], frame: int
+        self, record: VardisRecord, var_id: int, meant: list[Version], frame: int
     ) -> Iterator[Complaint]:
         """What an instruction says beside the number, where the variable has it."""
         value = record.upd.value if isinstance(record, VarCreate) else getattr(record, "value", None)
@@ -165,12 +168,18 @@ class Oracle(Model):
             shown = " or ".join({version.value.hex(): None for version in meant})
             expected = f"the value {shown} for number {meant[0].seqno}"
             yield Complaint("VD-PU-07", var_id, expected, value.hex(), frame)
-        if isinstance(record, VarCreate) and not self._own(fitting[-1]):
+
+    def _other_creation(self, record: VarCreate, var_id: int, fitting: list[Version], frame: int) -> Complaint | None:
+        """What is wrong with a VarCreate of another creation than the node has; its number and value say no more."""
+        if self._own(fitting[-1]):
             # The producer's own creation time is its own clock's: only it knows.
-            self.occasions["VD-PC-10"] += 1
-            specs = [version.spec for version in fitting if version.spec is not None]
-            if specs and record.spec not in specs:
-                yield Complaint("VD-PC-10", var_id, f"{specs[-1]}", f"{record.spec}", frame)
+            return None
+        self.occasions["VD-PC-10"] += 1
+        specs = [version.spec for version in fitting if version.spec is not None]
+        if not specs or record.spec in specs:
+            return None
+        expected, observed = f"the creation of {_described(specs[-1])}", f"that of {_described(record.spec)}"
+        return Complaint("VD-PC-10", var_id, expected, observed, frame)
 
     def _judge_request(
         self, kind: ICType, variable: Variable, var_id: int, seqno: int, versions: list[Version], frame: int
@@ -235,3 +244,9 @@ class Oracle(Model):
         if variable.repetitions.counted(DELETION) >= max(variable.repetitions.allowed(DELETION), 1):
             variable.repetitions.clear()
             self._become(variable, Version(time, "unknown", None, 0, b""))
+
+
+def _described(spec: VarSpec) -> str:
+    """A creation in words."""
+    since_2_0 = "" if spec.creation_time is None else f", creationTime {spec.creation_time}, timeout {spec.timeout}"
+    return f"{spec.prod_id.hex(':')} with repCnt {spec.rep_cnt}{since_2_0}, descr {spec.descr.hex()}"
