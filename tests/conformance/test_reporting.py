@@ -15,6 +15,7 @@ import jsonschema
 import msgspec
 import pytest
 from dcp_conformance.bench import Session
+from dcp_conformance.cli.display import print_summary
 from dcp_conformance.errors import UsageError
 from dcp_conformance.mutants import all_mutants
 from dcp_conformance.outcome import assemble
@@ -266,6 +267,17 @@ class TestPage:
         assert "no sentence of the specification says so" in shown[shown.index("BP-RX-15") :]
         assert "no sentence of the specification says so" not in shown[: shown.index("BP-RX-15")]
         assert 'id="failing"' not in render(a_run_of(other), None)
+
+    def test_the_summary_counts_their_cases(self, capsys: pytest.CaptureFixture[str]):
+        cases = [a_case(Verdict.FAIL, f"TC_VD_X_BV_{number:02}") for number in range(3)]
+        other = a_case(Verdict.FAIL, "TC_VD_Y_BV_01")
+        other = msgspec.structs.replace(
+            other, checks=(msgspec.structs.replace(other.checks[0], requirements=("BP-RX-15",)),)
+        )
+        print_summary(a_run_of(other, *cases))
+        assert "\nfailing: VD-TYP-01 in 3 cases, BP-RX-15 in 1 case\n" in capsys.readouterr().out
+        print_summary(a_run_of(a_case(Verdict.PASS)))
+        assert "failing" not in capsys.readouterr().out
 
     def test_only_the_first_findings_are_open(self):
         cases = [a_case(Verdict.FAIL, f"TC_VD_X_BV_{number:02}") for number in range(30)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Self
@@ -121,12 +122,23 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
     where = f" over {escape(run.sut.link)}" if run.kind != "check" and run.sut.link else ""
     out.print(f"\n{escape(sut)} as {run.profile}{where}: {decided}", soft_wrap=True)
+    if run.kind != "check" and (failing := _failing(run)):
+        out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {failing}", soft_wrap=True)
     for line in _readings(run):
         out.print(line, soft_wrap=True)
     for note in run.notes:
         out.print(f"note: {escape(note)}", soft_wrap=True)
     number = f"{len(run.cases)} case" + ("" if len(run.cases) == 1 else "s")
     out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
+
+
+def _failing(run: RunResult) -> str:
+    """The requirements that fail, those with the most cases first: one fault can fail many cases."""
+    cases: Counter[str] = Counter()
+    for case in run.cases:
+        failed = (check.requirements for check in case.checks if check.verdict is Verdict.FAIL)
+        cases.update([*dict.fromkeys(identifier for names in failed for identifier in names)])
+    return ", ".join(f"{name} in {count} case{'' if count == 1 else 's'}" for name, count in cases.most_common())
 
 
 def _readings(run: RunResult) -> Iterator[str]:
