@@ -151,7 +151,7 @@ class Runner:
                 Verdict.FAIL,
                 _broken_by_death(case),
                 "the implementation survives",
-                f"{observed}{f': {why}' if why else ''}",
+                f"{observed}{f': {why}' if why else ''}{_last_sign(bench) if dead else ''}",
                 table=table,
             )
         )
@@ -319,6 +319,14 @@ class Runner:
             attempt=attempt,
             error_detail=detail,
         )
+
+
+def _last_sign(bench: Bench) -> str:
+    """Behind which of its beacons an implementation died, as the end of a sentence; empty if that says nothing."""
+    frames = [event for event in bench.traffic.events if event.number and event.direction in ("sent", "heard")]
+    last = max((place for place, event in enumerate(frames) if event.direction == "heard"), default=len(frames))
+    behind = frames[last + 1 :]
+    return f"; its last beacon came before frame {behind[0].number} of {bench.traffic.frames}" if behind else ""
 
 
 def _broken_by_death(case: Case) -> tuple[str, ...]:
