@@ -279,6 +279,12 @@ class TestPage:
         print_summary(a_run_of(a_case(Verdict.PASS)))
         assert "failing" not in capsys.readouterr().out
 
+    def test_the_summary_is_not_hidden_behind_notes(self, capsys: pytest.CaptureFixture[str]):
+        print_summary(a_run_of(a_case(Verdict.PASS), notes=[f"restarted in {number}" for number in range(30)]))
+        lines = capsys.readouterr().out.splitlines()
+        assert [line for line in lines if line.startswith("note: ")] == [f"note: restarted in {n}" for n in range(6)]
+        assert lines[-2] == "      ... and 24 more, which the report shows"
+
     def test_only_the_first_findings_are_open(self):
         cases = [a_case(Verdict.FAIL, f"TC_VD_X_BV_{number:02}") for number in range(30)]
         cards = re.findall(r'<details class="card"( open)? id="f-c', render(a_run_of(*cases), None))

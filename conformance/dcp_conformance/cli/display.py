@@ -37,6 +37,8 @@ _COLUMNS = (
 )
 #: Failed checks of one case that are shown.
 _CHECKS = 4
+#: Notes that are shown: an implementation that dies often has one for each time.
+_NOTES = 6
 #: Observations in a recording that are shown.
 _OBSERVATIONS = 12
 _HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl."}
@@ -126,8 +128,10 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
         out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {failing}", soft_wrap=True)
     for line in _readings(run):
         out.print(line, soft_wrap=True)
-    for note in run.notes:
+    for note in run.notes[:_NOTES]:
         out.print(f"note: {escape(note)}", soft_wrap=True)
+    if len(run.notes) > _NOTES:
+        out.print(f"      ... and {len(run.notes) - _NOTES} more, which the report shows")
     number = f"{len(run.cases)} case" + ("" if len(run.cases) == 1 else "s")
     out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
 
