@@ -6,7 +6,7 @@ import pytest
 from dcp_conformance.oracle import Limits, Oracle
 from dcp_spec.constants import ICType, SpecVersion, features
 
-from dcp_codec.values import VarCreate, VarSpec, VarUpdate
+from dcp_codec.values import VarCreate, VarDelete, VarSpec, VarSumm, VarUpdate
 
 PEER = b"\x02\xdc\x90\x00\x00\x01"
 OWN = b"\x02\x00\x00\x00\x00\x01"
@@ -73,3 +73,19 @@ def test_a_creation_that_was_not_to_be_taken_is_told_as_that(oracle):
     assert complaint.requirement == "VD-PC-10"
     assert complaint.expected == "the creation of 02:dc:90:00:00:01 with repCnt 2, creationTime 1, timeout 0, descr 64"
     assert complaint.observed == "that of 02:00:00:00:00:09 with repCnt 16, creationTime 5, timeout 0, descr 65"
+
+
+@pytest.mark.parametrize(
+    ("kind", "record", "requirement"),
+    [
+        (ICType.CREATE_VARIABLES, create(1, 1), "VD-PD-04"),
+        (ICType.UPDATES, VarUpdate(1, 1, b"v"), "VD-PD-04"),
+        (ICType.SUMMARIES, VarSumm(1, 1), "VD-CMP-05"),
+    ],
+)
+def test_what_is_said_of_a_deleted_variable_names_the_rule_that_it_breaks(oracle, kind, record, requirement):
+    """A deletion takes it out of all queues; that there are no summaries of it is a rule of its own."""
+    oracle.hear([create(1, 1)], 0, 1)
+    oracle.hear([VarDelete(1)], 1, 2)
+    [complaint] = oracle.said([(kind, record)], 100, 3)
+    assert complaint.requirement == requirement

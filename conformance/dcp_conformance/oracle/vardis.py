@@ -135,8 +135,11 @@ class Oracle(Model):
         self._occur(kind)
         fitting = [version for version in versions if version.state == needed]
         if not fitting:
-            requirement = {"deleted": "VD-PD-04", "alive": "VD-CMP-05"}[needed]
-            observed = f"{kind.label} of it, while it is {versions[-1].state}"
+            state = versions[-1].state
+            # A deletion takes a variable out of all queues; of those that are not there, nothing is summarised either.
+            of_nothing = needed == "alive" and (kind is _SUMMARIES or state == "unknown")
+            requirement = "VD-CMP-05" if of_nothing else "VD-PD-04"
+            observed = f"{kind.label} of it, while it is {state}"
             yield Complaint(requirement, var_id, f"nothing of the kind about variable {var_id}", observed, frame)
             return
         if isinstance(record, VarCreate) and (other := self._other_creation(record, var_id, fitting, frame)):
