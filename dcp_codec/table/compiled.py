@@ -37,7 +37,7 @@ from dcp_codec.table.native import intern, locate, move
 I64, U64 = np.int64, np.uint64
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 '''
 
 
@@ -67,7 +67,7 @@ def compiled(shape: Shape) -> Decode:
     digest = hashlib.sha256(text.encode() + helpers + numba.__version__.encode()).hexdigest()[:20]
     folder = cache_folder()
     if folder is None:
-        anew: Decode = njit(nogil=True)(_function(text, _HELPERS))
+        anew: Decode = njit(nogil=True, _nrt=False)(_function(text, _HELPERS))
         return anew
     path = folder / f"columns_{digest}.py"
     wanted = _HEAD + text

@@ -16,7 +16,7 @@ def machine(function: _Function) -> _Function:
     Numba keeps it beside the source or in the user's cache. Where neither can be written, each process compiles anew.
     """
     try:
-        compiled: Any = njit(cache=True, nogil=True)(function)
+        compiled: Any = njit(cache=True, nogil=True, _nrt=False)(function)
     except RuntimeError:
-        compiled = njit(nogil=True)(function)
+        compiled = njit(nogil=True, _nrt=False)(function)
     return cast(_Function, compiled)
