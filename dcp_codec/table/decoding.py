@@ -28,7 +28,7 @@ from .stage import MOVED, OF_A_FRAME, Stage
 Integers = npt.NDArray[np.int64]
 
 #: Rows of a table, and octets of a column of varying octets, that a batch holds at most (unless one frame has more).
-ROOM, SPACE = 1 << 18, 1 << 22
+ROOM, SPACE = 1 << 19, 1 << 22
 
 ERRORS_SCHEMA = pa.schema(
     [
@@ -89,6 +89,10 @@ class ColumnDecoder:
         self.link = link or codec.profile.link
         self.shape = Shape(codec.beacon_plan)
         self.schemas = {table.name: schema_of(table) for table in self.shape.tables} | {ERRORS: ERRORS_SCHEMA}
+        self._none = {
+            name: pa.RecordBatch.from_arrays([pa.array([], field.type) for field in schema], schema=schema)
+            for name, schema in self.schemas.items()
+        }
         self._decode = interpreted(self.shape) if interpret else compiled(self.shape)
         self._room, self._space = room, space
         self._moved = min(MOVED, room)
@@ -180,17 +184,19 @@ class ColumnDecoder:
         octets, columns = memory.octets, memory.columns
         used = dict(zip(octets, results[len(shape.tables) + 4 :], strict=True))
         malformed, other = results[len(shape.tables) + 2 : len(shape.tables) + 4]
-        tables = {}
+        tables = dict(self._none)
         for table in shape.tables:
+            rows = results[table.number]
+            if not rows:
+                continue
             arrays: list[pa.Array] = []
             for column in table.columns:
                 pool = {"address": self._addresses, "node": self._nodes}.get(column.kind)
                 number = column.number
-                arrays += arrow_arrays(
-                    column, results[table.number], columns, octets.get(number), used.get(number, 0), pool
-                )
+                arrays += arrow_arrays(column, rows, columns, octets.get(number), used.get(number, 0), pool)
             tables[table.name] = pa.RecordBatch.from_arrays(arrays, schema=self.schemas[table.name])
-        tables[ERRORS] = self._errors(block, bad[:malformed])
+        if malformed:
+            tables[ERRORS] = self._errors(block, bad[:malformed])
         return Batch(tables, after - first, malformed, other)
 
     # -- what is wrong ----------------------------------------------------------------------------------------
