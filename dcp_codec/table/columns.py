@@ -124,17 +124,16 @@ class Storage:
 
 #: References to memory that only a piece has: its own, and that of asking.
 _UNSHARED = 2
-#: Batches that are copied together when rows are collected (``writing.Pile``).
-TOGETHER = 4
-#: Batches whose memory is remembered: the one being made, and those that wait to be copied.
-_SPARE = TOGETHER + 1
+#: Where rows are collected (``writing.Pile``), batches with few that are copied together, and with many that are kept.
+TOGETHER, KEPT = 4, 8
+#: Batches whose memory is remembered: the one being made, and those that wait.
+_SPARE = max(TOGETHER, KEPT) + 1
 
 
 def _table_memory(table: Table, rows: int) -> _Piece:
     """Memory for ``rows`` rows: integers (floats as their bits), octets, ends of octets of varying number."""
     starts, size = table_layout(table, rows)
-    # Not numpy's own: it asks for huge pages, which columns with few rows would fill a little of.
-    whole = np.frombuffer(pa.allocate_buffer(size), np.uint8)
+    whole = _fresh(size)
     parts: dict[int, npt.NDArray[Any]] = {}
     for column in table.columns:
         start = starts[column.number]
@@ -147,7 +146,12 @@ def _table_memory(table: Table, rows: int) -> _Piece:
 
 
 def _octets_memory(space: int) -> _Piece:
-    return _Piece(np.empty(space, np.uint8), {})
+    return _Piece(_fresh(space), {})
+
+
+def _fresh(size: int) -> Octets:
+    """Memory of the system's: others ask for huge pages, of which columns with few rows would fill a little each."""
+    return np.frombuffer(pa.allocate_buffer(size, pa.system_memory_pool()), np.uint8)
 
 
 def arrow_arrays(
