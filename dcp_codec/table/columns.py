@@ -76,12 +76,13 @@ class Memory(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Memory and what lies in it; ``shared`` references to it are not those of somebody who looks at it."""
+    """Memory, and the columns that lie in it by number."""
 
     whole: Octets
     parts: dict[int, npt.NDArray[Any]]
 
     def unused(self) -> bool:
+        """Whether nobody looks at it."""
         # An Arrow array refers to a view, and a view to the whole.
         return sys.getrefcount(self.whole) <= _UNSHARED + len(self.parts)
 

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from . import native
+from .jit import OPTIONS
 from .kernel import kernel_source
 from .shape import Shape
 
@@ -32,12 +33,13 @@ _HEAD = '''\
 import numpy as np
 from numba import njit
 
+from dcp_codec.table.jit import OPTIONS
 from dcp_codec.table.native import intern, locate, move
 
 I64, U64 = np.int64, np.uint64
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@njit(cache=True, **OPTIONS)
 '''
 
 
@@ -63,11 +65,12 @@ def _function(text: str, helpers: Mapping[str, Any]) -> Decode:
 def compiled(shape: Shape) -> Decode:
     """The columnar decoder as machine code; compiled when it is first called, unless an earlier process did it."""
     text = kernel_source(shape)
-    helpers = Path(native.__file__).read_bytes()
+    # What the machine code depends on, and Numba does not look at.
+    helpers = Path(native.__file__).read_bytes() + repr(OPTIONS).encode()
     digest = hashlib.sha256(text.encode() + helpers + numba.__version__.encode()).hexdigest()[:20]
     folder = cache_folder()
     if folder is None:
-        anew: Decode = njit(nogil=True, _nrt=False)(_function(text, _HELPERS))
+        anew: Decode = njit(**OPTIONS)(_function(text, _HELPERS))
         return anew
     path = folder / f"columns_{digest}.py"
     wanted = _HEAD + text

@@ -7,6 +7,10 @@ from typing import Any, TypeVar, cast
 
 from numba import njit
 
+#: Other threads may run. References to arrays are not counted, which took up to a fifth of the time: a function has to
+#: make do with the arrays that it is given.
+OPTIONS: dict[str, Any] = {"nogil": True, "_nrt": False}
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -16,7 +20,7 @@ def machine(function: _Function) -> _Function:
     Numba keeps it beside the source or in the user's cache. Where neither can be written, each process compiles anew.
     """
     try:
-        compiled: Any = njit(cache=True, nogil=True, _nrt=False)(function)
+        compiled: Any = njit(cache=True, **OPTIONS)(function)
     except RuntimeError:
-        compiled = njit(nogil=True, _nrt=False)(function)
+        compiled = njit(**OPTIONS)(function)
     return cast(_Function, compiled)

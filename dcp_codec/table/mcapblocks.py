@@ -63,7 +63,7 @@ class McapBlocks(McapReader):
         while True:
             before = self._count
             position, self._count, self._used, why = walk_messages(
-                octets, position, self._kinds(), self._count, self._used, self._buffer, *self._arrays, self._fields
+                octets, position, self._kinds(), self._fields, self._count, self._used, self._buffer, *self._arrays
             )
             if self._count > before:
                 self._number = int(self._arrays[2][self._count - 1])

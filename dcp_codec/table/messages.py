@@ -146,6 +146,7 @@ def walk_messages(
     b: Any,
     position: int,
     channels: Any,
+    fields: Any,
     count: int,
     used: int,
     buffer: Any,
@@ -155,7 +156,6 @@ def walk_messages(
     times: Any,
     lengths: Any,
     interfaces: Any,
-    fields: Any,
 ) -> tuple[int, int, int, int]:
     """Take the messages of the records ``b[position:]`` into a block that has ``count`` frames and ``used`` octets.
 

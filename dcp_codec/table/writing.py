@@ -109,6 +109,8 @@ def _parquet_options(schema: pa.Schema) -> dict[str, Any]:
         "use_dictionary": identifiers,
         "column_encoding": dict.fromkeys(differences, "DELTA_BINARY_PACKED"),
         "write_statistics": [*numbers, *(field.name for field in schema if pa.types.is_floating(field.type))],
+        # Values that are encoded at a time; the thousand that is usual costs a tenth more.
+        "write_batch_size": 1 << 16,
     }
 
 
