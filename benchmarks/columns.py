@@ -14,38 +14,29 @@ processes on two cores do what one does.
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import logging
 import multiprocessing
 import os
 import platform
-import resource
 import shutil
-import struct
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.reader import make_reader
-from rich.console import Console
-from rich.table import Table
 
 from dcp_codec import Codec, get_codec, open_table
-from dcp_codec.capture import convert, open_capture
+from dcp_codec.capture import open_capture
 from dcp_codec.export.lua import wireshark_dissector
 from dcp_codec.framing import Framing, locate
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.archive import Order, make
-from dcp_codec.table.job import resolve
 from dcp_codec.table.writing import Format
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -53,125 +44,19 @@ logging.getLogger("scapy").setLevel(logging.ERROR)
 
 import handwritten  # noqa: E402 - the folder is no package
 import scapy_only  # noqa: E402
+from columns_report import COLUMNAR, Contender, figures, show  # noqa: E402
+from repeated import SLOW, Formats, Material  # noqa: E402
 
 CAPTURES = Path(__file__).resolve().parent.parent / "captures"
 RECORDINGS = [CAPTURES / f"{name}.mcap" for name in ("b_crud", "a_bus3", "a_bus3_v1.3.6", "c_latejoin")]
-#: Beacons that contenders get which need microseconds, tens of microseconds, and more for each.
-QUICK, SLOW, SLOWEST = 200_000, 100_000, 4_000
+#: Beacons that contenders get which need hundreds of microseconds for each.
+SLOWEST = 4_000
 #: The layouts that the contenders written by hand know.
 BY_HAND = ("cpp-2.0", "cpp-1.3")
-#: Where a magic number stands in front of what is repeated.
-PCAP_HEADER = 24
-COLUMNAR = "columnar, pcap"
 #: Fields that tshark writes: much of what the tables hold.
 _RECORD = "dcp.payloads.vardis.records"
 FIELDS = ("frame.number", "frame.time_epoch", "dcp.bp.senderId", "dcp.bp.seqno", "dcp.payloads.vardis.icType")
 FIELDS += tuple(f"{_RECORD}.{name}" for name in ("varId", "seqno", "spec.varId", "upd.seqno", "upd.value"))
-
-
-@dataclass
-class Contender:
-    """One way to do it: ``run`` handles ``beacons`` beacons and returns how many it found, or seconds it took."""
-
-    name: str
-    what: str
-    beacons: int
-    run: Callable[[], int]
-    #: The recording.
-    of: str = ""
-    seconds: list[float] = field(default_factory=list)
-
-    def turn(self) -> None:
-        """Run once, and note how long it took."""
-        gc.collect()
-        gc.disable()
-        begin = cpu_seconds()
-        found = self.run()
-        self.seconds.append(cpu_seconds() - begin)
-        gc.enable()
-        if found != self.beacons:
-            raise SystemExit(f"{self.name}: found {found} beacons instead of {self.beacons}")
-
-    @property
-    def rate(self) -> float:
-        """Beacons per second in the best round."""
-        return self.beacons / min(self.seconds)
-
-
-def cpu_seconds() -> float:
-    """What this process, and those that it started and that have ended, had of a core: others may be at work too."""
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + children.ru_utime + children.ru_stime
-
-
-# -- material -----------------------------------------------------------------------------------------------------
-
-
-class Material:
-    """A recording repeated, as a pcap file, and its first beacons as octets and values."""
-
-    def __init__(self, recording: Path, beacons: int, folder: Path) -> None:
-        self.name = recording.stem
-        self.codec, self.link, _ = resolve(recording, "auto", None)
-        once = folder / f"{self.name}_once.pcap"
-        convert(recording, once, lossy=True)
-        self.once = once.read_bytes()
-        with open_capture(once) as reader:
-            self.frames = sum(isinstance(locate(frame.data, self.link), Framing) for frame in reader)
-        self.beacons = self.frames * -(-beacons // self.frames)
-        self.pcap = _repeated(self.once, self.beacons // self.frames, folder / f"{self.name}.pcap")
-        self.size = self.pcap.stat().st_size
-        self.octets: list[bytes] = []
-        with open_capture(self.pcap) as reader:
-            for frame in islice(reader, SLOW):
-                framing = locate(frame.data, self.link)
-                if isinstance(framing, Framing):
-                    self.octets.append(frame.data[framing.start : framing.end])
-        self.values = [self.codec.decode(octets) for octets in self.octets]
-
-
-class Formats:
-    """The first part of a recording in every format, and as MCAP the whole of it."""
-
-    def __init__(self, material: Material, folder: Path) -> None:
-        times = -(-QUICK // material.frames)
-        self.beacons = material.frames * times
-        self.pcap = _repeated(material.once, times, folder / "part.pcap")
-        self.pcapng = folder / "part.pcapng"
-        convert(self.pcap, self.pcapng)
-        self.mcap = folder / "part.mcap"
-        convert(self.pcap, self.mcap)
-        plain = folder / "plain.mcap"
-        convert(self.pcap, plain, compression="none")
-        again = -(-material.beacons // self.beacons)
-        self.whole_beacons = self.beacons * again
-        self.whole_mcap = _repeated_chunks(self.mcap, again, folder / "whole.mcap")
-        self.whole_plain = _repeated_chunks(plain, again, folder / "whole_plain.mcap")
-
-
-def _repeated(octets: bytes, times: int, path: Path) -> Path:
-    with path.open("wb") as file:
-        file.write(octets[:PCAP_HEADER])
-        for _ in range(times):
-            file.write(octets[PCAP_HEADER:])
-    return path
-
-
-def _repeated_chunks(path: Path, times: int, target: Path) -> Path:
-    """An MCAP file with all chunks so many times, ended as one without a summary is."""
-    octets = path.read_bytes()
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    first, last = summary.chunk_indexes[0], summary.chunk_indexes[-1]
-    begin, end = first.chunk_start_offset, last.chunk_start_offset + last.chunk_length
-    ends = struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + octets[:8]
-    with target.open("wb") as out:
-        out.write(octets[:begin])
-        for _ in range(times):
-            out.write(octets[begin:end])
-        out.write(ends)
-    return target
 
 
 # -- contenders ---------------------------------------------------------------------------------------------------
@@ -388,67 +273,6 @@ def over_cores(material: Material, rounds: int) -> dict[str, float]:
                         future.result()
                     seconds[name, number].append(time.perf_counter() - begin)
     return {name: min(seconds[name, 1]) / min(seconds[name, 2]) for name in works}
-
-
-# -- report -------------------------------------------------------------------------------------------------------
-
-
-def figures(found: Sequence[Contender]) -> list[dict[str, Any]]:
-    """Rates of all, and how many times faster columnar decoding is."""
-    columnar_rates = {one.of: one.rate for one in found if one.name == COLUMNAR}
-    start = next((one for one in found if one.name == "tshark, one frame"), None)
-    rows = []
-    for one in found:
-        if one is start:
-            continue
-        rate = one.rate
-        if one.name == "tshark" and start is not None:
-            rate = (one.beacons - 1) / (min(one.seconds) - min(start.seconds))
-        rows.append(
-            {
-                "recording": one.of,
-                "contender": one.name,
-                "what": one.what,
-                "beacons": one.beacons,
-                "per_second": rate,
-                "us": 1e6 / rate,
-                "columnar_is_times_faster": columnar_rates[one.of] / rate,
-                "rounds": len(one.seconds),
-            }
-        )
-    return rows
-
-
-def show(materials: Sequence[Material], rows: Sequence[dict[str, Any]], cores: dict[str, float] | None) -> None:
-    """Print everything as one table."""
-    console = Console(width=130)
-    for material in materials:
-        average = material.size / material.beacons
-        console.print(
-            f"{material.name} repeated: {material.beacons} beacons, {material.size / 1e6:.0f} MB ({average:.0f} octets "
-            f"for each), profile {material.codec.profile.name}; one core"
-        )
-    table = Table("recording", "contender", "what")
-    for heading in ("beacons", "beacons/s", "µs/beacon", "columnar is × faster"):
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(
-            row["recording"],
-            row["contender"],
-            row["what"],
-            str(row["beacons"]),
-            f"{row['per_second']:,.0f}",
-            f"{row['us']:.3f}",
-            f"{row['columnar_is_times_faster']:.2f}",
-        )
-    console.print(table)
-    rate = {row["contender"]: row["per_second"] for row in rows if row["recording"] == materials[0].name}
-    for ours, theirs in (("scalar decode", "struct by hand, values"), ("scalar encode", "struct by hand, encode")):
-        if theirs in rate:
-            console.print(f"{ours}: {rate[theirs] / rate[ours]:.2f} times the time of {theirs}")
-    if cores is not None:
-        listed = ", ".join(f"{name} {ratio:.2f}" for name, ratio in cores.items())
-        console.print(f"two cores: times as fast as one (two files, two processes): {listed}")
 
 
 def main() -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
+from dcp_codec.capture.checksum import crc32
 from dcp_codec.capture.frame import Reason
 
 #: Octets of a chunk, packed or unpacked, that are held in memory; larger ones are passed over. Writers make
@@ -61,7 +61,7 @@ class Unpacker:
         if whole:
             if len(records) != size:
                 raise ChunkError("bad-compression", f"does not have the {size} octets unpacked that it claims")
-            if crc and zlib.crc32(records) != crc:
+            if crc and crc32(records) != crc:
                 raise ChunkError("bad-crc", "does not match its checksum")
         return Chunk(records, -1 if compression else start)
 

@@ -8,7 +8,6 @@ the stream here, where lengths can be checked against what there is; what a reco
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from typing import Never, TypeVar
@@ -21,6 +20,7 @@ from mcap.records import Channel, Metadata, Schema
 
 from dcp_codec.capture import rawframe
 from dcp_codec.capture.bytesource import READ_SIZE, ByteSource
+from dcp_codec.capture.checksum import crc32
 from dcp_codec.capture.frame import MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
 from dcp_codec.capture.linktypes import link_type_name
 from dcp_codec.capture.mcapchunk import MAX_CHUNK_LENGTH, ChunkError, Unpacker
@@ -83,7 +83,7 @@ class McapReader(CaptureReader):
 
     def _scan(self) -> Iterator[Frame | None]:
         """Frames, and None once, where the first channel that carries some is described."""
-        self._crc = zlib.crc32(self._source.take(len(MAGIC)))
+        self._crc = crc32(self._source.take(len(MAGIC)))
         try:
             while True:
                 yield from self._record()
@@ -106,7 +106,7 @@ class McapReader(CaptureReader):
                 self._damaged("zero-filled", offset, "only zeros, as after a power cut,")
             raise _End
         before = self._crc
-        self._crc = zlib.crc32(head, before)
+        self._crc = crc32(head, before)
         if opcode == Opcode.CHUNK and length <= MAX_CHUNK_LENGTH:
             yield from self._chunk(source.take(length), offset, length)
         elif opcode in _READ and length <= MAX_RECORD_LENGTH:
@@ -123,7 +123,7 @@ class McapReader(CaptureReader):
                 return
             else:
                 self._footer(content, offset)
-            self._crc = zlib.crc32(content, self._crc)
+            self._crc = crc32(content, self._crc)
         else:
             self._pass_over(opcode, offset, length)
 
@@ -147,7 +147,7 @@ class McapReader(CaptureReader):
         raise _End
 
     def _footer(self, content: bytes, offset: int) -> Never:
-        self._check(_FOOTER, content, zlib.crc32(content[: _FOOTER.size - 4], self._crc), "summary section", offset)
+        self._check(_FOOTER, content, crc32(content[: _FOOTER.size - 4], self._crc), "summary section", offset)
         source = self._source
         end = source.position
         magic = source.take(len(MAGIC))
@@ -207,7 +207,7 @@ class McapReader(CaptureReader):
             piece = self._source.take(min(left, READ_SIZE))
             if not piece:
                 self._truncated(opcode, offset, length, length - left)
-            self._crc = zlib.crc32(piece, self._crc)
+            self._crc = crc32(piece, self._crc)
             left -= len(piece)
 
     # What stands in records.
@@ -233,7 +233,7 @@ class McapReader(CaptureReader):
             if len(content) < length:
                 rest = f"{self._so_far()}, {self._frames_read - before} of them from that chunk"
                 self._truncated(Opcode.CHUNK, offset, length, len(content), rest)
-        self._crc = zlib.crc32(content, self._crc)
+        self._crc = crc32(content, self._crc)
 
     def _inside(self, records: bytes, base: int, *, whole: bool = True) -> Iterator[Frame | None]:
         """Take the records of a chunk; `base` is their offset in the file, -1 if they have none."""

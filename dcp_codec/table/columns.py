@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from .pools import Pool
 from .shape import Column, Table
+from .stage import item, row_size, table_layout
 
 Octets = npt.NDArray[np.uint8]
 _INTEGERS = {
@@ -66,37 +67,55 @@ def schema_of(table: Table) -> pa.Schema:
     return pa.schema([field for column in table.columns for field in arrow_fields(column)])
 
 
+class Memory(NamedTuple):
+    """Memory of a batch: that of each table, the columns in it, and octets of varying number by their column."""
+
+    tables: list[Octets]
+    columns: list[npt.NDArray[Any]]
+    octets: dict[int, Octets]
+
+
+class _Piece(NamedTuple):
+    """Memory, and the columns that lie in it by number."""
+
+    whole: Octets
+    parts: dict[int, npt.NDArray[Any]]
+
+    def unused(self) -> bool:
+        """Whether nobody looks at it."""
+        # An Arrow array refers to a view, and a view to the whole.
+        return sys.getrefcount(self.whole) <= _UNSHARED + len(self.parts)
+
+
 class Storage:
     """Memory for the columns of a decoder, used again when nobody looks at it any more.
 
     Fresh memory costs as much as filling it, and who streams batches to a file looks at two at a time at most.
     """
 
-    def __init__(self, columns: Sequence[Column]) -> None:
-        self._columns = columns
-        self._spare: dict[tuple[int, bool], list[npt.NDArray[Any]]] = {}
+    def __init__(self, tables: Sequence[Table]) -> None:
+        self._tables = tables
+        columns = (column for table in tables for column in table.columns)
+        self._varying = sorted(column.number for column in columns if column.kind in ("varying", "text"))
+        self._spare: dict[tuple[int, bool], list[_Piece]] = {}
         self._size = (0, 0)
 
-    def take(self, room: int, space: int) -> tuple[list[npt.NDArray[Any]], dict[int, Octets]]:
+    def take(self, rows: int, space: int) -> Memory:
         """For each column room for so many rows, and for those of varying octets space for so many of these."""
-        if self._size != (room, space):
+        if self._size != (rows, space):
             self._spare.clear()
-            self._size = room, space
-        values = [self._free((column.number, False), partial(storage, column, room)) for column in self._columns]
-        octets = {
-            column.number: self._free((column.number, True), partial(np.empty, space, np.uint8))
-            for column in self._columns
-            if column.kind in ("varying", "text")
-        }
-        return values, octets
+            self._size = rows, space
+        pieces = [self._free((table.number, False), partial(_table_memory, table, rows)) for table in self._tables]
+        octets = {number: self._free((number, True), partial(_octets_memory, space)).whole for number in self._varying}
+        parts = {number: part for piece in pieces for number, part in piece.parts.items()}
+        return Memory([piece.whole for piece in pieces], [parts[number] for number in sorted(parts)], octets)
 
-    def _free(self, key: tuple[int, bool], make: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
+    def _free(self, key: tuple[int, bool], make: Callable[[], _Piece]) -> _Piece:
         """Memory that nobody uses."""
         spare = self._spare.setdefault(key, [])
-        for index in range(len(spare)):
-            # An Arrow array refers to a view, and a view to the whole.
-            if sys.getrefcount(spare[index]) <= _UNSHARED:
-                return spare[index]
+        for piece in spare:
+            if piece.unused():
+                return piece
         if len(spare) == _SPARE:
             spare.pop(0)
         made = make()
@@ -104,22 +123,36 @@ class Storage:
         return made
 
 
-#: References to an array that only the list has: the list's, and that of asking.
+#: References to memory that only a piece has: its own, and that of asking.
 _UNSHARED = 2
-#: Batches that are copied together when rows are collected (``writing.Pile``).
-TOGETHER = 4
-#: Batches whose memory is remembered: the one being made, and those that wait to be copied.
-_SPARE = TOGETHER + 1
+#: Where rows are collected (``writing.Pile``), batches with few that are copied together, and with many that are kept.
+TOGETHER, KEPT = 4, 8
+#: Batches whose memory is remembered: the one being made, and those that wait.
+_SPARE = max(TOGETHER, KEPT) + 1
 
 
-def storage(column: Column, room: int) -> npt.NDArray[Any]:
-    """Memory for ``room`` values: integers (floats as their bits), octets, or the ends of octets of varying number."""
-    if column.kind == "octets":
-        return np.empty(room * column.size, np.uint8)
-    if column.kind in ("varying", "text"):
-        return np.empty(room + 1, np.int32)
-    signed = column.kind in ("address", "node", "time", "label") or column.signed or column.size == 8
-    return np.empty(room, np.dtype(f"{'i' if signed else 'u'}{column.size}"))
+def _table_memory(table: Table, rows: int) -> _Piece:
+    """Memory for ``rows`` rows: integers (floats as their bits), octets, ends of octets of varying number."""
+    starts, size = table_layout(table, rows)
+    whole = _fresh(size)
+    parts: dict[int, npt.NDArray[Any]] = {}
+    for column in table.columns:
+        start = starts[column.number]
+        part = whole[start : start + (rows + 1) * row_size(column)]
+        part = part.view(item(column))
+        if column.kind in ("varying", "text"):
+            part[0] = 0
+        parts[column.number] = part
+    return _Piece(whole, parts)
+
+
+def _octets_memory(space: int) -> _Piece:
+    return _Piece(_fresh(space), {})
+
+
+def _fresh(size: int) -> Octets:
+    """Memory of the system's: others ask for huge pages, of which columns with few rows would fill a little each."""
+    return np.frombuffer(pa.allocate_buffer(size, pa.system_memory_pool()), np.uint8)
 
 
 def arrow_arrays(

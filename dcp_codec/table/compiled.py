@@ -11,7 +11,7 @@ import hashlib
 import linecache
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from . import native
+from .jit import OPTIONS
 from .kernel import kernel_source
 from .shape import Shape
 
@@ -32,24 +33,28 @@ _HEAD = '''\
 import numpy as np
 from numba import njit
 
-from dcp_codec.table.native import intern, locate
+from dcp_codec.table.jit import OPTIONS
+from dcp_codec.table.native import intern, locate, move
 
 I64, U64 = np.int64, np.uint64
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, **OPTIONS)
 '''
+
+
+#: What the generated source calls.
+_HELPERS: Mapping[str, Any] = {"intern": native.intern, "locate": native.locate, "move": native.move}
 
 
 def interpreted(shape: Shape) -> Decode:
     """The columnar decoder as plain Python: hundreds of times slower, and nothing to compile."""
-    helpers: tuple[Any, Any] = native.intern, native.locate
-    return _function(kernel_source(shape), *(helper.py_func for helper in helpers))
+    return _function(kernel_source(shape), {name: helper.py_func for name, helper in _HELPERS.items()})
 
 
-def _function(text: str, intern: Any, locate: Any) -> Decode:
-    """The function of a source that needs these two."""
-    namespace: dict[str, Any] = {"I64": np.int64, "U64": np.uint64, "intern": intern, "locate": locate}
+def _function(text: str, helpers: Mapping[str, Any]) -> Decode:
+    """The function of a source that needs these helpers."""
+    namespace: dict[str, Any] = {"I64": np.int64, "U64": np.uint64, **helpers}
     filename = f"<dcp_codec table {hashlib.sha256(text.encode()).hexdigest()[:12]}>"
     linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)
     exec(compile(text, filename, "exec"), namespace)  # noqa: S102 - as dcp_codec.source does
@@ -60,11 +65,12 @@ def _function(text: str, intern: Any, locate: Any) -> Decode:
 def compiled(shape: Shape) -> Decode:
     """The columnar decoder as machine code; compiled when it is first called, unless an earlier process did it."""
     text = kernel_source(shape)
-    helpers = Path(native.__file__).read_bytes()
+    # What the machine code depends on, and Numba does not look at.
+    helpers = Path(native.__file__).read_bytes() + repr(OPTIONS).encode()
     digest = hashlib.sha256(text.encode() + helpers + numba.__version__.encode()).hexdigest()[:20]
     folder = cache_folder()
     if folder is None:
-        anew: Decode = njit(nogil=True)(_function(text, native.intern, native.locate))
+        anew: Decode = njit(**OPTIONS)(_function(text, _HELPERS))
         return anew
     path = folder / f"columns_{digest}.py"
     wanted = _HEAD + text

@@ -17,17 +17,18 @@ from dcp_codec.jsonform import node_id_text
 from dcp_codec.layout import walk
 from dcp_codec.plan import Group, Scalar
 
-from .columns import IDENTIFIER, TIME, Storage, arrow_arrays, schema_of
+from .columns import IDENTIFIER, TIME, Memory, Storage, arrow_arrays, schema_of
 from .compiled import compiled, interpreted
 from .kernel import result_names
 from .kernellines import DONE, FULL, POOL_FULL
 from .pools import Pool
 from .shape import ERRORS, Shape
+from .stage import MOVED, OF_A_FRAME, Stage
 
 Integers = npt.NDArray[np.int64]
 
 #: Rows of a table, and octets of a column of varying octets, that a batch holds at most (unless one frame has more).
-ROOM, SPACE = 1 << 18, 1 << 22
+ROOM, SPACE = 1 << 19, 1 << 22
 
 ERRORS_SCHEMA = pa.schema(
     [
@@ -88,9 +89,15 @@ class ColumnDecoder:
         self.link = link or codec.profile.link
         self.shape = Shape(codec.beacon_plan)
         self.schemas = {table.name: schema_of(table) for table in self.shape.tables} | {ERRORS: ERRORS_SCHEMA}
+        self._none = {
+            name: pa.RecordBatch.from_arrays([pa.array([], field.type) for field in schema], schema=schema)
+            for name, schema in self.schemas.items()
+        }
         self._decode = interpreted(self.shape) if interpret else compiled(self.shape)
         self._room, self._space = room, space
-        self._storage = Storage(self.shape.columns)
+        self._moved = min(MOVED, room)
+        self._stage = self._stage_for(OF_A_FRAME)
+        self._storage = Storage(self.shape.tables)
         self._results = np.zeros(len(result_names(self.shape)), np.int64)
         self._addresses = Pool(6, mac)
         types = codec.profile.types
@@ -100,24 +107,24 @@ class ColumnDecoder:
 
     def batches(self, block: Block) -> Iterator[Batch]:
         """Decode a block. Its buffer is not used any more when the iteration has ended."""
-        first, room, space, fresh = 0, self._room, self._space, False
+        first, space, stage, fresh = 0, self._space, self._stage, False
         while first < block.frames:
-            memory, octets = self._storage.take(room + 1, space)
+            memory = self._storage.take(stage.capacity, space)
             bad = np.empty(block.frames - first, np.int64)
-            after, status = self._call(block, first, room, space, memory, octets, bad)
+            after, status = self._call(block, first, space, stage, memory, bad)
             moved = after > first
             if moved:
-                made = self._batch(block, first, after, memory, octets, bad)
+                made = self._batch(block, first, after, memory, bad)
                 # Whoever takes the batch is alone with its memory, or Storage could not tell when it is free.
-                del memory, octets
+                del memory
                 yield made
                 del made
                 first = after
-                room, space = self._room, self._space
+                space, stage = self._space, self._stage
             elif status == FULL:
                 # One frame that is larger than everything: the next one has the usual room again.
                 size = int(block.stops[first] - block.starts[first])
-                room, space = max(room, size + 1), max(space, size)
+                space, stage = max(space, size), self._stage_for(size)
             if status == POOL_FULL:
                 # Fresh ones; larger ones if not even one frame fits into those.
                 grow = fresh and not moved
@@ -127,15 +134,12 @@ class ColumnDecoder:
                 assert status in (DONE, FULL)
             fresh = status == POOL_FULL
 
+    def _stage_for(self, octets: int) -> Stage:
+        """A stage for frames of so many octets."""
+        return Stage(self.shape, max(octets, OF_A_FRAME), self._moved, self._room)
+
     def _call(
-        self,
-        block: Block,
-        first: int,
-        room: int,
-        space: int,
-        memory: list[npt.NDArray[Any]],
-        octets: dict[int, npt.NDArray[np.uint8]],
-        bad: Integers,
+        self, block: Block, first: int, space: int, stage: Stage, memory: Memory, bad: Integers
     ) -> tuple[int, int]:
         addresses, nodes, link = self._addresses, self._nodes, self.link
         udp = link.transport == "udp"
@@ -152,8 +156,12 @@ class ColumnDecoder:
             block.frames,
             udp,
             -1 if kind is None else kind,
-            room,
+            self._room,
             space,
+            stage.rows,
+            stage.moved,
+            *stage.items,
+            stage.moves,
             addresses.slots,
             addresses.keys,
             addresses.many,
@@ -164,36 +172,31 @@ class ColumnDecoder:
             nodes.many,
             self._results,
             bad,
-            *memory,
-            *octets.values(),
+            *memory.tables,
+            *memory.octets.values(),
         )
         tables = len(self.shape.tables)
         addresses.many, nodes.many = int(self._results[tables]), int(self._results[tables + 1])
         return result
 
-    def _batch(
-        self,
-        block: Block,
-        first: int,
-        after: int,
-        memory: list[npt.NDArray[Any]],
-        octets: dict[int, npt.NDArray[np.uint8]],
-        bad: Integers,
-    ) -> Batch:
+    def _batch(self, block: Block, first: int, after: int, memory: Memory, bad: Integers) -> Batch:
         shape, results = self.shape, self._results.tolist()
+        octets, columns = memory.octets, memory.columns
         used = dict(zip(octets, results[len(shape.tables) + 4 :], strict=True))
         malformed, other = results[len(shape.tables) + 2 : len(shape.tables) + 4]
-        tables = {}
+        tables = dict(self._none)
         for table in shape.tables:
+            rows = results[table.number]
+            if not rows:
+                continue
             arrays: list[pa.Array] = []
             for column in table.columns:
                 pool = {"address": self._addresses, "node": self._nodes}.get(column.kind)
                 number = column.number
-                arrays += arrow_arrays(
-                    column, results[table.number], memory, octets.get(number), used.get(number, 0), pool
-                )
+                arrays += arrow_arrays(column, rows, columns, octets.get(number), used.get(number, 0), pool)
             tables[table.name] = pa.RecordBatch.from_arrays(arrays, schema=self.schemas[table.name])
-        tables[ERRORS] = self._errors(block, bad[:malformed])
+        if malformed:
+            tables[ERRORS] = self._errors(block, bad[:malformed])
         return Batch(tables, after - first, malformed, other)
 
     # -- what is wrong ----------------------------------------------------------------------------------------

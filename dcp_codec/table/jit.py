@@ -7,6 +7,10 @@ from typing import Any, TypeVar, cast
 
 from numba import njit
 
+#: Other threads may run. References to arrays are not counted, which took up to a fifth of the time: a function has to
+#: make do with the arrays that it is given.
+OPTIONS: dict[str, Any] = {"nogil": True, "_nrt": False}
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -17,9 +21,9 @@ def machine(function: _Function) -> _Function:
     It is for arguments of one kind: processes that keep machine code for several at once mix them up.
     """
     try:
-        compiled: Any = njit(cache=True, nogil=True)(function)
+        compiled: Any = njit(cache=True, **OPTIONS)(function)
     except RuntimeError:
-        compiled = njit(nogil=True)(function)
+        compiled = njit(**OPTIONS)(function)
     return cast(_Function, compiled)
 
 

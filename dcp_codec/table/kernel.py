@@ -15,6 +15,7 @@ from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar,
 
 from .kernellines import DONE, FULL, POOL_FULL, KernelLines
 from .shape import OCTETS, Column, Shape, Table
+from .stage import ITEMS, item, places
 
 #: What the function is given before the columns, in this order.
 PARAMETERS = (
@@ -22,7 +23,9 @@ PARAMETERS = (
     "starts", "stops", "numbers", "times", "lengths", "interfaces",  # of each frame
     "first", "count",  # which of them
     "udp", "kind",  # whether beacons are in UDP, and the port or EtherType
-    "room", "space",  # rows that each table has, octets that each column of varying octets has
+    "room", "space",  # rows after which a batch ends, octets that each column of varying octets has
+    "high", "moved",  # rows that the stage has, and after which those of a table are moved
+    *ITEMS, "moves",  # the stage and what to move, see stage.py
     "a_slots", "a_keys", "a_many",  # pool of addresses
     "n_slots", "n_keys", "n_ends", "n_arena", "n_many",  # pool of node identifiers
     "rows",  # for results: rows of each table, then the pools' sizes, malformed, other traffic, octets of each column
@@ -240,7 +243,7 @@ class _Generator(KernelLines):
         self.put(column, row, str(index))
         for other, absent in enumerate(own):
             if absent is not None and other != index:
-                self.add(f"c{absent.number}[U64({row} + 1)] = m{absent.number}")
+                self.put(absent, row, f"m{absent.number}")
         self.node(case, row, end, scope)
 
     def many(self, node: Many, end: str, scope: _Scope) -> None:
@@ -273,15 +276,19 @@ def kernel_source(shape: Shape) -> str:
     add, block = generator.add, generator.block
     varying = [column for column in shape.columns if column.kind in ("varying", "text")]
     tables = shape.tables
-    columns = ", ".join(f"c{column.number}" for column in shape.columns)
+    targets = ", ".join(f"t{table.number}" for table in tables)
     octets = "".join(f", d{column.number}" for column in varying)
-    signature = f"decode({', '.join(PARAMETERS)}, {columns}{octets})"
+    signature = f"decode({', '.join(PARAMETERS)}, {targets}{octets})"
     add("a_mask, a_most = I64(a_slots.size - 1), I64(a_keys.size)")
     add("n_mask, n_most = I64(n_slots.size - 1), I64(n_keys.size)")
+    before = places(shape.columns)
+    for column in shape.columns:
+        add(f"at{column.number} = {before[column.number] // int(item(column)[1])} * high")
+    # Rows in the stage, and rows that were moved.
     add(f"{' = '.join(f'r{table.number}' for table in tables)} = I64(0)")
+    add(f"{' = '.join(f'n{table.number}' for table in tables)} = I64(0)")
     for column in varying:
         add(f"m{column.number} = I64(0)")
-        add(f"c{column.number}[0] = 0")
     add("malformed = other = I64(0)")
     add(f"status = {DONE}")
     add("i = first")
@@ -291,14 +298,9 @@ def kernel_source(shape: Shape) -> str:
             add("other += 1")
             add("i += 1")
             add("continue")
-        # No record and no value can be more than the octets that are left.
-        full = [f"r{table.number} + e - o >= room" for table in tables]
-        full += [f"m{column.number} + e - o > space" for column in varying]
-        with block(f"if {' or '.join(full)}:"):
-            add(f"status = {FULL}")
-            add("break")
+        _make_room(generator, varying)
         for table in tables:
-            add(f"t{table.number} = r{table.number}")
+            add(f"was{table.number} = r{table.number}")
         for column in varying:
             add(f"u{column.number} = m{column.number}")
         add("number, time, bad_now = numbers[i], times[i], 1")
@@ -307,7 +309,7 @@ def kernel_source(shape: Shape) -> str:
             _beacon(generator)
         with block("if bad_now != 0:"):
             for table in tables:
-                add(f"r{table.number} = t{table.number}")
+                add(f"r{table.number} = was{table.number}")
             for column in varying:
                 add(f"m{column.number} = u{column.number}")
             with block(f"if bad_now == {POOL_FULL}:"):
@@ -316,6 +318,8 @@ def kernel_source(shape: Shape) -> str:
             add("bad[malformed] = i")
             add("malformed += 1")
         add("i += 1")
+    for table in tables:
+        _move(generator, table)
     for place, value in enumerate(result_names(shape)):
         add(f"rows[{place}] = {value}")
     add("return i, status")
@@ -325,7 +329,37 @@ def kernel_source(shape: Shape) -> str:
 def result_names(shape: Shape) -> list[str]:
     """What ``rows`` holds when the function returns, by the names of its variables."""
     varying = [f"m{column.number}" for column in shape.columns if column.kind in ("varying", "text")]
-    return [*(f"r{table.number}" for table in shape.tables), "a_many", "n_many", "malformed", "other", *varying]
+    return [*(f"n{table.number}" for table in shape.tables), "a_many", "n_many", "malformed", "other", *varying]
+
+
+def _make_room(generator: _Generator, varying: list[Column]) -> None:
+    """See to it that a frame fits; leave the loop over frames where a batch is full."""
+    add, block, tables = generator.add, generator.block, generator.shape.tables
+    # No record and no value can be more than the octets that are left.
+    add("most = e - o")
+    # Of the numbers of rows none is greater than all of them or-ed.
+    any_rows = " | ".join(f"r{table.number}" for table in tables)
+    over = [f"m{column.number} + most > space" for column in varying]
+    with block(f"if {' or '.join([f'({any_rows}) >= moved', 'most > high - moved', *over])}:"):
+        with block(f"if {' or '.join(['most > high', *over])}:"):
+            add(f"status = {FULL}")
+            add("break")
+        add("least = 1 if most > high - moved else moved")
+        for table in tables:
+            with block(f"if r{table.number} >= least:"):
+                _move(generator, table)
+        with block(f"if {' or '.join(f'n{table.number} >= room' for table in tables)}:"):
+            add(f"status = {FULL}")
+            add("break")
+
+
+def _move(generator: _Generator, table: Table) -> None:
+    """Move the rows of a table from the stage to its columns."""
+    number = table.number
+    begin = sum(len(other.columns) for other in generator.shape.tables[:number])
+    generator.add(f"move(u1, r{number}, t{number}, n{number}, moves, {begin}, {begin + len(table.columns)})")
+    generator.add(f"n{number} += r{number}")
+    generator.add(f"r{number} = 0")
 
 
 def _beacon(generator: _Generator) -> None:

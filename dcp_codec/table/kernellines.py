@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dcp_codec.plan import Scalar
 
 from .shape import Column
+from .stage import item
 
 #: Why the function returned: all frames are done, a table is full, or a pool of identifiers is full.
 DONE, FULL, POOL_FULL = 0, 2, 3
@@ -94,27 +95,32 @@ class KernelLines:
     def put(self, column: Column | None, row: str, value: str) -> None:
         """Put a number into a column, if there is one."""
         if column is not None:
-            self.add(f"c{column.number}[U64({row})] = {value}")
+            self.add(f"{self.place(column, row)} = {value}")
+
+    @staticmethod
+    def place(column: Column, row: str) -> str:
+        """Where the stage holds the value of a column in a row; of varying octets where they end."""
+        return f"{item(column)}[U64(at{column.number} + {row})]"
 
     def put_octets(self, column: Column, row: str, at: str, size: int) -> None:
         """Put ``size`` octets into a column of octets."""
         place = self.fresh("q")
-        self.add(f"{place} = {row} * {size}")
+        self.add(f"{place} = at{column.number} + {row} * {size}")
         if size <= SHORT:
             for index in range(size):
-                self.add(f"c{column.number}[U64({place} + {index})] = b[U64({at} + {index})]")
+                self.add(f"u1[U64({place} + {index})] = b[U64({at} + {index})]")
         else:
             step = self.fresh("i")
             with self.block(f"for {step} in range({size}):"):
-                self.add(f"c{column.number}[U64({place} + {step})] = b[U64({at} + {step})]")
+                self.add(f"u1[U64({place} + {step})] = b[U64({at} + {step})]")
 
     def put_varying(self, column: Column, row: str, at: str, size: str) -> None:
-        """Append ``size`` octets to a column of varying ones; offsets are those of the ends, after a leading 0."""
+        """Append ``size`` octets to a column of varying ones."""
         number, index = column.number, self.fresh("i")
         with self.block(f"for {index} in range({size}):"):
             self.add(f"d{number}[U64(m{number} + {index})] = b[U64({at} + {index})]")
         self.add(f"m{number} += {size}")
-        self.add(f"c{number}[U64({row} + 1)] = m{number}")
+        self.put(column, row, f"m{number}")
 
     def intern(self, pool: str, at: str, size: int, target: str) -> None:
         """Turn ``size`` <= 8 octets into their number in a pool."""

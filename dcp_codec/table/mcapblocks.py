@@ -24,6 +24,7 @@ class McapBlocks(McapReader):
     def __init__(self, source: ByteSource, link_types: frozenset[int], frames: int) -> None:
         self._most = frames
         self._channels = np.zeros(_CHANNELS, np.uint8)
+        self._fields = np.zeros(6, np.int64)
         self._known = (0, 0)
         self._count = self._used = 0
         self._begin(0)
@@ -62,7 +63,7 @@ class McapBlocks(McapReader):
         while True:
             before = self._count
             position, self._count, self._used, why = walk_messages(
-                octets, position, self._kinds(), self._count, self._used, self._buffer, *self._arrays
+                octets, position, self._kinds(), self._fields, self._count, self._used, self._buffer, *self._arrays
             )
             if self._count > before:
                 self._number = int(self._arrays[2][self._count - 1])

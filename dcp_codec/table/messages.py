@@ -50,9 +50,14 @@ _WORDS = np.array(
 _FIRST = np.cumsum([0, *map(len, _PLACES)]).astype(np.int64)
 _QUOTE, _BRACE = _PARTS[-1]
 _DIGITS = np.array([10, 9, 18, 9, 9, 9], np.int64)
-_NO_DIGIT = 255
-_BASE64 = np.full(256, _NO_DIGIT, np.uint8)
-_BASE64[np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8)] = np.arange(64)
+# Of each octet in each of the four places of a group of base64 the bits that it stands for, of others one more.
+_NO_DIGIT = 1 << 24
+_BASE64 = np.full((4, 256), _NO_DIGIT, np.uint32)
+_ALPHABET = np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/", np.uint8)
+for _place in range(4):
+    _BASE64[_place, _ALPHABET] = np.arange(64) << (18 - 6 * _place)
+_BITS = _BASE64.reshape(-1)
+_EQUALS = 61
 
 
 @helper
@@ -87,36 +92,52 @@ def _number(b: Any, at: int, stop: int, most: int) -> tuple[int, int]:
 
 
 @machine
+def _group(b: Any, at: int) -> Any:
+    """The 24 bits of four characters of base64; ``_NO_DIGIT`` or more if one of them is none."""
+    w, x = _I64(_BITS[_U64(b[_U64(at)])]), _I64(_BITS[_U64(b[_U64(at + 1)]) + _U64(256)])
+    y, z = _I64(_BITS[_U64(b[_U64(at + 2)]) + _U64(512)]), _I64(_BITS[_U64(b[_U64(at + 3)]) + _U64(768)])
+    return w | x | y | z
+
+
+@machine
+def _filled(b: Any, at: int, filled: int) -> Any:
+    """As :func:`_group` for one whose last characters say nothing."""
+    bits = _I64(_BITS[_U64(b[_U64(at)])]) | _I64(_BITS[_U64(b[_U64(at + 1)]) + _U64(256)])
+    return bits if filled == 2 else bits | _I64(_BITS[_U64(b[_U64(at + 2)]) + _U64(512)])
+
+
+@machine
 def _unpack(b: Any, at: int, stop: int, out: Any, used: int) -> Any:
-    """Decode base64 to ``out[used:]``; returns how many octets, -1 for what is not in its plainest form."""
-    size = stop - at
-    if size % 4:
+    """Decode base64 to ``out[used:]``; returns how many octets, -1 for what is not in its plainest form.
+
+    ``out`` has room for as many octets as there are characters; what lies behind those that count is anything.
+    """
+    if (stop - at) % 4:
         return _I64(-1)
-    start = used
+    start, seen = used, _I64(0)
+    while stop - at > 8:
+        first, second = _group(b, at), _group(b, at + 4)
+        seen |= first | second
+        bits = (first << 40) | (second << 16)
+        # Eight at once are one store.
+        for i in range(8):
+            out[_U64(used + i)] = (bits >> (56 - 8 * i)) & 0xFF
+        used += 6
+        at += 8
+    if seen >= _NO_DIGIT:
+        return _I64(-1)
     while at < stop:
-        w, x = _I64(_BASE64[b[_U64(at)]]), _I64(_BASE64[b[_U64(at + 1)]])
-        y, z = _I64(_BASE64[b[_U64(at + 2)]]), _I64(_BASE64[b[_U64(at + 3)]])
-        if (w | x | y | z) < 64:
-            bits = (w << 18) | (x << 12) | (y << 6) | z
-            out[_U64(used)] = bits >> 16
-            out[_U64(used + 1)] = (bits >> 8) & 0xFF
-            out[_U64(used + 2)] = bits & 0xFF
-            used += 3
-            at += 4
-            continue
         # Only the last group may be filled up with "=", and bits that are no octets are 0.
-        if at + 4 != stop or (w | x) >= 64 or b[_U64(at + 3)] != 61:
+        filled = _I64(0)
+        if at + 4 == stop and b[_U64(at + 3)] == _EQUALS:
+            filled = _I64(2) if b[_U64(at + 2)] == _EQUALS else _I64(1)
+        bits = _group(b, at) if filled == 0 else _filled(b, at, filled)
+        if bits >= _NO_DIGIT or bits & ((1 << (8 * filled)) - 1):
             return _I64(-1)
-        if b[_U64(at + 2)] == 61:
-            if x & 0x0F:
-                return _I64(-1)
-            out[_U64(used)] = ((w << 2) | (x >> 4)) & 0xFF
-            return used + 1 - start
-        if y >= 64 or y & 0x03:
-            return _I64(-1)
-        out[_U64(used)] = ((w << 2) | (x >> 4)) & 0xFF
-        out[_U64(used + 1)] = ((x << 4) | (y >> 2)) & 0xFF
-        return used + 2 - start
+        for i in range(3 - filled):
+            out[_U64(used + i)] = (bits >> (16 - 8 * i)) & 0xFF
+        used += 3 - filled
+        at += 4
     return used - start
 
 
@@ -125,6 +146,7 @@ def walk_messages(
     b: Any,
     position: int,
     channels: Any,
+    fields: Any,
     count: int,
     used: int,
     buffer: Any,
@@ -138,10 +160,9 @@ def walk_messages(
     """Take the messages of the records ``b[position:]`` into a block that has ``count`` frames and ``used`` octets.
 
     ``channels`` says of each channel what it is. Returns the position of the first record that was not taken, the new
-    ``count`` and ``used``, and why the walk ended.
+    ``count`` and ``used``, and why the walk ended. ``fields`` has room for the six numbers of a message.
     """
     end = _I64(b.size)
-    fields = np.empty(6, np.int64)
     while end - position >= _HEAD:
         start = position + _HEAD
         length = _little(b, position + 1, 8)

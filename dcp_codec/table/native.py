@@ -93,3 +93,16 @@ def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: 
     ends[_U64(many + 1)] = start + size
     slots[_U64(place)] = many
     return many
+
+
+@machine
+def move(stage: Any, rows: int, target: Any, done: int, moves: Any, begin: int, end: int) -> None:
+    """Append the first ``rows`` rows of the columns ``moves[begin:end]`` to the ``done`` rows that they have.
+
+    Of each column ``moves`` says where it starts in the ``stage`` and in the ``target``, and the octets of a row.
+    """
+    for column in range(begin, end):
+        size = moves[column, 2]
+        at, to = moves[column, 0], moves[column, 1] + done * size
+        for i in range(rows * size):
+            target[_U64(to + i)] = stage[_U64(at + i)]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .mcapblocks import McapBlocks
 
 #: Frames, and octets of the file, that one block holds at most.
-FRAMES, SPAN = 1 << 15, 1 << 24
+FRAMES, SPAN = 1 << 16, 1 << 24
 #: Frames that are collected into one block where they come one by one.
 _COLLECTED = 1 << 13
 #: Blocks of a pcapng file that may be unusual, more than there are usual ones, before it is read block by block.
@@ -110,7 +110,7 @@ class Recording:
         nothing = np.zeros(self._frames, np.int64)
         while True:
             arrays = _arrays(5, self._frames)
-            count, after = walk_pcap(
+            count, after, _ = walk_pcap(
                 octets, position, big, scale, limit, number, self._frames, self._span, *arrays
             )  # fmt: skip
             if not count:
@@ -178,7 +178,8 @@ class Recording:
 
 
 def _arrays(many: int, size: int) -> list[Integers]:
-    return [np.empty(size, np.int64) for _ in range(many)]
+    # In one piece: memory that is let go and asked for again at once has to be fetched anew if it is in small ones.
+    return list(np.empty((many, size), np.int64))
 
 
 class _Passed:

@@ -17,6 +17,8 @@ _I64: Any = np.int64
 _U64: Any = np.uint64
 _SECOND = 1_000_000_000
 _RECORD = 16
+#: Octets that are fetched from memory ahead of the walk.
+_AHEAD = 4096
 
 
 @machine
@@ -41,17 +43,19 @@ def walk_pcap(
     numbers: Any,
     times: Any,
     lengths: Any,
-) -> tuple[int, int]:
+) -> tuple[int, int, int]:
     """Up to ``most`` records, and about ``span`` octets, of a pcap file from ``position``, behind frame ``number``.
 
-    Returns how many, and the position behind them.
+    Returns how many, the position behind them, and something of no meaning.
     """
-    count = _I64(0)
+    count, seen = _I64(0), _I64(0)
     size = _I64(b.size)
     last = position + span
     while count < most and position < last:
         if size - position < _RECORD:
             break
+        # Where the next record starts is known when this one was read from memory; so that this has begun before.
+        seen |= _I64(b[_U64(min(position + _AHEAD, size - 1))])
         captured = word(b, position + 8, big)
         length = word(b, position + 12, big)
         body = position + _RECORD
@@ -68,7 +72,7 @@ def walk_pcap(
         lengths[_U64(count)] = max(length, captured)
         count += 1
         position = body + captured
-    return count, position
+    return count, position, seen
 
 
 #: Columns of the description of interfaces that :func:`walk_pcapng` is given: one row for each of the section.

@@ -23,6 +23,7 @@ from dcp_codec.table.compiled import cache_folder
 from dcp_codec.table.jit import machine
 from dcp_codec.table.pools import Pool
 from dcp_codec.table.sources import packed
+from dcp_codec.table.stage import MOVED, OF_A_FRAME
 from dcp_codec.table.writing import ParquetTable
 
 
@@ -100,6 +101,22 @@ def test_a_frame_with_more_identifiers_than_a_pool_holds(reference, rows, differ
     frames = [*senders(3), Frame(4, 4, data, len(data)), *senders(2)]
     found = tables(decoder.batches(packed(frames, 0)))
     assert found["creates"].num_rows == 40
+    assert differ({name: rows(table) for name, table in found.items()}, reference(codec, frames)) == []
+
+
+def test_frames_with_more_rows_than_the_stage_has(reference, rows, differ):
+    """Such a frame is given a stage of its own, wherever it stands, and what was decoded before it is not lost."""
+    codec = get_codec("cpp-2.0")
+    container = b"\x03\xff" + bytes(range(255)) * 2
+    payload = container * 20
+    block = b"\0\x02" + len(payload).to_bytes(2, "big") + payload
+    beacon = b"\x01\x49\x7e\2\0\0\0\0\x63\x11\x11" + len(block).to_bytes(2, "big") + b"\1\0\0\0\0" + block
+    data = bytes(12) + b"\x49\x53" + beacon
+    frames = senders(7)
+    for number in (3, 4, 7):
+        frames[number - 1] = Frame(number, number, data, len(data))
+    found = tables(ColumnDecoder(codec).batches(packed(frames, 0)))
+    assert found["req_updates"].num_rows == 3 * 20 * 255 > 3 * (OF_A_FRAME + MOVED)
     assert differ({name: rows(table) for name, table in found.items()}, reference(codec, frames)) == []
 
 
