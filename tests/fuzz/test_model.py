@@ -216,6 +216,14 @@ def test_a_payload_that_found_no_room_beside_a_report_is_older_than_others():
     assert effect is None
 
 
+def test_what_a_variable_was_before_many_updates_is_not_remembered_and_nothing_said_of_it_is_wrong():
+    create = {"varId": 1, "repCnt": 15, "descr": "own", "value": "00"}
+    updates = [Call("RTDB-Update", {"varId": 1, "value": f"{number:02x}"}) for number in range(80)]
+    before: list[Step] = [Call("RTDB-Create", create), Call("RTDB-Delete", {"varId": 1}), Wait(0.5)]
+    effect = StackTarget(CODEC).run([*before, Call("RTDB-Create", create), *updates, Wait(3.0)])
+    assert effect is None
+
+
 def test_who_has_too_much_to_say_may_be_late():
     rng = random.Random(1)
     target = StackTarget(CODEC)

@@ -16,7 +16,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord, VarSpec
 
-from .knowledge import Complaint, Owed, State, Variable, Version
+from .knowledge import VERSIONS, Complaint, Owed, State, Variable, Version
 from .model import DELETION, Model, key_of
 from .repetitions import Key
 
@@ -128,6 +128,9 @@ class Oracle(Model):
         exhausted: bool,
     ) -> Iterator[Complaint]:
         versions = self._since(variable, composed)
+        if len(versions) == VERSIONS:
+            # What it was when the payload was composed may be forgotten.
+            return
         if kind is _CREATE_REQUESTS or kind is _UPDATE_REQUESTS:
             yield from self._judge_request(kind, variable, var_id, seqno, versions, frame)
             return
