@@ -39,6 +39,7 @@ bench-columns: $(STAMP)
 
 # Mutated beacons and sequences a second, in process, by two workers, and against a live node on both links.
 bench-fuzz: $(STAMP)
+	$(BIN)/python benchmarks/fuzz.py
 	$(BIN)/python benchmarks/fuzz.py --jobs 2
 	$(BIN)/python benchmarks/fuzz.py --live
 
