@@ -44,6 +44,12 @@ CHOSEN = (
     "M-VD-PS-04-number-taken", "M-VD-DB-02-forgets",
     # They say what they should not.
     "M-VD-CMP-06-one-more", "M-VD-PC-08-updateQ", "M-VD-PD-04-createQ", "M-VD-SCP-01-summary-copied",
+    # They keep silent where they have to speak.
+    "M-VD-PS-03-not-taught", "M-VD-PS-04-not-requested", "M-VD-RU-01-ignored", "M-VD-RU-04-consumer-silent",
+    "M-VD-RC-03-consumer-silent", "M-VD-DEL-05-silent", "M-VD-CRE-12-only-summarised",
+    # Their services do what they must not.
+    "M-VD-CRE-02-foreign", "M-VD-UPD-02-creates", "M-VD-UPD-03-foreign", "M-VD-UPD-07-wraps-early", "M-VD-DEL-02-ok",
+    "M-VD-DEL-03-foreign", "M-VD-REA-03-deleted", "M-VD-REA-04-first-value",
 )  # fmt: skip
 
 #: Where the others are whose fault can show.
