@@ -216,6 +216,18 @@ def test_a_payload_that_found_no_room_beside_a_report_is_older_than_others():
     assert effect is None
 
 
+def test_an_own_variable_may_have_been_requested_while_it_was_in_doubt():
+    codec = Codec("dcp-1.0")
+    forge, target = Forge(codec), StackTarget(codec)
+    request = Frame(forge.beacon(PEER, 1, [forge.vardis(VarReqCreate(2))]))
+    own = Call("RTDB-Create", {"varId": 2, "repCnt": 2, "descr": "own", "value": "00"})
+    update = Call("RTDB-Update", {"varId": 2, "value": "01"})
+    # Whoever goes on behind what is wrong may take the 2 for something about the variable.
+    doubtful = Frame(request.octets[:2] + b"\2")
+    effect = target.run([own, Wait(2.5), doubtful, request, Wait(0.5), update, Wait(4.0)])
+    assert effect is None
+
+
 def test_what_a_variable_was_before_many_updates_is_not_remembered_and_nothing_said_of_it_is_wrong():
     create = {"varId": 1, "repCnt": 15, "descr": "own", "value": "00"}
     updates = [Call("RTDB-Update", {"varId": 1, "value": f"{number:02x}"}) for number in range(80)]

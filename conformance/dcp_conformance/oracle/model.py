@@ -220,7 +220,12 @@ class Model:
     def _own_alive(self, var_id: int, time: int) -> Variable:
         """A variable that the node has just shown to be alive and its own, so that nobody else has changed it."""
         variable = self._variable(var_id)
-        if variable.now.state == "alive" and self._own(variable.now):
+        known = variable.now
+        if known.state == "alive" and self._own(known):
+            if variable.uncertain and known.spec is not None:
+                # It may have been requested meanwhile.
+                variable.repetitions.clear()
+                variable.repetitions.arm((_CREATES, 0), known.spec.rep_cnt, time)
             self._regain(variable, time)
         return variable
 
