@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -108,7 +108,7 @@ def _line(status: dict[str, Any], rates: Rates) -> str:
 
 
 def view(status: dict[str, Any], rates: Rates, width: int) -> RenderableType:
-    """The whole view in ``width`` columns, 80 or more."""
+    """The whole view in ``width`` columns; with fewer than 80, the tables have fewer columns."""
     from rich.console import Group
 
     rates.look()
@@ -129,8 +129,9 @@ def _table(
     *,
     right: tuple[int, ...],
     give: tuple[int, ...],
+    spare: tuple[int, ...],
 ) -> Table:
-    """A table no wider than ``width``, if the columns ``give`` can be cut so far.
+    """A table no wider than ``width``: the columns ``give`` are cut, then those in ``spare`` left out, first one first.
 
     ``rows`` are cells, and whether they are of less interest.
     """
@@ -144,14 +145,29 @@ def _table(
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
-    for number, header in enumerate(headers):
-        table.add_column(header, justify="right" if number in right else "left", no_wrap=True, overflow="ellipsis")
-    # Left to itself, rich narrows all columns alike, and short numbers disappear. Behind each it needs two places.
+    # Left to itself, rich narrows all columns alike, and short numbers disappear.
     natural = [max(map(len, cells)) for cells in zip(headers, *(row for row, _ in rows), strict=True)]
-    widths = fitted(natural, width - 2 * len(headers) - 1, give)
+    kept, widths = _columns_that_fit(natural, width, give, spare)
+    for number in kept:
+        justify: Literal["left", "right"] = "right" if number in right else "left"
+        table.add_column(headers[number], justify=justify, no_wrap=True, overflow="ellipsis")
     for row, dim in rows:
-        table.add_row(*map(clipped, row, widths), style="dim" if dim else "")
+        table.add_row(*(clipped(row[number], widths[number]) for number in kept), style="dim" if dim else "")
     return table
+
+
+def _columns_that_fit(
+    natural: list[int], width: int, give: tuple[int, ...], spare: tuple[int, ...]
+) -> tuple[list[int], dict[int, int]]:
+    """Which columns stay, and how wide they are; behind each, rich needs two places."""
+    kept, leaving = list(range(len(natural))), list(spare)
+    while True:
+        room = width - 2 * len(kept) - 1
+        cut = [kept.index(number) for number in give if number in kept]
+        widths = fitted([natural[number] for number in kept], room, cut)
+        if sum(widths) <= room or not leaving:
+            return kept, dict(zip(kept, widths, strict=True))
+        kept.remove(leaving.pop(0))
 
 
 def _head(status: dict[str, Any], rates: Rates) -> RenderableType:
@@ -210,7 +226,9 @@ def _neighbours(status: dict[str, Any], rates: Rates, width: int) -> RenderableT
         ]
         rows.append((cells, now - last > 2_000_000_000))
     headers = ("node", "age", "beacons/s", "loss", "lost", "reports", "position")
-    return _table(counted(len(order), "neighbour"), headers, rows, width, right=(1, 2, 3, 4, 5), give=(6,))
+    spare = (4, 2, 6, 5)
+    title = counted(len(order), "neighbour")
+    return _table(title, headers, rows, width, right=(1, 2, 3, 4, 5), give=(6,), spare=spare)
 
 
 def _place(report: dict[str, Any]) -> str:
@@ -238,7 +256,8 @@ def _variables(status: dict[str, Any], width: int) -> RenderableType:
         for number, each in list(variables.items())[:64]
     ]
     headers = ("id", "producer", "seqno", "age", "value", "description")
-    return _table(counted(len(variables), "variable"), headers, rows, width, right=(0, 2, 3), give=(4, 5))
+    title = counted(len(variables), "variable")
+    return _table(title, headers, rows, width, right=(0, 2, 3), give=(4, 5), spare=(2, 5, 3))
 
 
 def _ignored(status: dict[str, Any], rates: Rates) -> RenderableType:

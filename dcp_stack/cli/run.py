@@ -29,7 +29,7 @@ log = logging.getLogger("dcp_stack.node")
     "--position", metavar="SOURCE", help="Own position: track:..., csv:FILE, capture:FILE, stdin, mavlink:..."
 )
 @click.option("--neighbour-file", metavar="PATH", help="Publish the neighbour table as a memory-mapped file.")
-@click.option("--record", metavar="FILE.mcap", help="Record what is sent and received.")
+@click.option("--record", metavar="FILE.mcap|DIR/", help="Record what is sent and received; to a new file in DIR.")
 @click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="OpenMetrics at 127.0.0.1:PORT.")
 @click.option("--user", metavar="NAME", help="Go on as this user once everything is open (started as root).")
 @click.option("--seed", type=int, metavar="N", help="Seed of the jitter, to repeat a run.")

@@ -170,6 +170,9 @@ def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, co
         listed = client.call("RTDB-DescribeDatabase")
         if not is_ok(listed):
             note(f"RTDB-DescribeDatabase: {listed['status']}; showing changes only")
+        elif missing := sorted(set(var_ids) - {each["varId"] for each in listed["variables"]}):
+            # Nobody knows whether one will be created; who mistyped it would wait for ever.
+            note(f"not in the database so far: {', '.join(map(str, missing))}")
         for each in listed.get("variables", ()):
             if not var_ids or each["varId"] in var_ids:
                 _show_change({"event": "is", **_described(client, each)}, as_json)

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping
+from itertools import chain, count
 from pathlib import Path
 
 from dcp_codec.capture import MAX_TIME_NS, CaptureError, CaptureWriter, Frame, create_capture
@@ -22,6 +23,20 @@ log = logging.getLogger(__name__)
 FLUSH_INTERVAL, LONGEST_FLUSH_INTERVAL = 1_000_000_000, 30_000_000_000
 #: In between it is this share of the age of the recording: a second for half an hour, then more.
 _FLUSHES_PER_AGE = 1800
+
+
+def recording_path(place: str | Path, node_id: bytes, wall: int) -> Path:
+    """The file to record to: ``place``, or, if that is a folder or ends with "/", a new one in it.
+
+    Its name has the node and the UTC of ``wall`` (ns since 1970). A clock that starts at the same time after each boot
+    makes no two recordings one: then a number follows.
+    """
+    path = Path(place)
+    if not (path.is_dir() or str(place).endswith("/")):
+        return path
+    stem = f"{node_id.hex()}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime(wall / 1e9))}"
+    names = chain([f"{stem}.mcap"], (f"{stem}-{number}.mcap" for number in count(2)))
+    return next(each for each in map(path.joinpath, names) if not each.exists())
 
 
 class Recorder:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import selectors
 import socket
 import time
@@ -56,6 +57,7 @@ class SocketLink:
         self._backoff = _FIRST_RETRY
         self._look_at = 0
         self._said = ""
+        self._refusals: set[int] = set()
         self._watch: InterfaceWatch | None = None
         self._selector = selectors.DefaultSelector()
         try:
@@ -148,12 +150,16 @@ class SocketLink:
 
     def send(self, octets: bytes) -> bool:
         """Broadcast ``octets``; False, counted in ``send_errors``, if they are too long or the system refuses."""
-        if len(octets) <= self.max_packet_size and self._ready() is not None:
+        if len(octets) > self.max_packet_size:
+            self._say_refused(errno.EMSGSIZE, len(octets))
+        elif self._ready() is not None:
             try:
                 self._transmit(octets)
             except OSError as error:
                 if error.errno in AWAY:
                     self._lose(error)
+                else:
+                    self._say_refused(error.errno or 0, len(octets))
             else:
                 self._counters.sent += 1
                 return True
@@ -170,6 +176,13 @@ class SocketLink:
             self._watch.close()
         self._discard()
         self._selector.close()
+
+    def _say_refused(self, reason: int, length: int) -> None:
+        """Tell people once about each reason; how often is in the counters."""
+        new = reason not in self._refusals
+        self._refusals.add(reason)
+        level = logging.WARNING if new else logging.DEBUG
+        log.log(level, "%s: %d octets cannot be sent: %s", self._name, length, os.strerror(reason))
 
     # -- outages ---------------------------------------------------------------------------------------------------
 

@@ -31,6 +31,28 @@ PATIENCE: Final = 5_000_000_000
 """ns that a scraper may take for its request and for taking the answer."""
 
 
+#: What counters of BP and of the link mean; those of payloads have a label for the protocol.
+_MEANINGS: Final = {
+    "beacons-sent": "Beacons handed to the link.",
+    "beacons-received": "Well-formed beacons of this network from other nodes.",
+    "beacons-left-out": "Beacons for which the time had passed when the node came to them.",
+    "beacons-without-payload": "Times for a beacon at which there was nothing to say.",
+    "beacons-with-other-count": "Beacons received with fewer or more payloads than they announce.",
+    "frames-received": "Frames that the link handed over, whatever is in them.",
+    "octets-received": "Octets of these frames, without the header of the bearer.",
+    "octets-sent": "Octets of beacons sent, without the header of the bearer.",
+    "payloads-received": "Payloads received for a registered protocol.",
+    "payloads-sent": "Payloads that went out in beacons.",
+    "payloads-stored": "Payloads that the client protocol handed over and BP took.",
+    "sent": "Frames that the system took.",
+    "received": "Frames read from the system.",
+    "send_errors": "Frames that were too long or that the system refused.",
+    "ignored": "Frames that are none of DCP, or too long to be read.",
+    "kernel_drops": "Frames that the system dropped before they were read.",
+    "outages": "How often the interface went away.",
+}
+
+
 class MetricsError(Exception):
     """The endpoint cannot be opened; the message says why and what to do."""
 
@@ -64,30 +86,40 @@ class NodeCollector:
             key = "protocol" if label else ""
             if base not in families:
                 labels = [key] if key else []
-                families[base] = CounterMetricFamily(
-                    f"dcp_bp_{base.replace('-', '_')}", f"{base} of BP.", labels=labels
-                )
+                families[base] = CounterMetricFamily(f"dcp_bp_{base.replace('-', '_')}", _meaning(base), labels=labels)
             families[base].add_metric([label] if key else [], number)
         yield from families.values()
-        drops = CounterMetricFamily("dcp_drops", "What was received and ignored.", labels=["layer", "reason"])
+        drops = CounterMetricFamily(
+            "dcp_drops",
+            "Parts of frames that were received and ignored, by reason; most are the protocol at work.",
+            labels=["layer", "reason"],
+        )
         for name, number in sorted(self._server.drops.items()):
             drops.add_metric(name.split("/", 1), number)
         yield drops
         counters = self._link.counters
         for name in counters.__struct_fields__:
-            yield CounterMetricFamily(f"dcp_link_{name}", f"{name} of the link.", value=getattr(counters, name))
+            yield CounterMetricFamily(f"dcp_link_{name}", _meaning(name), value=getattr(counters, name))
         yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", value=int(node.bp.active))
-        yield GaugeMetricFamily("dcp_control_sessions", "Clients of the control socket.", len(self._server.sessions))
+        yield GaugeMetricFamily(
+            "dcp_control_sessions", "Clients of the control socket that are connected.", len(self._server.sessions)
+        )
         if node.srp is not None and node.srp.registered:
-            yield GaugeMetricFamily("dcp_srp_neighbours", "Neighbour table.", value=len(node.srp.neighbours))
+            yield GaugeMetricFamily(
+                "dcp_srp_neighbours", "Neighbours in the table of SRP.", value=len(node.srp.neighbours)
+            )
         if node.vardis is not None:
             yield GaugeMetricFamily("dcp_vardis_active", "Whether VarDis is active.", value=int(node.vardis.active))
             known = node.vardis.describe_database().variables if node.vardis.active else ()
-            kinds = GaugeMetricFamily("dcp_vardis_variables", "Variables by state.", labels=["state"])
+            kinds = GaugeMetricFamily("dcp_vardis_variables", "Variables in the database, by state.", labels=["state"])
             deleted = sum(each.is_deleted for each in known)
             kinds.add_metric(["alive"], len(known) - deleted)
             kinds.add_metric(["deleted"], deleted)
             yield kinds
+
+
+def _meaning(counter: str) -> str:
+    return _MEANINGS.get(counter, f"{counter.replace('-', ' ').capitalize()}.")
 
 
 class MetricsServer:

@@ -15,7 +15,7 @@ from dcp_codec.codec import Codec
 from dcp_stack.config import NodeConfig
 from dcp_stack.links.base import Link, LinkError
 from dcp_stack.links.opening import open_link
-from dcp_stack.links.recording import Recorder, RecordingLink
+from dcp_stack.links.recording import Recorder, RecordingLink, recording_path
 from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileWriter
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource, SourceError, open_source
@@ -74,7 +74,9 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     try:
         node = make(config, rng=rng, now=now, wall=wall)
     except ValueError as error:
-        raise SettingsError(str(error)) from None
+        fitted = config.bp.max_packet_size != settings.bp.max_packet_size
+        why = f" (beacons of at most {link.max_packet_size} octets, as {link.name} carries them)" if fitted else ""
+        raise SettingsError(f"{error}{why}") from None
     control: ControlSocket | None = None
     if settings.control is not None and settings.control != STDIO:
         control = ControlSocket(settings.control)
@@ -101,7 +103,7 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     if user is not None:
         become(user)
     # After that: a recording is a file of the user, and the last thing to be refused should leave none.
-    recorder = _recorder(settings, config, codec)
+    recorder = _recorder(settings, config, codec, wall)
     if recorder is not None:
         stack.callback(recorder.close)
         link = RecordingLink(link, recorder)
@@ -124,12 +126,13 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         # Who started the node this way and closes its input has no more use for it.
         driver.add_control(StandardStreams(driver.stop))
     settle()
-    log.info("node %s on %s", config.node_id.hex(":"), link.name, extra={"fields": _about(settings, config)})
+    log.info("node %s on %s", config.node_id.hex(":"), link.name, extra={"fields": _about(settings, config, recorder)})
     return driver
 
 
-def _about(settings: Settings, config: NodeConfig) -> dict[str, object]:
-    about = {"profile": config.profile.name, "control": settings.control, "record": settings.record}
+def _about(settings: Settings, config: NodeConfig, recorder: Recorder | None) -> dict[str, object]:
+    record = None if recorder is None else str(recorder.path)
+    about = {"profile": config.profile.name, "control": settings.control, "record": record}
     return {name: value for name, value in about.items() if value is not None}
 
 
@@ -170,8 +173,9 @@ def _fitted(config: NodeConfig, link: Link) -> NodeConfig:
     return msgspec.structs.replace(config, bp=bp)
 
 
-def _recorder(settings: Settings, config: NodeConfig, codec: Codec) -> Recorder | None:
+def _recorder(settings: Settings, config: NodeConfig, codec: Codec, wall: int) -> Recorder | None:
     if settings.record is None:
         return None
     about = {"node": config.node_id.hex(":")}
-    return Recorder(settings.record, codec, decoded=settings.record_decoded, about=about)
+    path = recording_path(settings.record, config.node_id, wall)
+    return Recorder(path, codec, decoded=settings.record_decoded, about=about)

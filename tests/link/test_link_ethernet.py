@@ -183,6 +183,18 @@ def test_losses_in_the_kernel_are_counted(ear):
     assert far.link.counters.kernel_drops == drops
 
 
+def test_why_nothing_is_sent_is_said_once(ear, inside, caplog):
+    near = ear("near")
+    inside.ip("link", "set", "near", "mtu", "100")
+    for _ in range(3):
+        assert not near.link.send(bytes(200))
+        assert near.link.send(bytes(50))
+    assert [each.getMessage() for each in caplog.records if each.levelname == "WARNING"] == [
+        "eth:near: 200 octets cannot be sent: Message too long"
+    ]
+    assert near.link.counters.outages == 0
+
+
 def test_what_does_not_fit_is_counted_and_not_sent(ear, inside):
     near = ear("near")
     assert near.link.max_packet_size == 1500

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 
 import pytest
 
-from .node_processes import NodeProcess, eventually, slots_a_second
+from .node_processes import PATIENCE, NodeProcess, eventually, slots_a_second
 
 
 @pytest.fixture
@@ -42,6 +44,16 @@ def test_two_nodes_keep_their_period_and_hear_each_other(pair):
         eventually(lambda: second.call("RTDB-Read", varId=1).get("value") == "0a", "the variable arrives")
     # 2 % are asked for (200 intervals of 10 % jitter: standard deviation 0.4 %), and a beacon at each edge.
     assert slots_a_second(before, after) == pytest.approx(50, rel=0.03)
+
+
+def test_an_interface_that_carries_too_little_is_named(namespace):
+    namespace.ip("link", "set", "near", "mtu", "68")
+    run = [sys.executable, "-m", "dcp_stack.cli", "run", "--interface", "near"]
+    shown = subprocess.run(
+        ["ip", "netns", "exec", namespace.name, *run], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    assert shown.returncode == 2
+    assert "(beacons of at most 68 octets, as eth:near carries them)" in shown.stderr
 
 
 def test_an_interface_that_goes_and_comes_back_does_not_silence_a_node(pair, namespace):

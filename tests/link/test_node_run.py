@@ -281,6 +281,34 @@ def test_a_signal_ends_it_in_an_orderly_way(node, tmp_path, number):
     assert "does not replace another one" in shown.stderr
 
 
+def test_a_service_that_is_started_again_goes_on_recording(node, tmp_path):
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for end in (signal.SIGKILL, signal.SIGTERM):
+        running = node("--record", f"{folder}/", "--position", "track:circle")
+        with running.client() as client:
+            recording = eventually(lambda client=client: client.call("UT-Status")["runtime"]["recording"], "it records")
+        assert Path(recording["path"]).parent == folder
+        running.end(end)
+        assert any(recording["path"] in line for line in running.log)
+    assert len(list(folder.iterdir())) == 2
+    shown = command("run", "--link", LINK, "--record", f"{tmp_path}/none/")
+    assert shown.returncode == 2
+    assert f"there is no folder {tmp_path}/none" in shown.stderr
+
+
+def test_watching_says_which_variables_are_not_there(node):
+    running = node()
+    with running.client() as client:
+        client.call("RTDB-Create", varId=7, repCnt=3, descr="x", value="0a")
+    shown = command("var", "watch", "300", "7", "8", "--for", "0.1", "--control", running.path)
+    assert shown.returncode == 0
+    assert "not in the database so far: 8, 300" in shown.stderr
+    assert shown.stdout.split()[1:3] == ["7", "is"]
+    shown = command("var", "watch", "7", "--for", "0.1", "--control", running.path)
+    assert (shown.returncode, shown.stderr) == (0, "")
+
+
 def test_standard_input_and_output_as_the_control_interface():
     requests = HELLO.decode() + '{"jsonrpc":"2.0","id":2,"method":"RTDB-DescribeDatabase"}'
     shown = command("run", "--link", LINK, "--node-id", "02:00:00:00:00:01", "--control", "stdio", stdin=requests)
@@ -338,6 +366,9 @@ def test_metrics(node):
         assert response.headers["Content-Type"].startswith("application/openmetrics-text")
         families = {each.name: each for each in text_string_to_metric_families(response.read().decode())}
     assert families["dcp_bp_beacons_sent"].samples[0].value > 1
+    assert families["dcp_bp_beacons_sent"].documentation == "Beacons handed to the link."
+    assert families["dcp_link_send_errors"].samples[0].value == 0
+    assert not [name for name, each in families.items() if not each.documentation.endswith(".")]
     assert families["dcp_node"].samples[0].labels["node_id"] == "02:00:00:00:00:01"
     assert families["dcp_link_sent"].samples[0].value > 1
     for path, headers, status in (("/x", {}, 404), ("/metrics", {"Host": "evil.example"}, 403)):

@@ -11,7 +11,7 @@ from dcp_codec.capture import Frame, open_capture
 from dcp_codec.codec import Codec
 from dcp_stack.links.base import LinkError, TimedLink
 from dcp_stack.links.memory import WALL_START, Medium
-from dcp_stack.links.recording import FLUSH_INTERVAL, Recorder, RecordingLink
+from dcp_stack.links.recording import FLUSH_INTERVAL, Recorder, RecordingLink, recording_path
 from dcp_stack.links.replay import open_replay
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
@@ -34,6 +34,22 @@ def frames_of(path: Path) -> list[Frame]:
         frames = list(capture)
         assert capture.problems == []
     return frames
+
+
+def test_a_folder_gets_a_new_recording_for_each_start(tmp_path):
+    # A clock without a battery says the same after each boot.
+    wall = 1_700_000_000 * 10**9
+    names = []
+    for _ in range(3):
+        path = recording_path(tmp_path, MAC, wall)
+        assert path.parent == tmp_path
+        path.touch()
+        names.append(path.name)
+    stem = "020000000001-20231114T221320Z"
+    assert names == [f"{stem}.mcap", f"{stem}-2.mcap", f"{stem}-3.mcap"]
+    assert recording_path(tmp_path / "flight.mcap", MAC, wall) == tmp_path / "flight.mcap"
+    # Meant as a folder, which the message about what is missing can then say.
+    assert recording_path(f"{tmp_path}/none/", MAC, wall).parent == tmp_path / "none"
 
 
 def test_both_directions_are_recorded(tmp_path, codec, beacons):

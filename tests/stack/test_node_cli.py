@@ -337,3 +337,27 @@ def test_the_monitor_shows_numbers_whole(width):
     assert row.split()[:3] == ["255", "this", "node"]
     assert ("00112233" * 8 in row) == (width == 160)
     assert max(map(len, lines)) <= width
+
+
+@pytest.mark.parametrize("width", [40, 50, 60, 70, 80])
+def test_a_narrow_monitor_leaves_columns_out_instead_of_numbers(width):
+    rig = Rig()
+    client = rig.client()
+    client.call("RTDB-Create", varId=255, repCnt=3, descr="a description of thirty octets", value="00112233" * 8)
+    status = client.call("UT-Status")
+    status["runtime"] = {"uptime_ms": 1}
+    report = {"received_at": status["now"], "received": 12345, "position": [-1234.5, 1234.5, 123.4], "safety_data": {}}
+    loss = {"heard": status["now"], "received": 12345, "lost": 1234, "loss": 0.25}
+    node_id = "02:00:00:00:00:77"
+    status["node"]["srp"]["neighbours"] = [{**report, "node_id": node_id}]
+    status["node"]["bp"]["losses"] = [{**loss, "node_id": node_id}]
+    console = Console(width=width, file=io.StringIO(), highlight=False)
+    console.print(view(status, Rates(), console.width))
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    (neighbour,) = (line.split() for line in lines if node_id in line)
+    assert neighbour[0] == node_id
+    assert "25 %" in " ".join(neighbour)
+    (variable,) = (line.split() for line in lines if "this node" in line)
+    assert variable[:3] == ["255", "this", "node"]
+    assert any(each.startswith("00112233") for each in variable)
