@@ -253,7 +253,7 @@ def _variables(status: dict[str, Any], width: int) -> RenderableType:
             ],
             each["isDeleted"],
         )
-        for number, each in list(variables.items())[:64]
+        for number, each in sorted(variables.items(), key=lambda item: int(item[0]))[:64]
     ]
     headers = ("id", "producer", "seqno", "age", "value", "description")
     title = counted(len(variables), "variable")

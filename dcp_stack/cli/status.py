@@ -58,7 +58,7 @@ def _active(entity: dict[str, Any]) -> str:
 
 def _link(link: dict[str, Any]) -> str:
     troubles = ("send_errors", "kernel_drops", "outages")
-    shown = [f"{link[name]} {name.replace('_', ' ')}" for name in troubles if link.get(name)]
+    shown = [counted(link[name], name.removesuffix("s").replace("_", " ")) for name in troubles if link.get(name)]
     return ", ".join([str(link.get("name", "?")), *shown])
 
 

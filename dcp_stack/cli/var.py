@@ -128,7 +128,8 @@ def list_(control: str, as_json: bool) -> int:
     """List all variables with their values, deleted ones included."""
     with connect(control) as client:
         result = client.call("RTDB-DescribeDatabase")
-        listed = [_described(client, each) for each in result.get("variables", ())]
+        found = sorted(result.get("variables", ()), key=lambda each: each["varId"])
+        listed = [_described(client, each) for each in found]
     result["variables"] = listed
     wall = time.time_ns()
     rows = [

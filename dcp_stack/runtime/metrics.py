@@ -44,6 +44,8 @@ _MEANINGS: Final = {
     "payloads-received": "Payloads received for a registered protocol.",
     "payloads-sent": "Payloads that went out in beacons.",
     "payloads-stored": "Payloads that the client protocol handed over and BP took.",
+    "payloads-displaced": "Payloads that BP took and for which the oldest one was dropped.",
+    "payloads-discarded": "Payloads that found the buffer of their protocol full.",
     "sent": "Frames that the system took.",
     "received": "Frames read from the system.",
     "send_errors": "Frames that were too long or that the system refused.",

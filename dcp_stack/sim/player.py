@@ -301,6 +301,7 @@ class Simulation:
             traffic=traffic,
             delays=hop_delays(self._delays),
             shares={name: number / total for name, number in shares.items() if number or name == "delivered"},
+            expected=counters.expected,
             digest=self.network.digest.hexdigest(),
             elapsed_s=elapsed,
             cpu_s=cpu,

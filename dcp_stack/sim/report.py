@@ -58,6 +58,8 @@ class Report(msgspec.Struct):
     delays: list[HopDelay] = []
     shares: dict[str, float] = {}
     """Of the medium: what became of the frames, as shares of what a perfect medium would have delivered."""
+    expected: int = 0
+    """How many deliveries that is: the neighbours of the sender, for each beacon."""
     digest: str = ""
     elapsed_s: float = 0.0
     cpu_s: float = 0.0
@@ -116,7 +118,8 @@ def lines(report: Report) -> Iterator[str]:
     yield from _traffic(report)
     yield from _delays(report.delays)
     if report.shares:
-        yield "medium     " + ", ".join(f"{name} {share:.2%}" for name, share in report.shares.items())
+        numbers = (f"{round(share * report.expected)} {name} ({share:.2%})" for name, share in report.shares.items())
+        yield f"medium     {report.expected} deliveries to neighbours: {', '.join(numbers)}"
     if report.digest:
         yield f"digest     {report.digest}"
     if report.ground == "simulate":

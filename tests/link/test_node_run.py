@@ -300,7 +300,10 @@ def test_a_service_that_is_started_again_goes_on_recording(node, tmp_path):
 def test_watching_says_which_variables_are_not_there(node):
     running = node()
     with running.client() as client:
-        client.call("RTDB-Create", varId=7, repCnt=3, descr="x", value="0a")
+        for number in (9, 7):
+            client.call("RTDB-Create", varId=number, repCnt=3, descr="x", value="0a")
+    shown = command("var", "list", "--json", "--control", running.path)
+    assert [each["varId"] for each in json.loads(shown.stdout)["variables"]] == [7, 9]
     shown = command("var", "watch", "300", "7", "8", "--for", "0.1", "--control", running.path)
     assert shown.returncode == 0
     assert "not in the database so far: 8, 300" in shown.stderr

@@ -339,6 +339,19 @@ def test_the_monitor_shows_numbers_whole(width):
     assert max(map(len, lines)) <= width
 
 
+def test_the_monitor_has_variables_in_order():
+    rig = Rig()
+    client = rig.client()
+    for number in (200, 3, 20):
+        client.call("RTDB-Create", varId=number, repCnt=3, descr="x", value="0a")
+    status = client.call("UT-Status")
+    status["runtime"] = {"uptime_ms": 1}
+    console = Console(width=80, file=io.StringIO(), highlight=False)
+    console.print(view(status, Rates(), console.width))
+    rows = [line.split()[0] for line in console.file.getvalue().splitlines() if "this node" in line]
+    assert rows == ["3", "20", "200"]
+
+
 @pytest.mark.parametrize("width", [40, 50, 60, 70, 80])
 def test_a_narrow_monitor_leaves_columns_out_instead_of_numbers(width):
     rig = Rig()

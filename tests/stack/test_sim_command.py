@@ -45,6 +45,20 @@ def test_json_and_the_same_digest_for_the_same_seed(run):
     assert [each["node"] for each in first["traffic"]] == list(range(9))
 
 
+def test_what_became_of_the_beacons_adds_up(run):
+    # Two that hear each other; the medium has delivered all, lost all, or something in between.
+    for loss in (0, 0.5, 1):
+        arguments = ("simulate", "-n", 2, "--duration", 8, "--loss", loss)
+        report = json.loads(run(*arguments, "--json")[1])
+        sent = sum(each["beacons_sent"] for each in report["traffic"])
+        received = sum(each["beacons_received"] for each in report["traffic"])
+        lost = round(report["expected"] * report["shares"].get("lost", 0))
+        assert report["expected"] == sent == received + lost
+        (medium,) = (line for line in run(*arguments)[1].splitlines() if line.startswith("medium"))
+        assert medium.startswith(f"medium     {sent} deliveries to neighbours: {received} delivered (")
+        assert (f", {lost} lost (" in medium) == (lost > 0)
+
+
 def test_options_replace_what_the_scenario_says(run):
     status, output, _ = run("simulate", LINE, "--loss", 1, "--json")
     report = json.loads(output)
