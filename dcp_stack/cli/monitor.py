@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
@@ -29,6 +29,10 @@ from .status import as_line
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
+
+
+SHOWN: Final = 64
+"""Rows of a table at most: no terminal has more, and each takes time."""
 
 
 @click.command("monitor", epilog=EXIT_STATUS)
@@ -156,6 +160,10 @@ def _table(
     return table
 
 
+def _title(number: int, noun: str) -> str:
+    return counted(number, noun) + (f", the first {SHOWN}:" if number > SHOWN else "")
+
+
 def _columns_that_fit(
     natural: list[int], width: int, give: tuple[int, ...], spare: tuple[int, ...]
 ) -> tuple[list[int], dict[int, int]]:
@@ -211,7 +219,7 @@ def _neighbours(status: dict[str, Any], rates: Rates, width: int) -> RenderableT
     heard = sorted(losses, key=lambda node: -losses[node]["heard"])
     order = [*reports, *(node for node in heard if node not in reports)]
     rows = []
-    for node in order[:64]:
+    for node in order[:SHOWN]:
         report, loss = reports.get(node), losses.get(node)
         last = max(each for each in (report and report["received_at"], loss and loss["heard"]) if each is not None)
         rate = None if loss is None else rates.of(f"from {node}", loss["received"], now)
@@ -227,7 +235,7 @@ def _neighbours(status: dict[str, Any], rates: Rates, width: int) -> RenderableT
         rows.append((cells, now - last > 2_000_000_000))
     headers = ("node", "age", "beacons/s", "loss", "lost", "reports", "position")
     spare = (4, 2, 6, 5)
-    title = counted(len(order), "neighbour")
+    title = _title(len(order), "neighbour")
     return _table(title, headers, rows, width, right=(1, 2, 3, 4, 5), give=(6,), spare=spare)
 
 
@@ -253,10 +261,10 @@ def _variables(status: dict[str, Any], width: int) -> RenderableType:
             ],
             each["isDeleted"],
         )
-        for number, each in sorted(variables.items(), key=lambda item: int(item[0]))[:64]
+        for number, each in sorted(variables.items(), key=lambda item: int(item[0]))[:SHOWN]
     ]
     headers = ("id", "producer", "seqno", "age", "value", "description")
-    title = counted(len(variables), "variable")
+    title = _title(len(variables), "variable")
     return _table(title, headers, rows, width, right=(0, 2, 3), give=(4, 5), spare=(2, 5, 3))
 
 

@@ -352,6 +352,21 @@ def test_the_monitor_has_variables_in_order():
     assert rows == ["3", "20", "200"]
 
 
+@pytest.mark.parametrize(("number", "title"), [(64, "64 variables"), (65, "65 variables, the first 64:")])
+def test_the_monitor_says_that_there_is_more(number, title):
+    rig = Rig()
+    client = rig.client()
+    for each in range(number):
+        client.call("RTDB-Create", varId=each, repCnt=3, descr="x", value="0a")
+    status = client.call("UT-Status")
+    status["runtime"] = {"uptime_ms": 1}
+    console = Console(width=80, file=io.StringIO(), highlight=False)
+    console.print(view(status, Rates(), console.width))
+    shown = [line.strip() for line in console.file.getvalue().splitlines()]
+    assert title in shown
+    assert sum("this node" in line for line in shown) == 64
+
+
 @pytest.mark.parametrize("width", [40, 50, 60, 70, 80])
 def test_a_narrow_monitor_leaves_columns_out_instead_of_numbers(width):
     rig = Rig()
