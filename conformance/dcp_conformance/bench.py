@@ -116,8 +116,11 @@ class Bench(Listening):
             self.inconclusive("the implementation is started again", "there is no command to restart it")
         self.traffic.note("note", self.lower.wall(), "restart of the implementation")
         self.session.restart()
-        if not any(self.probe(self.reaction) for _ in range(5)):
-            self.inconclusive("the implementation takes part again after its restart", "no answer to five probes")
+        for _ in range(5):
+            if self.probe(self.reaction):
+                return
+            self.take_newcomer()
+        self.inconclusive("the implementation takes part again after its restart", "no answer to five probes")
 
     def expect_status(self, status: str, method: str, /, *requirements: str, **params: Any) -> Answer:
         """Call a service that must answer with this status; a check, which does not stop the case."""

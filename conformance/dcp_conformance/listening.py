@@ -168,6 +168,15 @@ class Listening(Naming):
             return True
         return sender == known
 
+    def take_newcomer(self) -> None:
+        """The implementation does not answer after a start. Some draw a new identifier with each of them.
+
+        Whoever has spoken instead is taken for it from now on, unless the PICS names the node.
+        """
+        if self.others and self.session.pics.pixit.node_id is None:
+            self.session.sut_id = None
+            self.others.clear()
+
     # -- looking back --------------------------------------------------------------------------------------------------
 
     def instructions(self, kind: ICType, var_id: int | None = None, since: int = 0) -> list[Instruction]:

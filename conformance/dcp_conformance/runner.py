@@ -222,10 +222,7 @@ class Runner:
         bench, control = Bench(self.session, case), self.control
         deadline = bench.now() + round(START_PATIENCE * 1e9)
         while not self._answers(bench):
-            if bench.others and self.session.pics.pixit.node_id is None:
-                # Some draw a new identifier with each start; whoever speaks now is taken for it.
-                self.session.sut_id = None
-                bench.others.clear()
+            bench.take_newcomer()
             if control is not None and control.alive() is False:
                 return f"is dead again: {control.why_dead()}"
             if bench.now() >= deadline:

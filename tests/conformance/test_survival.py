@@ -142,3 +142,25 @@ def test_a_death_is_told_with_the_last_sign_of_life():
     result = runner.run(case_of(deadly))
     assert result.killed
     assert result.reason.endswith("; its last beacon came before frame 3 of 4")
+
+
+class Renamed(InProcess):
+    """Draws a new identifier with each start, as a node does that was not given one."""
+
+    def restart(self) -> None:
+        node_id = (int.from_bytes(self.config.node_id) + 1).to_bytes(6)
+        self.config = reference_config(self.config.codec, node_id=node_id)
+        super().restart()
+
+
+def test_who_draws_a_new_identifier_is_known_by_it_after_a_restart_within_a_case():
+    def verdicts(pics: Pics) -> list[Verdict]:
+        sut = Renamed(reference_config(codec_of("dcp-2.0")))
+        runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), pics), sut)
+        runner.prepare()
+        return [runner.run(known_cases()[name]).verdict for name in ("TC_VD_INI_BV_04", "TC_DCP_SANITY_BV_01")]
+
+    assert verdicts(Pics()) == [Verdict.PASS, Verdict.PASS]
+    # Who has said how it is called is held to it.
+    told = Pics(pixit=Testing(node_id="02:00:00:00:00:01"))
+    assert verdicts(told) == [Verdict.INCONCLUSIVE, Verdict.FAIL]

@@ -221,10 +221,7 @@ class LiveTarget:
             why = ailing(bench, self.control, self._probes)
             if why is None or why.kind == "dead" or bench.now() >= deadline:
                 return why
-            if bench.others and self.session.pics.pixit.node_id is None:
-                # Some draw a new identifier with each start; whoever speaks now is taken for it.
-                self.session.sut_id = None
-                bench.others.clear()
+            bench.take_newcomer()
 
     def _comparison(self, bench: Bench) -> Comparison | None:
         if not self._differential:
