@@ -25,8 +25,10 @@ from .framing import OtherTraffic, bare, locate
 from .plan import Rest
 from .values import Beacon, ExtendedSafetyData, SafetyData, VarCreate
 
-#: Frames of a recording that are looked at.
+#: Frames of a recording that are looked at, and among how many they are searched: a recorder may have run for long
+#: before the first beacon.
 SAMPLE = 400
+_SEARCHED = 20_000
 #: Among profiles that explain a recording equally well the first of these is chosen.
 _PREFERENCE = ("cpp-2.0", "dcp-2.0", "cpp-1.3", "dcp-1.3", "dcp-1.2", "cpp-1.2", "dcp-1.1", "dcp-1.0", "sim-1.0")
 _MAGIC = BP_MAGIC_NO.to_bytes(2, "big")
@@ -35,10 +37,15 @@ _EARLIEST = 946_684_800  # 2000: a recording stamped earlier has no clock
 _ERA = 1_735_689_600  # 2025: about when the known implementations were in use, for octets without a recording time
 #: Scores closer than this are the same: they come from equal evidence.
 _SAME = 1e-9
+#: Scores that are farther apart than this leave no doubt.
+_CERTAIN = 0.5
 
 
 class Candidate(msgspec.Struct, frozen=True):
-    """How well one profile explains the frames: ``score`` 0..1, ``decoded`` of ``frames`` without error."""
+    """How well one profile explains the frames: ``score`` 0..1, ``decoded`` of ``frames`` without error.
+
+    ``which`` are the places of those that decode among the frames looked at, from 0.
+    """
 
     profile: Profile
     link: Link
@@ -46,6 +53,7 @@ class Candidate(msgspec.Struct, frozen=True):
     decoded: int
     frames: int
     doubts: tuple[str, ...] = ()
+    which: frozenset[int] = frozenset()
 
 
 class Guess(msgspec.Struct, frozen=True):
@@ -64,6 +72,22 @@ class Guess(msgspec.Struct, frozen=True):
         return tuple(c for c in self.candidates[1:] if self.best.score - c.score < _SAME)
 
     @property
+    def besides(self) -> tuple[Candidate, int] | None:
+        """Who decodes most of what the best does not, and how many frames that are: a network of several versions.
+
+        None if nobody decodes more than a hundredth of the frames.
+        """
+        best = self.best
+        more = [(candidate, len(candidate.which - best.which)) for candidate in self.candidates[1:]]
+        candidate, many = max(more, key=lambda each: each[1], default=(best, 0))
+        return (candidate, many) if many > best.frames / 100 else None
+
+    @property
+    def certain(self) -> bool:
+        """Whether nothing else comes near, and nothing in the recording speaks another version."""
+        return bool(self.best.frames) and not self.tied and self.besides is None and self.certainty > _CERTAIN
+
+    @property
     def certainty(self) -> float:
         """How far the best is ahead of the first that explains the frames less well, 0..1."""
         others = [c.score for c in self.candidates if self.best.score - c.score >= _SAME]
@@ -73,7 +97,7 @@ class Guess(msgspec.Struct, frozen=True):
         best = self.best
         if not best.frames:
             return f"{best.profile.name} (a guess: there are no frames to tell it by)"
-        sure = "certain" if self.certainty > 0.5 else "likely" if self.certainty > 0.1 else "a weak guess"
+        sure = "certain" if self.certainty > _CERTAIN else "likely" if self.certainty > 0.1 else "a weak guess"
         if self.tied:
             sure = "one of several"
         elif best.score < 0.5:
@@ -81,14 +105,38 @@ class Guess(msgspec.Struct, frozen=True):
         text = f"{best.profile.name} ({sure}: {best.decoded} of {best.frames} sampled frames decode"
         if self.tied:
             text += f"; cannot be told apart here from {', '.join(c.profile.name for c in self.tied)}"
+        if self.besides:
+            other, many = self.besides
+            text += f"; {many} others decode as {other.profile.name}: look at each version with --profile"
         return text + ")"
 
 
-def sample(frames: Iterable[Frame], limit: int = SAMPLE) -> tuple[list[Frame], Iterator[Frame]]:
-    """The first ``limit`` frames, and an iterator over all of them again with the rest behind."""
+def sample(
+    frames: Iterable[Frame], limit: int = SAMPLE, *, ether_type: int | None = None
+) -> tuple[list[Frame], Iterator[Frame]]:
+    """The first ``limit`` frames that may be DCP, and an iterator over all frames again.
+
+    Among 20 000 frames without any of them the first ``limit`` are it. ``ether_type`` is that of the beacons, if known.
+    """
     iterator = iter(frames)
-    first = list(islice(iterator, limit))
-    return first, chain(first, iterator)
+    links = _links(ether_type)
+    seen: list[Frame] = []
+    likely: list[Frame] = []
+    for frame in islice(iterator, max(limit, _SEARCHED)):
+        seen.append(frame)
+        if _has_magic(frame) or any(not isinstance(locate(frame.data, link), OtherTraffic) for link in links):
+            likely.append(frame)
+            if len(likely) == limit:
+                break
+    return likely or seen[:limit], chain(seen, iterator)
+
+
+def _links(ether_type: int | None) -> list[Link]:
+    """Where beacons of any built-in profile are found."""
+    links = {get_codec(name).profile.link: None for name in BUILTIN_PROFILES}
+    if ether_type is not None:
+        links |= {with_ether_type(link, ether_type): None for link in links if link.transport == "ethernet"}
+    return list(links)
 
 
 def guess(
@@ -122,20 +170,24 @@ def looks_bare(octets: bytes, profiles: Sequence[str] = BUILTIN_PROFILES) -> boo
 
 def _ether_type_of(frames: Sequence[Frame]) -> int | None:
     """The EtherType whose frames carry the magic number, if there is exactly one."""
-    found = {
-        frame.data[12] << 8 | frame.data[13] for frame in frames if _MAGIC in (frame.data[14:16], frame.data[15:17])
-    }
+    found = {frame.data[12] << 8 | frame.data[13] for frame in frames if _has_magic(frame)}
     return found.pop() if len(found) == 1 else None
+
+
+def _has_magic(frame: Frame) -> bool:
+    """Whether the magic number is where a beacon of some version has it, behind any EtherType."""
+    return _MAGIC in (frame.data[14:16], frame.data[15:17])
 
 
 def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int | None) -> Candidate:
     link = codec.profile.link
     if ether_type is not None and link.transport == "ethernet":
         link = with_ether_type(link, ether_type)
-    total, decoded, damaged, partly = 0, 0, 0, 0.0
+    total, damaged, partly = 0, 0, 0.0
+    which: set[int] = set()
     evidence: list[float] = []
     doubts: dict[str, None] = {}
-    for frame in frames:
+    for index, frame in enumerate(frames):
         place = locate(frame.data, link) if framed else bare(frame.data)
         if isinstance(place, OtherTraffic):
             continue
@@ -150,15 +202,15 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
             continue
         if not beacon.payloads:
             continue
-        decoded += 1
+        which.add(index)
         found = list(_evidence(codec.profile, beacon, frame.time_ns))
         if found:
             evidence.append(min(weight for weight, _ in found))
             doubts.update(dict.fromkeys(doubt for weight, doubt in found if weight < _DOUBTFUL))
     # What frames say is weighed apart from whether they decode: most beacons say nothing that could be implausible.
     plausible = sum(evidence) / len(evidence) if evidence else 1.0
-    score = (decoded + partly) / total * (0.3 + 0.7 * plausible) if total else 0.0
-    return Candidate(codec.profile, link, score, decoded, total, tuple(doubts))
+    score = (len(which) + partly) / total * (0.3 + 0.7 * plausible) if total else 0.0
+    return Candidate(codec.profile, link, score, len(which), total, tuple(doubts), frozenset(which))
 
 
 #: Malformed frames that are looked at in detail, which is slow.

@@ -98,7 +98,7 @@ def choose(
         return FrameDissector(codec, link_of(codec, ether_type)), frames
     from dcp_codec.guess import guess, sample
 
-    first, frames = sample(frames)
+    first, frames = sample(frames, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
     if not quiet:
         note(f"{name}: profile {found}")

@@ -102,7 +102,7 @@ def _codec(source: str, profile: str, ether_type: int | None) -> tuple[Codec, Li
         codec = load_codec(profile)
         return codec, link_of(codec, ether_type)
     with open_capture(Path(source)) as reader:
-        first, _ = sample(reader)
+        first, _ = sample(reader, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
     note(f"{source}: profile {found}")
     return get_codec(found.best.profile.name), found.best.link

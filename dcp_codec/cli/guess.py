@@ -27,7 +27,7 @@ def command(files: tuple[str, ...], ether_type: int | None, limit: int, form: st
     status = 0
     for name in files:
         with open_input(name) as reader:
-            first, _ = sample(reader, limit)
+            first, _ = sample(reader, limit, ether_type=ether_type)
             found = guess(first, ether_type=ether_type)
             status = max(status, report_capture_problems(reader, name))
         if form == "json":

@@ -71,7 +71,7 @@ def resolve(path: str | Path, profile: str, ether_type: int | None) -> tuple[Cod
         link = codec.profile.link
         return codec, link if ether_type is None else with_ether_type(link, ether_type), ""
     with open_capture(path) as reader:
-        first, _ = sample(reader)
+        first, _ = sample(reader, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
     return get_codec(found.best.profile.name), found.best.link, f"profile {found}"
 

@@ -140,6 +140,37 @@ def test_guess_without_frames_says_so(run, tmp_path):
     assert "there are no frames" in result.out
 
 
+OTHER = bytes.fromhex("ffffffffffff0200000000aa0800") + bytes(46)
+
+
+@pytest.mark.parametrize("command", ["stats", "guess", "decode"])
+def test_the_profile_is_found_behind_much_other_traffic(run, tmp_path, command):
+    beacons = [ETHERNET + bytes.fromhex(VECTORS["dcp-2.0"])] * 3
+    result = run(command, write(tmp_path / "a.pcap", *[OTHER] * 500, *beacons))
+    told = result.out + result.err
+    assert "dcp-2.0 (" in told
+    assert "3 of 3 sampled frames decode)" in told
+    assert result.status == 0
+
+
+def test_an_ether_type_that_is_told_is_looked_for_behind_other_traffic(run, tmp_path):
+    bare = bytes.fromhex("ffffffffffff0200000000aa9999") + bytes.fromhex(VECTORS["dcp-2.0"])
+    path = write(tmp_path / "a.pcap", *[OTHER] * 500, bare)
+    assert "profile dcp-2.0 (" in run("stats", "--ether-type", "0x9999", path).err
+
+
+def test_several_versions_in_one_recording_are_named(run, tmp_path):
+    new, old = (ETHERNET + bytes.fromhex(VECTORS[name]) for name in ("dcp-2.0", "dcp-1.1"))
+    result = run("stats", write(tmp_path / "a.pcap", new, old, new, old, new))
+    assert "3 of 5 sampled frames decode; 2 others decode as dcp-1.1: look at each version with --profile" in result.err
+
+
+def test_damage_is_no_other_version(run, tmp_path, good):
+    damaged = good[1][:36] + b"\x09" + good[1][37:]
+    result = run("stats", write(tmp_path / "a.pcap", *good, damaged))
+    assert "5 of 6 sampled frames decode)" in result.err
+
+
 # -- convert ----------------------------------------------------------------------------------------------------
 
 

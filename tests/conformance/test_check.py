@@ -19,7 +19,7 @@ from dcp_spec.requirements import requirements
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcp_codec.capture import Frame, create_capture
+from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.strategies import beacons, mutations
 from dcp_codec.values import VarDelete, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_stack.config import BPConfig
@@ -540,6 +540,20 @@ class TestNetworksThatFollowTheSpecification:
         stated = judged(frames, "dcp-2.0", Pics(pixit=Testing(beacon_period_ms=200)))
         assert case_of(stated, "CK_BP_PERIOD").verdict is Verdict.FAIL
 
+    @pytest.mark.parametrize("seconds", [-3600, 3600])
+    def test_a_clock_that_is_set_while_recording_is_nobodys_fault(self, seconds: int):
+        frames = simulated("dcp-2.0", 3)
+        half = len(frames) // 2
+        frames[half:] = [
+            msgspec.structs.replace(each, time_ns=each.time_ns + seconds * SECOND) for each in frames[half:]
+        ]
+        run = judged(frames, "dcp-2.0", Pics(pixit=Testing(beacon_period_ms=100)))
+        assert findings(run) == []
+        told = [each.observed.rpartition(" ms +/-")[0] for each in case_of(run, "CK_BP_PERIOD").checks]
+        means = [float(each.rpartition(" ")[2]) for each in told if each]
+        assert len(means) == 3
+        assert all(90 < mean < 110 for mean in means)
+
     def test_many_observations_do_not_crowd_out_a_fault(self):
         air = Script()
         for each in range(60):
@@ -617,9 +631,44 @@ class TestCaptures:
             judge_recording(CAPTURES / "b_crud.mcap", "no-profile", Pics())
         with pytest.raises(UsageError, match="none of its 563 frames"):
             judge_recording(CAPTURES / "b_crud.mcap", "dcp-2.0", Pics(), ether_type="0x8888")
+        with pytest.raises(UsageError, match="no number"):
+            judge_recording(CAPTURES / "b_crud.mcap", None, Pics(), ether_type="x")
+
+    def test_what_holds_no_beacon_says_so(self, tmp_path: Path):
+        with pytest.raises(UsageError, match="there are no frames in it"):
+            judge_recording(recorded(tmp_path / "none.pcap", []), None, Pics())
+        other = [b"\xff" * 12 + b"\x08\x06" + bytes(46)]
+        with pytest.raises(
+            UsageError, match="under the EtherTypes and ports of the built-in profiles; dcp-codec stats"
+        ):
+            judge_recording(recorded(tmp_path / "other.pcap", other), None, Pics())
+        with pytest.raises(UsageError, match="under 0x9999; dcp-codec stats"):
+            judge_recording(recorded(tmp_path / "other.pcap", other), None, Pics(), ether_type="0x9999")
+
+    def test_a_profile_that_is_in_doubt_is_said(self, tmp_path: Path):
+        frames: list[bytes] = []
+        for name in ("a_bus3", "a_bus3_v1.3.6"):
+            with open_capture(CAPTURES / f"{name}.mcap") as reader:
+                frames += [frame.data for _, frame in zip(range(100), reader, strict=False)]
+        run, codec = judge_recording(recorded(tmp_path / "both.pcap", frames), None, Pics())
+        assert codec.profile.name == "cpp-2.0"
+        note = "100 of 200 sampled frames decode; 100 others decode as cpp-1.3: look at each version with --profile)"
+        assert [each.endswith(note) for each in run.notes if each.startswith("the profile was guessed: cpp-2.0")] == [
+            True
+        ]
+        certain, _ = judge_recording(CAPTURES / "b_crud.mcap", None, Pics())
+        assert not any("guess" in each for each in certain.notes)
 
 
 # -- whatever comes --------------------------------------------------------------------------------------------------
+
+
+def recorded(path: Path, octets: list[bytes]) -> Path:
+    """A recording of these frames, 33 ms apart."""
+    with create_capture(path) as writer:
+        for number, each in enumerate(octets, 1):
+            writer.write(Frame(number, 1_795_225_151 * SECOND + number * 33 * MS, each, len(each)))
+    return path
 
 
 def framed(octets: list[bytes]) -> list[Frame]:

@@ -13,7 +13,7 @@ from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.codec import Codec
 from dcp_codec.frames import with_ether_type
 from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.guess import guess, sample
+from dcp_codec.guess import Guess, guess, sample
 from dcp_conformance.errors import UsageError
 from dcp_conformance.heard import Heard
 from dcp_conformance.pics import Pics
@@ -40,7 +40,7 @@ def judge_recording(
 
     Raises :class:`UsageError`: no such file, no capture, no such profile, nothing in it that looks like DCP.
     """
-    codec = _codec(path, profile or pics.pixit.profile, ether_type)
+    codec, notes = _codec(path, profile or pics.pixit.profile, ether_type)
     if not period_known:
         pics = _with_period(pics, _period(path, codec))
     try:
@@ -50,12 +50,12 @@ def judge_recording(
             judge = Judge(codec, pics, recording=name, command=command, period_known=period_known)
             for frame in reader:
                 judge.feed(frame)
-            problems = [problem.message for problem in reader.problems]
+            notes += [problem.message for problem in reader.problems]
     except CaptureError as error:
         raise UsageError(str(error)) from None
     if not judge.frames:
         raise UsageError(f"{path}: none of its {judge.other} frames is DCP in the profile {codec.profile.name}")
-    return judge.result(problems), codec
+    return judge.result(notes), codec
 
 
 def _period(path: Path, codec: Codec) -> float | None:
@@ -86,33 +86,43 @@ def _with_period(pics: Pics, period: float | None) -> Pics:
     return msgspec.structs.replace(pics, pixit=msgspec.structs.replace(pics.pixit, beacon_period_ms=period))
 
 
-def _codec(path: Path, profile: str | None, ether_type: str | None) -> Codec:
+def _codec(path: Path, profile: str | None, ether_type: str | None) -> tuple[Codec, list[str]]:
+    """The codec to read a recording with, and what there is to say about the choice."""
     try:
-        codec = Codec(profile) if profile is not None else _guessed(path)
-    except ProfileError as error:
-        raise UsageError(str(error)) from None
-    if ether_type is None:
-        return codec
-    try:
-        link = with_ether_type(codec.profile.link, int(ether_type, 0))
+        number = None if ether_type is None else int(ether_type, 0)
     except ValueError:
         raise UsageError(f"--ether-type {ether_type!r} is no number; write 0x4953 or 18771") from None
-    return Codec(msgspec.structs.replace(codec.profile, link=link))
+    if profile is None:
+        found = _guessed(path, number)
+        doubt = [] if found.certain else [f"the profile was guessed: {found}"]
+        return Codec(msgspec.structs.replace(found.best.profile, link=found.best.link)), doubt
+    try:
+        codec = Codec(profile)
+    except ProfileError as error:
+        raise UsageError(str(error)) from None
+    if number is None:
+        return codec, []
+    link = with_ether_type(codec.profile.link, number)
+    return Codec(msgspec.structs.replace(codec.profile, link=link)), []
 
 
 def guessed_profile(path: Path) -> str:
     """The name of the profile that explains a recording best. Raises :class:`UsageError`."""
-    return _guessed(path).profile.name
+    return _guessed(path).best.profile.name
 
 
-def _guessed(path: Path) -> Codec:
-    """The codec of that profile, with the link it was found on."""
+def _guessed(path: Path, ether_type: int | None = None) -> Guess:
+    """What the profile of a recording is, with the link it was found on."""
     try:
         with open_capture(path) as reader:
-            first, _ = sample(iter(reader))
+            first, _ = sample(iter(reader), ether_type=ether_type)
+            damage = "; ".join(problem.message for problem in reader.problems)
     except CaptureError as error:
         raise UsageError(str(error)) from None
-    best = guess(first).best
-    if not best.frames:
-        raise UsageError(f"{path}: there are no frames to tell the profile by; name it (--profile)")
-    return Codec(msgspec.structs.replace(best.profile, link=best.link))
+    if not first:
+        raise UsageError(f"{path}: there are no frames in it" + (f": {damage}" if damage else ""))
+    found = guess(first, ether_type=ether_type)
+    if not found.best.frames:
+        where = "the EtherTypes and ports of the built-in profiles" if ether_type is None else f"0x{ether_type:04x}"
+        raise UsageError(f"{path}: no frames to tell the profile by under {where}; dcp-codec stats shows what there is")
+    return found

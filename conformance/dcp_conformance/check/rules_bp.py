@@ -277,8 +277,9 @@ class BeaconPeriod(Invariant):
         pixit = self.context.pics.pixit
         for sender, all_intervals in self._intervals.items():
             median = statistics.median(all_intervals)
-            # Without anything to say there is no beacon, so a long pause is no late beacon.
-            intervals = [each for each in all_intervals if each < 2.5 * median]
+            # Without anything to say there is no beacon, so a long pause is no late beacon. Time that goes back is a
+            # clock of the recorder that was set.
+            intervals = [each for each in all_intervals if 0 <= each < 2.5 * median]
             if len(intervals) < 30:
                 continue
             mean, spread = statistics.fmean(intervals), statistics.pstdev(intervals)
