@@ -21,6 +21,8 @@ from .values import Beacon, Container, ExtendedSafetyData
 
 #: Senders and variables beyond this many are counted together, not one by one.
 MAX_KEYS = 65_536
+#: Malformed frames that are kept for people to look at.
+EXAMPLES = 10
 
 
 class IntervalStats:
@@ -63,12 +65,17 @@ class SenderStats:
 
     ``lost`` counts the numbers that were jumped over. A number that goes back, or forward by 2^31 or more, is a
     ``restart`` and no loss; the same number again is a ``duplicate`` (C.1 of the protocol reference: only an estimate).
+    ``backwards`` counts the beacons before which the clock of the recorder was set back: they have no interval.
     """
 
-    __slots__ = ("beacons", "duplicates", "first_seqno", "intervals", "last_seqno", "last_time_ns", "lost", "restarts")
+    __slots__ = (
+        "backwards", "beacons", "duplicates", "first_seqno", "intervals", "last_seqno", "last_time_ns", "lost",
+        "restarts",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.beacons = 0
+        self.backwards = 0
         self.first_seqno: int | None = None
         self.last_seqno: int | None = None
         self.lost = 0
@@ -81,7 +88,10 @@ class SenderStats:
         """Count one beacon."""
         self.beacons += 1
         if self.last_time_ns is not None:
-            self.intervals.add(time_ns - self.last_time_ns)
+            if time_ns >= self.last_time_ns:
+                self.intervals.add(time_ns - self.last_time_ns)
+            else:
+                self.backwards += 1
         self.last_time_ns = time_ns
         if seqno is None:
             return
@@ -106,6 +116,7 @@ class SenderStats:
             "lost": self.lost,
             "restarts": self.restarts,
             "duplicates": self.duplicates,
+            "backwards": self.backwards,
             "interval": self.intervals.as_json(),
         }
 
@@ -152,7 +163,7 @@ class Stats:
         except DecodeError as error:
             self.malformed += 1
             self.reasons[error.problem.reason] += 1
-            if len(self.examples) < 10:
+            if len(self.examples) < EXAMPLES:
                 self.examples.append((frame.number, str(error.problem)))
             return
         self._count(beacon, frame, framing)
@@ -161,9 +172,9 @@ class Stats:
 
     def _count(self, beacon: Beacon, frame: Frame, framing: Framing) -> None:
         self.beacons += 1
-        if self.first_time_ns is None:
-            self.first_time_ns = frame.time_ns
-        self.last_time_ns = frame.time_ns
+        # Earliest and latest: files may hold frames out of order, and clocks are set.
+        self.first_time_ns = min(frame.time_ns, self.first_time_ns if self.first_time_ns is not None else frame.time_ns)
+        self.last_time_ns = max(frame.time_ns, self.last_time_ns if self.last_time_ns is not None else frame.time_ns)
         seqno: int | None = None
         if beacon.bp is not None:
             sender = node_id_text(beacon.bp.sender_id, self.codec.profile.types.node_id.representation)

@@ -112,9 +112,15 @@ def report_capture_problems(reader: CaptureReader, name: str) -> int:
     return UNUSABLE if reader.problems else 0
 
 
-def no_beacons_note(name: str, others: dict[str, int], link: Link) -> None:
-    """Tell that there was traffic but none of it DCP, and what to try."""
-    listed = ", ".join(f"{kind} ({count})" for kind, count in list(others.items())[:6]) or "no frames at all"
+def no_beacons_note(name: str, frames: int, others: dict[str, int], link: Link) -> None:
+    """Tell that there were ``frames`` but none of them DCP, and what to try; or that there were none.
+
+    ``others`` counts them by kind, as far as that is known.
+    """
+    if not frames:
+        note(f"{name}: no DCP frames: there are no frames in it at all")
+        return
+    listed = ", ".join(f"{kind} ({count})" for kind, count in list(others.items())[:6]) or f"{frames} other frames"
     wanted = f"UDP port {link.udp_port}" if link.transport == "udp" else f"EtherType 0x{link.ether_type:04x}"
     note(f"{name}: no DCP frames under {wanted}; there is: {listed}. Try --ether-type N or another --profile.")
 

@@ -212,7 +212,7 @@ class _Run:
         if malformed:
             note(f"{name}: {malformed} of {beacons} DCP frames are malformed")
         if not beacons:
-            no_beacons_note(name, dict(others.most_common()), dissector.link)
+            no_beacons_note(name, others.total(), dict(others.most_common()), dissector.link)
         elif self.shown == before:
             note(f"{name}: none of {beacons} DCP frames is what was asked for")
         return MALFORMED if malformed else 0

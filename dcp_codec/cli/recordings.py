@@ -52,7 +52,7 @@ def tell(outcome: Outcome) -> int:
         note(f"{name}: {outcome.malformed} of {outcome.frames - outcome.other} DCP frames are malformed")
         status = MALFORMED
     if outcome.link is not None:
-        no_beacons_note(name, outcome.others, outcome.link)
+        no_beacons_note(name, outcome.frames, outcome.others, outcome.link)
     for text in outcome.problems:
         note(f"{name}: {text}")
         status = UNUSABLE

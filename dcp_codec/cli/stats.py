@@ -67,7 +67,7 @@ def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int]:
         note(f"{name}: {stats.malformed} DCP frames are malformed")
         status = max(status, MALFORMED)
     if not stats.beacons and not stats.malformed:
-        no_beacons_note(name, dict(stats.other_traffic.most_common()), link)
+        no_beacons_note(name, stats.frames, dict(stats.other_traffic.most_common()), link)
     return stats, status
 
 
@@ -96,6 +96,13 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
             numbers = (one[key] for key in ("beacons", "first_seqno", "last_seqno", "lost", "restarts"))
             table.add_row(sender, *("-" if number is None else str(number) for number in numbers), *shown)
         console.print(table)
+        backwards = sum(one["backwards"] for one in data["senders"].values())
+        if backwards:
+            console.print(
+                f"\n  time goes back before {backwards} beacons (the clock of the recorder was set?): "
+                "intervals leave them out",
+                style="red",
+            )
     if data["containers"]:
         table = Table("container", box=None, padding=padding, header_style="bold")
         table.add_column("containers", justify="right")
@@ -105,15 +112,21 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
         console.print()
         console.print(table)
     if data["last_sent_value"]:
-        table = Table("variable", box=None, padding=padding, header_style="bold")
-        table.add_column("seqno", justify="right")
-        table.add_column("last value sent", overflow="ellipsis", no_wrap=True)
+        table = Table(box=None, padding=padding, header_style="bold")
+        table.add_column("variable", no_wrap=True, min_width=len("variable"))
+        table.add_column("seqno", justify="right", min_width=len("seqno"))
+        table.add_column("last value sent", overflow="fold")
         for var_id, last in data["last_sent_value"].items():
             table.add_row(var_id, str(last["seqno"]), last["value"])
         console.print()
         console.print(table)
+    if examples:
+        console.print("\nmalformed", style="bold")
     for number, text in examples:
         console.print(f"  frame {number}: {text}", style="red", soft_wrap=True)
+    if data["errors"] > len(examples):
+        more = data["errors"] - len(examples)
+        console.print(f"  ... and {more} more, see dcp-codec decode --errors-only", style="red")
     if data["other_traffic"]:
         others = ", ".join(f"{kind} {count}" for kind, count in data["other_traffic"].items())
         console.print(f"\n  other traffic: {others}")

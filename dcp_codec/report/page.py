@@ -148,7 +148,8 @@ def _problems(recorded: Recorded) -> list[str]:
     found = [shown(problem) for problem in outcome.problems]
     if outcome.other == outcome.frames:
         listed = ", ".join(f"{kind} ({many})" for kind, many in list(outcome.others.items())[:6])
-        there = f"There is: {listed}." if listed else "There are no frames at all."
+        nothing = f"All {outcome.frames:,} are other traffic." if outcome.frames else "There are no frames at all."
+        there = f"There is: {listed}." if listed else nothing
         found.append(f"There are no DCP frames of profile {outcome.profile} in this recording. {there}")
     elif outcome.other:
         found.append(f"{outcome.other:,} of {outcome.frames:,} frames are other traffic than DCP.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import struct
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import msgspec
 import pytest
 from dcp_spec.profile_loading import load_profile, profile_names
 
-from dcp_codec.capture import open_capture
+from dcp_codec.capture import Frame, create_capture, open_capture
 
 from .conftest import ETHERNET, START_NS, beacon, write
 
@@ -72,17 +73,21 @@ def test_stats_wrap_of_the_sequence_number_is_no_loss(run, tmp_path, codec):
     assert (one["lost"], one["restarts"]) == (0, 0)
 
 
-@pytest.mark.parametrize("columns", [40, 80, 200])
-def test_stats_leave_out_nothing_of_a_sender_on_any_terminal(tmp_path, good, columns):
+def on_a_terminal(columns: int, *arguments: str) -> str:
     master, slave = pty.openpty()
     termios.tcsetwinsize(slave, (25, columns))
-    program = "from dcp_codec.cli import main; main()"
-    command = [sys.executable, "-c", program, "stats", "-p", "cpp-2.0", str(write(tmp_path / "a.pcap", *good))]
+    command = [sys.executable, "-c", "from dcp_codec.cli import main; main()", *arguments]
     environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"TERM": "xterm"}
     subprocess.run(command, stdin=slave, stdout=slave, stderr=subprocess.DEVNULL, env=environment, check=True)
     os.close(slave)
     shown = os.read(master, 1 << 16).decode()
     os.close(master)
+    return shown
+
+
+@pytest.mark.parametrize("columns", [40, 80, 200])
+def test_stats_leave_out_nothing_of_a_sender_on_any_terminal(tmp_path, good, columns):
+    shown = on_a_terminal(columns, "stats", "-p", "cpp-2.0", str(write(tmp_path / "a.pcap", *good)))
     row = next(line for line in shown.splitlines() if line.startswith("02:00:00:00:00:01"))
     assert row.split()[1:4] == ["3", "0", "2"]
 
@@ -94,6 +99,38 @@ def test_stats_text_names_senders_containers_and_malformed_frames(run, tmp_path,
     assert "5 beacons in 6 frames" in result.out
     assert "02:00:00:00:00:02" in result.out
     assert "frame 6: bp.seqno at octet 28: truncated" in result.out
+
+
+def test_stats_say_how_many_malformed_frames_they_leave_out(run, tmp_path, good):
+    shown = run("stats", "-p", "cpp-2.0", write(tmp_path / "a.pcap", *good, *[good[0][:30]] * 12)).out
+    assert shown.count(": truncated") == 10
+    assert "... and 2 more, see dcp-codec decode --errors-only" in shown
+    shown = run("stats", "-p", "cpp-2.0", write(tmp_path / "b.pcap", *good, *[good[0][:30]] * 10)).out
+    assert "more, see" not in shown
+
+
+def test_stats_of_a_clock_that_was_set_back(run, tmp_path, codec):
+    path = tmp_path / "a.pcap"
+    with create_capture(path) as writer:
+        for number, seconds in enumerate((3600, 3601, 3602, 0, 1)):
+            data = ETHERNET + codec.encode(beacon(number))
+            writer.write(Frame(number + 1, START_NS + seconds * 1_000_000_000, data, len(data)))
+    data = json.loads(run("stats", "-f", "json", "-p", "cpp-2.0", path).out)
+    one = data["senders"]["02:00:00:00:00:01"]
+    assert (one["interval"]["count"], one["interval"]["mean_ms"], one["backwards"]) == (3, 1000.0, 1)
+    assert data["duration_s"] == 3602
+    assert "time goes back before 1 beacons" in run("stats", "-p", "cpp-2.0", path).out
+
+
+def test_headings_of_stats_are_whole_beside_long_values(tmp_path, codec):
+    octets = bytearray(codec.encode(beacon(0)))
+    at = octets.index(b"\x04ABCD")
+    octets[at : at + 5] = b"\x40" + bytes(64)
+    for place in (11, 20):  # the lengths of the beacon and of the payload
+        octets[place : place + 2] = (int.from_bytes(octets[place : place + 2], "big") + 60).to_bytes(2, "big")
+    shown = on_a_terminal(80, "stats", "-p", "cpp-2.0", str(write(tmp_path / "a.pcap", ETHERNET + bytes(octets))))
+    assert "variable" in shown
+    assert sum(map(len, re.findall(r"(?<= )0{2,}", shown))) == 2 * 64
 
 
 def test_stats_of_several_files_is_a_list(run, capture):

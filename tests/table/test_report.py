@@ -407,6 +407,17 @@ def test_little_to_draw(sent, damaged, words, tmp_path):
         assert each in page.text
 
 
+def test_a_pipe_of_other_traffic(run, tmp_path, monkeypatch):
+    path = tmp_path / "a.pcap"
+    with create_capture(path) as writer:
+        writer.write(Frame(1, START, b"\xff" * 12 + b"\x08\x06" + bytes(46), 60))
+    with path.open("rb") as pipe:
+        monkeypatch.setattr(sys, "stdin", type("Pipe", (), {"buffer": pipe, "isatty": lambda self: False})())
+        told = run("-", "-p", "dcp-2.0", "-o", tmp_path / "a.html").err
+    assert "no DCP frames under EtherType 0x4953; there is: 1 other frames." in told
+    assert "All 1 are other traffic." in Page((tmp_path / "a.html").read_text()).text
+
+
 def test_nothing_to_draw(run, tmp_path):
     done = run(record(tmp_path / "none.pcap", []), "-o", tmp_path / "a.html", "--profile", "dcp-2.0")
     assert "no DCP frames" in done.err
