@@ -8,8 +8,6 @@ import numpy as np
 
 from .recorded import Column, Recorded
 
-#: Steps of sequence numbers beyond this are restarts, as in docs/tables.md.
-RESTART = 1000
 #: Pieces that a recording is cut into, at most, for rates; and for ages.
 _BINS = 120
 _FINE = 300
@@ -66,11 +64,13 @@ class Steps:
     """What sequence numbers tell, one row for each beacon, in the order of frames.
 
     ``lost`` beacons are missing in front of it; ``restart`` and ``repeated`` say how else it does not follow.
+    ``back`` is by how many ns the beacon was recorded earlier than the one before: the recorder's clock was set.
     """
 
     lost: Column
     restart: Column
     repeated: Column
+    back: Column
 
 
 def steps_of(recorded: Recorded) -> Steps:
@@ -78,28 +78,31 @@ def steps_of(recorded: Recorded) -> Steps:
     table = recorded.tables["beacons"]
     many = table["node"].size
     lost, restart, repeated = np.zeros(many, np.int64), np.zeros(many, bool), np.zeros(many, bool)
-    if recorded.modulus and many > 1:
+    back = np.zeros(many, np.int64)
+    if many > 1:
         order = np.lexsort((table["frame"], table["interface"], table["node"]))
-        node, interface, seqno = (table[name][order] for name in ("node", "interface", "seqno"))
+        node, interface, seqno, at = (table[name][order] for name in ("node", "interface", "seqno", "time"))
         same = (node[1:] == node[:-1]) & (interface[1:] == interface[:-1])
-        step = (seqno[1:] - seqno[:-1]) % recorded.modulus
-        # With narrow numbers half of them are behind.
-        far = min(RESTART, recorded.modulus // 2)
-        lost[order[1:]] = np.where(same & (step >= 2) & (step <= far), step - 1, 0)
-        restart[order[1:]] = same & (step > far)
-        repeated[order[1:]] = same & (step == 0)
-    return Steps(lost, restart, repeated)
+        back[order[1:]] = np.where(same, np.maximum(at[:-1] - at[1:], 0), 0)
+        if recorded.modulus:
+            step = (seqno[1:] - seqno[:-1]) % recorded.modulus
+            # Half of the numbers are behind.
+            ahead = step < recorded.modulus // 2
+            lost[order[1:]] = np.where(same & (step >= 2) & ahead, step - 1, 0)
+            restart[order[1:]] = same & ~ahead
+            repeated[order[1:]] = same & (step == 0)
+    return Steps(lost, restart, repeated, back)
 
 
 @dataclass(frozen=True)
 class Sender:
-    """One line of the table of senders. ``loss`` is a share, None where it cannot be known; rates are per second."""
+    """One line of the table of senders. ``loss`` is a share, ``rate`` per second; None where they cannot be known."""
 
     node: int
     beacons: int
     lost: int
     loss: float | None
-    rate: float
+    rate: float | None
     restarts: int
     first: float
     last: float
@@ -129,7 +132,7 @@ def senders_of(recorded: Recorded, time: Time, steps: Steps) -> list[Sender]:
                 beacons=received,
                 lost=missing,
                 loss=missing / (received + missing) if recorded.modulus else None,
-                rate=max(0, received - int(links[each])) / span if span else 0.0,
+                rate=max(0, received - int(links[each])) / span if span else None,
                 restarts=int(restarts[each]),
                 first=float(first[each]),
                 last=float(last[each]),
@@ -242,7 +245,7 @@ class Anomaly:
 
 
 #: Kinds of anomalies, in the order in which they are shown.
-KINDS = ("malformed", "gap", "restart", "repetition")
+KINDS = ("malformed", "gap", "restart", "repetition", "time goes back")
 
 
 def anomaly_times(recorded: Recorded, time: Time, steps: Steps) -> dict[str, Column]:
@@ -253,6 +256,7 @@ def anomaly_times(recorded: Recorded, time: Time, steps: Steps) -> dict[str, Col
         "gap": seconds[steps.lost > 0],
         "restart": seconds[steps.restart],
         "repetition": seconds[steps.repeated],
+        "time goes back": seconds[steps.back > 0],
     }
 
 
@@ -268,6 +272,7 @@ def worst(recorded: Recorded, time: Time, steps: Steps, many: int) -> list[Anoma
         ("gap", np.argsort(-steps.lost, kind="stable")[: min(many, int((steps.lost > 0).sum()))]),
         ("restart", np.flatnonzero(steps.restart)[:many]),
         ("repetition", np.flatnonzero(steps.repeated)[:many]),
+        ("time goes back", np.flatnonzero(steps.back)[:many]),
     ):
         for row in rows.tolist():
             number, lost = int(beacons["seqno"][row]), int(steps.lost[row])
@@ -275,6 +280,7 @@ def worst(recorded: Recorded, time: Time, steps: Steps, many: int) -> list[Anoma
                 "gap": f"{lost} missing before sequence number {number}",
                 "restart": f"continues with sequence number {number}",
                 "repetition": f"sequence number {number} again",
+                "time goes back": f"recorded {steps.back[row] / _SECOND:.6f} s earlier than the sender's beacon before",
             }[kind]
             at = float(time.seconds(beacons["time"][row : row + 1])[0])
             found.append(Anomaly(kind, at, int(beacons["frame"][row]), int(beacons["node"][row]), words, lost))

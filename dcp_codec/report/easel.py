@@ -100,17 +100,20 @@ def _rows(
                 for row, each in enumerate(series.values())
                 for start, end in runs((np.nan_to_num(each) > low) & (np.nan_to_num(each) <= high))
             ]
-            shade = 0.12 + 0.88 * high / levels[-1] if len(boxes) else 0.12
+            shade = 0.12 + 0.88 * high / levels[-1]
             if boxes:
                 # One path for all of a shade keeps the page small.
                 canvas.axes.add_patch(PathPatch(Outline.make_compound_path(*boxes), fc=ACCENT, alpha=shade, lw=0))
             square = {"color": ACCENT, "linestyle": "", "marker": "s", "markersize": 6, "mew": 0, "alpha": shade}
             legend.append(("to " + si(float(f"{high:.3g}")), square))
+        if not highest:
+            canvas.axes.text(0.5, 0.5, "none", transform=canvas.axes.transAxes, ha="center", color=SOFT)
         canvas.time_axis(easel.time.duration, "")
         canvas.axes.set_yticks(range(len(series)), [easel.short[node] for node in series], fontsize=7)
         canvas.axes.set_ylim(len(series) - 0.4, -0.6)
         canvas.axes.grid(visible=False)
-        canvas.legend(legend)
+        if highest:
+            canvas.legend(legend)
         return canvas.plot(png=easel.png)
 
 

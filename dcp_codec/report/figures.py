@@ -306,8 +306,11 @@ def octets(easel: Easel, parts: Sequence[Part]) -> list[Plot]:
 
 def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
     """When something was odd."""
-    caption = "Malformed frames, gaps in sequence numbers, restarts (numbers that jump) and repeated numbers."
-    with easel.canvas("anomalies", "When something was odd", caption, height=150) as canvas:
+    caption = (
+        "Malformed frames, gaps in sequence numbers, restarts (numbers that go back), repeated numbers, and a clock "
+        "of the recorder that was set back."
+    )
+    with easel.canvas("anomalies", "When something was odd", caption, height=165) as canvas:
         for row, kind in enumerate(KINDS):
             at = thinned(np.sort(times[kind]), _DOTS // len(KINDS))
             colour = BAD if kind in ("malformed", "gap") else ACCENT

@@ -110,7 +110,7 @@ def chapter(recorded: Recorded, number: int = 0, *, png: bool = False) -> Chapte
         name=shown(Path(outcome.path).name),
         facts=_facts(recorded, time),
         tiles=_tiles(recorded, time, senders, steps),
-        problems=_problems(recorded),
+        problems=_problems(recorded, steps),
         sections=sections,
     )
 
@@ -143,7 +143,7 @@ def _tiles(recorded: Recorded, time: Time, senders: Sequence[Sender], steps: Ste
     return tiles
 
 
-def _problems(recorded: Recorded) -> list[str]:
+def _problems(recorded: Recorded, steps: Steps) -> list[str]:
     outcome = recorded.outcome
     found = [shown(problem) for problem in outcome.problems]
     if outcome.other == outcome.frames:
@@ -153,6 +153,11 @@ def _problems(recorded: Recorded) -> list[str]:
         found.append(f"There are no DCP frames of profile {outcome.profile} in this recording. {there}")
     elif outcome.other:
         found.append(f"{outcome.other:,} of {outcome.frames:,} frames are other traffic than DCP.")
+    if steps.back.any():
+        found.append(
+            "Time goes back in this recording: the clock of the recorder was set. Rates, ages, delays and the order of "
+            "events mislead where it was."
+        )
     return found
 
 
@@ -170,7 +175,7 @@ def _senders(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Section:
         [
             Cell(names[sender.node], series=_series(easel, sender.node), mono=True),
             _number(f"{sender.beacons:,}"),
-            _number(f"{sender.rate:.3g}"),
+            _number("-" if sender.rate is None else f"{sender.rate:.3g}"),
             _number("unknown" if sender.loss is None else f"{sender.lost:,} ({100 * sender.loss:.2g} %)"),
             _number(f"{sender.restarts:,}"),
             _number(f"{sender.reports:,}"),
@@ -294,8 +299,8 @@ def _anomalies(easel: Easel, steps: Steps) -> Section:
     recorded = easel.recorded
     times = analysis.anomaly_times(recorded, easel.time, steps)
     if not any(each.size for each in times.values()):
-        told = "and no gap, restart or repetition in sequence numbers" if recorded.modulus else ""
-        section.words.append(f"None: there is no malformed frame {told}".rstrip() + ".")
+        told = ", no gap, restart or repetition in sequence numbers," if recorded.modulus else ""
+        section.words.append(f"None: there is no malformed frame{told} and time does not go back.")
         return section
     section.plots.append(figures.anomalies(easel, times))
     reasons = recorded.column("errors", "reason")

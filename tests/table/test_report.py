@@ -39,6 +39,7 @@ CAPTURES = ROOT / "captures"
 CODEC = get_codec("dcp-2.0")
 START = 1_790_000_000_000_000_000
 SECTIONS = ("senders", "age", "neighbours", "positions", "variables", "overhead", "anomalies")
+OTHER = (Payload(99, b"data"),)
 SRP, VARDIS, CREATES, UPDATES = 1, 2, 5, 2
 HOSTILE = "</svg><script>alert(1)</script>$\\frac$\x1b[31m\N{RIGHT-TO-LEFT OVERRIDE}<img src=http://evil/>"
 
@@ -370,6 +371,49 @@ def test_time_that_goes_backwards(tmp_path):
     assert hops.delay.tolist() == [-1.0]
     assert values.from_producer.tolist() == [True]
     assert self_contained(render([chapter(recorded)]))
+
+
+def test_a_clock_that_was_set_back_is_told(tmp_path):
+    path = tmp_path / "a.pcap"
+    envelope = Envelope(CODEC.profile.link)
+    with create_capture(path) as writer:
+        for number, seconds in enumerate((10, 11, 12, 3, 4), start=1):
+            data = envelope.frame(CODEC.encode(Beacon(BPHeader(address(1), number, 1), OTHER)), address(1))
+            writer.write(Frame(number, START + seconds * 1_000_000_000, data, len(data)))
+    recorded = gathered(path)
+    time, steps = analysis.time_of(recorded), analysis.steps_of(recorded)
+    assert steps.back.tolist() == [0, 0, 0, 9_000_000_000, 0]
+    (odd,) = analysis.worst(recorded, time, steps, 10)
+    assert (odd.kind, odd.frame, odd.words) == (
+        "time goes back", 4, "recorded 9.000000 s earlier than the sender's beacon before",
+    )  # fmt: skip
+    text = self_contained(render([chapter(recorded)])).text
+    assert "Time goes back in this recording" in text
+    assert "time goes back (1)" in text
+
+
+def test_a_node_that_was_away_for_long_has_lost_beacons(tmp_path):
+    sent = [(0.0, 1, 5, OTHER), (300.0, 1, 3005, OTHER), (300.1, 1, 3, OTHER), (300.2, 1, 2**31 + 3, OTHER)]
+    steps = analysis.steps_of(gathered(record(tmp_path / "a.pcap", sent)))
+    assert steps.lost.tolist() == [0, 2999, 0, 0]
+    assert steps.restart.tolist() == [False, False, True, True]
+
+
+def test_one_beacon_has_no_rate(tmp_path):
+    recorded = gathered(record(tmp_path / "a.pcap", [(0.0, 1, 5, OTHER)]))
+    (one,) = analysis.senders_of(recorded, analysis.time_of(recorded), analysis.steps_of(recorded))
+    assert one.rate is None
+    assert "Time goes back" not in self_contained(render([chapter(recorded)])).text
+
+
+def test_rows_of_many_senders_tell_their_shades_apart(tmp_path):
+    sent = [(n / 10 + node / 1000, node, n, (report(node, n),)) for node in range(1, 13) for n in range(40)]
+    text = render([chapter(gathered(record(tmp_path / "a.pcap", sent)))])
+    heard = next(svg for svg in re.findall(r"<figure.*?</figure>", text, re.DOTALL) if "Beacons heard" in svg)
+    legend = re.findall(r"opacity: ([0-9.]+)", heard[heard.index("time since the first frame") :])
+    assert legend[1:] == ["0.296", "0.472", "0.648", "0.824", "1"]  # the first is that of the axis
+    lost = next(svg for svg in re.findall(r"<figure.*?</figure>", text, re.DOTALL) if "Beacons lost" in svg)
+    assert ">none<" in lost
 
 
 def test_damage_is_shown(run, tmp_path):
