@@ -52,18 +52,27 @@ class ReplayOptions:
 
 @dataclass(slots=True)
 class Cast:
-    """Who is in a recording."""
+    """Who is in a recording, and from when to when: times of capture in ns, of the first and the latest beacon."""
 
     beacons: Counter[bytes] = field(default_factory=Counter)
     produced: Counter[bytes] = field(default_factory=Counter)
     frames: int = 0
     other: int = 0
+    first: int | None = None
+    last: int = 0
+
+    @property
+    def seconds(self) -> float:
+        """How long playing takes in the original timing."""
+        return 0.0 if self.first is None else (self.last - self.first) / 1e9
 
 
 def cast_of(path: Path, codec: Codec) -> Cast:
     """Read a recording through. Raises :class:`UsageError`: unreadable, or nothing of the profile in it."""
     cast = Cast()
-    for _, heard, _ in beacons_of(path, codec, cast):
+    for frame, heard, _ in beacons_of(path, codec, cast):
+        cast.first = frame.time_ns if cast.first is None else cast.first
+        cast.last = max(cast.last, frame.time_ns)
         if heard.sender is None:
             continue
         cast.beacons[heard.sender] += 1
@@ -108,6 +117,7 @@ class Replay:
         self._complaints: OrderedDict[tuple[str, str], list[tuple[str, str, int]]] = OrderedDict()
         self._counts: Counter[tuple[str, str]] = Counter()
         self.node = b""
+        self.cast = Cast()
 
     def cases(self) -> list[Case]:
         """The one case that plays the recording."""
@@ -131,7 +141,7 @@ class Replay:
 
         Raises :class:`UsageError`: unreadable, nothing of the profile, no such node, or the identifier of another one.
         """
-        cast = cast_of(self._path, codec)
+        self.cast = cast = cast_of(self._path, codec)
         self.node = self._options.node or choose_node(cast, sut_id)
         if self.node not in cast.beacons:
             there = ", ".join(node.hex(":") for node in cast.beacons)

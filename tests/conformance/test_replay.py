@@ -216,6 +216,23 @@ class TestCommand:
         assert (tmp_path / "report.html").exists()
         assert set(run.requirements.values()) == {Verdict.PASS}
 
+    def test_it_says_whose_part_was_taken(self, dcp_conformance: Command):
+        done = dcp_conformance("replay", CAPTURES / "b_crud.mcap", "--in-process")
+        assert f"note: it took the part of {NODES[2]} of the recording" in done.out
+        assert done.err == ""
+
+    @pytest.mark.parametrize(("speed", "told"), [("100000", "playing takes 1 h 0 min; --speed 0"), ("0", "")])
+    def test_long_pauses_are_told_before(self, dcp_conformance: Command, tmp_path: Path, speed: str, told: str):
+        path = tmp_path / "paused.pcap"
+        frames = simulated("dcp-2.0", 3, seconds=4)
+        with create_capture(path) as writer:
+            for number, frame in enumerate(frames):
+                late = 100_000 * 3600 if number >= len(frames) - 5 else 0
+                writer.write(msgspec.structs.replace(frame, time_ns=frame.time_ns + late * 10**9))
+        done = dcp_conformance("replay", path, "--in-process", "--speed", speed)
+        assert told in done.err
+        assert ("playing takes" in done.err) == bool(told)
+
     @pytest.mark.parametrize("options", [["--speed", "0"], ["--speed", "4"], ["--no-services"], []])
     def test_its_options(self, dcp_conformance: Command, options: list[str]):
         done = dcp_conformance("replay", CAPTURES / "c_latejoin.mcap", "--in-process", *options)

@@ -327,6 +327,12 @@ class TestPage:
             assert f'data-verdict="{verdict}"' in text
         assert "TC_X_Y_BV_01 (attempt 2)" in text
 
+    def test_what_is_said_of_a_recording_stands_above_its_findings(self):
+        run = a_run_of(a_case(Verdict.FAIL), notes=["the profile was guessed"])
+        page = render(msgspec.structs.replace(run, kind="check"), None)
+        assert page.count("the profile was guessed") == 1
+        assert page.index("the profile was guessed") < page.index('id="findings"')
+
     def test_an_empty_run_has_a_page(self):
         assert "<h1>" in render(a_run_of(notes=["nothing could be run"]), None)
 

@@ -15,6 +15,9 @@ from dcp_conformance.node_id import node_id_octets
 
 from .options import EXIT_STATUS, as_typed, target_of, target_options
 
+#: Seconds of playing that are worth a warning.
+_LONG = 600
+
 
 @click.command("replay", epilog=EXIT_STATUS)
 @click.argument("capture", type=click.Path(path_type=Path))
@@ -61,6 +64,7 @@ def command(capture: Path, **options: Any) -> int:
     with open_target(target_options) as target:
         target.runner.prepare()
         replay.take_part(codec, target.runner.session.sut_id)
+        _warn_of_length(replay.cast.seconds, options["speed"])
         cases = [target.runner.run(case) for case in replay.cases()]
         run = assemble(
             codec.profile,
@@ -71,11 +75,19 @@ def command(capture: Path, **options: Any) -> int:
             started=started,
             duration=time.monotonic() - begun,
             command=again,
-            notes=target.runner.notes,
+            notes=(f"it took the part of {replay.node.hex(':')} of the recording", *target.runner.notes),
         )
     page = str(write_report(run, report, codec)) if report is not None else ""
     print_summary(run, report=page)
     return exit_status(cases)
+
+
+def _warn_of_length(seconds: float, speed: float) -> None:
+    """Nobody waits for days without knowing."""
+    if speed and seconds / speed > _LONG:
+        minutes = round(seconds / speed / 60)
+        told = f"playing takes {minutes // 60} h {minutes % 60} min; --speed 0 plays in step, without the pauses"
+        click.echo(f"dcp-conformance: {told}", err=True)
 
 
 def _node_id(text: str | None) -> bytes | None:
