@@ -26,7 +26,7 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 from dcp_spec.profile import TICKS_PER_SECOND, Profile
-from dcp_spec.reasons import REASONS, WARNINGS
+from dcp_spec.reasons import COMPARISONS, REASONS, WARNINGS
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
@@ -55,6 +55,7 @@ def wireshark_dissector(codec: Codec) -> str:
         "CONTAINERS": dict(containers or {}),
         "REASONS": REASONS,
         "WARNINGS": WARNINGS,
+        "COMPARISONS": dict.fromkeys(sorted(COMPARISONS), True),
         "FIELDS": [*layout.fields.values(), *_generated_fields()],
         "LAYOUT": tree,
     }

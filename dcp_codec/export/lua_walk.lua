@@ -52,6 +52,18 @@ end
 
 -- --------------------------------------------------------------------------------------------------- problems
 
+-- What was needed and what was there, in words; nil if the problem has no numbers.
+local function quantity(reason, needed, available)
+    if COMPARISONS[reason] then
+        local expected, there = needed and "expected " .. needed, available and "found " .. available
+        return expected and there and expected .. ", " .. there or expected or there
+    elseif reason == "leftover" then
+        return string.format("%s octets too many", available)
+    elseif needed or available then
+        return string.format("needs %s octets, %s there", needed, available)
+    end
+end
+
 -- Note a problem at the octet `offset` of the message and mark `item`. `needed` and `available` are numbers, decimal
 -- text (beyond 2^53) or nil.
 local function problem(s, item, reason, path, offset, needed, available, requirement)
@@ -63,10 +75,8 @@ local function problem(s, item, reason, path, offset, needed, available, require
     found.needed = type(needed) == "number" and dec(needed) or needed
     found.available = type(available) == "number" and dec(available) or available
     list[#list + 1] = found
-    local text = reason
-    if found.needed or found.available then
-        text = string.format("%s (needed %s, available %s)", text, found.needed or "-", found.available or "-")
-    end
+    local numbers = quantity(reason, found.needed, found.available)
+    local text = reason .. (numbers and string.format(" (%s)", numbers) or "")
     text = text .. ": " .. (REASONS[reason] or WARNINGS[reason])
     item:add_proto_expert_info(E[reason], requirement and string.format("%s [%s]", text, requirement) or text)
 end

@@ -37,7 +37,7 @@ class Packet(NamedTuple):
     dates: list[Shown]
     padding: int
     problems: list[dict[str, str]]
-    experts: int
+    experts: list[str]
 
 
 def tshark(script: str, capture: Path, *arguments: str) -> str:
@@ -70,10 +70,11 @@ def _packet(root: ET.Element) -> Packet:
     fields = [Shown("dcp", int(root.attrib["pos"]), int(root.attrib["size"]), "", "")]
     dates: list[Shown] = []
     problems: list[dict[str, str]] = []
-    padding = experts = 0
+    padding = 0
+    experts: list[str] = []
 
     def collect(element: ET.Element) -> None:
-        nonlocal padding, experts
+        nonlocal padding
         for child in element:
             name = child.get("name", "")
             # An item that is only text has nothing but its label.
@@ -84,7 +85,9 @@ def _packet(root: ET.Element) -> Packet:
                 problems.append({"severity": name[4:-1], **problem})
             elif name == "_ws.expert":
                 # Wireshark has remarks of its own, about strings.
-                experts += any(part.get("name", "").startswith("dcp.expert.") for part in child)
+                parts = {part.get("name", ""): part.get("show", "") for part in child}
+                if any(part.startswith("dcp.expert.") for part in parts):
+                    experts.append(parts["_ws.expert.message"])
             elif name == "_ws.malformed":
                 # Wireshark adds it to expert information of the group of malformed messages.
                 continue
@@ -174,8 +177,13 @@ def differences(frame: DissectedFrame, packet: Packet) -> Iterator[str]:
     ]
     if problems != packet.problems:
         yield f"we have the problems {problems}, tshark has {packet.problems}"
-    if packet.experts != len(problems):
-        yield f"{len(problems)} problems, but {packet.experts} times expert information"
+    # Wireshark attaches them to the fields, so that their order is that of the tree.
+    told = sorted(
+        str(problem).removeprefix(f"{problem.path or 'beacon'} at octet {problem.offset}: ")
+        for problem in [*frame.dissection.errors, *frame.dissection.warnings]
+    )
+    if sorted(packet.experts) != told:
+        yield f"we say {told}, the expert information of tshark is {packet.experts}"
 
 
 def compare(codec: Codec, script: str, capture: Path) -> tuple[int, list[str]]:
