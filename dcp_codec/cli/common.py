@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -75,6 +76,22 @@ def link_of(codec: Codec, ether_type: int | None) -> Link:
     return link if ether_type is None else with_ether_type(link, ether_type)
 
 
+class InputError(ExpectedError):
+    """One input cannot be read; others may."""
+
+
+def each_file(files: Sequence[str], do: Callable[[str], int]) -> int:
+    """Do something with every file, also behind one that cannot be read; returns the worst exit status."""
+    status = 0
+    for name in files:
+        try:
+            status = max(status, do(name))
+        except InputError as error:
+            note(str(error))
+            status = max(status, error.status)
+    return status
+
+
 @contextmanager
 def open_input(name: str) -> Iterator[CaptureReader]:
     """A capture file, or standard input for ``-``."""
@@ -86,7 +103,7 @@ def open_input(name: str) -> Iterator[CaptureReader]:
             with open_capture(Path(name)) as reader:
                 yield reader
     except CaptureError as error:
-        raise ExpectedError(str(error)) from None
+        raise InputError(str(error)) from None
 
 
 def choose(
@@ -110,6 +127,12 @@ def report_capture_problems(reader: CaptureReader, name: str) -> int:
     for problem in reader.problems:
         note(f"{name}: {problem.message}")
     return UNUSABLE if reader.problems else 0
+
+
+def malformed_note(name: str, malformed: int, beacons: int) -> None:
+    """Tell how many of the DCP frames are malformed; nothing but malformed ones speak another version."""
+    hint = "" if malformed < beacons else f"; another --profile? dcp-codec guess {shlex.quote(name)} ranks them"
+    note(f"{name}: {malformed} of {beacons} DCP frames are malformed{hint}")
 
 
 def no_beacons_note(name: str, frames: int, others: dict[str, int], link: Link) -> None:

@@ -24,8 +24,10 @@ from .common import (
     MALFORMED,
     Output,
     choose,
+    each_file,
     link_of,
     load_codec,
+    malformed_note,
     no_beacons_note,
     note,
     open_input,
@@ -117,12 +119,7 @@ def command(
         return run.hex(hex_text)
     if interface is not None:
         return run.live(interface)
-    status = 0
-    for name in files:
-        status = max(status, run.file(name))
-        if run.enough:
-            break
-    return status
+    return each_file(files, lambda name: 0 if run.enough else run.file(name))
 
 
 class _Run:
@@ -210,7 +207,7 @@ class _Run:
         for example in examples:
             note(example)
         if malformed:
-            note(f"{name}: {malformed} of {beacons} DCP frames are malformed")
+            malformed_note(name, malformed, beacons)
         if not beacons:
             no_beacons_note(name, others.total(), dict(others.most_common()), dissector.link)
         elif self.shown == before:

@@ -8,8 +8,8 @@ import click
 
 from dcp_codec.guess import SAMPLE, guess, sample
 
+from .common import each_file, open_input, report_capture_problems
 from .common import ether_type as parse_ether_type
-from .common import open_input, report_capture_problems
 
 
 @click.command("guess")
@@ -24,31 +24,33 @@ def command(files: tuple[str, ...], ether_type: int | None, limit: int, form: st
 
     The score is 1 when every frame decodes and everything it says is plausible.
     """
-    status = 0
-    for name in files:
-        with open_input(name) as reader:
-            first, _ = sample(reader, limit, ether_type=ether_type)
-            found = guess(first, ether_type=ether_type)
-            status = max(status, report_capture_problems(reader, name))
-        if form == "json":
-            rows = [
-                {
-                    "profile": candidate.profile.name,
-                    "score": round(candidate.score, 6),
-                    "decoded": candidate.decoded,
-                    "frames": candidate.frames,
-                    "doubts": list(candidate.doubts),
-                }
-                for candidate in found.candidates
-            ]
-            best = found.best
-            tied = [best.profile.name, *(other.profile.name for other in found.tied)]
-            click.echo(json.dumps({"file": name, "profile": best.profile.name, "tied": tied, "ranking": rows}))
-            continue
-        click.echo(f"{name}: {found}")
-        click.echo("  score  decoded        profile       doubts")
-        for candidate in found.candidates:
-            share = f"{candidate.decoded}/{candidate.frames}"
-            doubts = "; ".join(candidate.doubts)
-            click.echo(f"  {candidate.score:5.3f}  {share:<13}  {candidate.profile.name:<12}  {doubts}".rstrip())
+    return each_file(files, lambda name: _guess(name, ether_type, limit, form))
+
+
+def _guess(name: str, ether_type: int | None, limit: int, form: str) -> int:
+    with open_input(name) as reader:
+        first, _ = sample(reader, limit, ether_type=ether_type)
+        found = guess(first, ether_type=ether_type)
+        status = report_capture_problems(reader, name)
+    if form == "json":
+        rows = [
+            {
+                "profile": candidate.profile.name,
+                "score": round(candidate.score, 6),
+                "decoded": candidate.decoded,
+                "frames": candidate.frames,
+                "doubts": list(candidate.doubts),
+            }
+            for candidate in found.candidates
+        ]
+        best = found.best
+        tied = [best.profile.name, *(other.profile.name for other in found.tied)]
+        click.echo(json.dumps({"file": name, "profile": best.profile.name, "tied": tied, "ranking": rows}))
+        return status
+    click.echo(f"{name}: {found}")
+    click.echo("  score  decoded        profile       doubts")
+    for candidate in found.candidates:
+        share = f"{candidate.decoded}/{candidate.frames}"
+        doubts = "; ".join(candidate.doubts)
+        click.echo(f"  {candidate.score:5.3f}  {share:<13}  {candidate.profile.name:<12}  {doubts}".rstrip())
     return status

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from dcp_codec.commandline import UNUSABLE, ExpectedError
 
-from .common import MALFORMED, load_codec, no_beacons_note, note
+from .common import MALFORMED, load_codec, malformed_note, no_beacons_note, note
 
 if TYPE_CHECKING:
     from dcp_codec.table.job import Outcome
@@ -49,7 +49,7 @@ def tell(outcome: Outcome) -> int:
     for text in outcome.notes:
         note(f"{name}: {text}")
     if outcome.malformed:
-        note(f"{name}: {outcome.malformed} of {outcome.frames - outcome.other} DCP frames are malformed")
+        malformed_note(name, outcome.malformed, outcome.frames - outcome.other)
         status = MALFORMED
     if outcome.link is not None:
         no_beacons_note(name, outcome.frames, outcome.others, outcome.link)

@@ -15,8 +15,9 @@ from dcp_codec.stats import Stats
 from .common import (
     MALFORMED,
     choose,
+    each_file,
+    malformed_note,
     no_beacons_note,
-    note,
     open_input,
     profile_options,
     progress,
@@ -40,16 +41,19 @@ def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: 
 
     With --format json, one object for one file, and a list of objects for several.
     """
-    status, found = 0, []
-    for name in files:
-        stats, file_status = _read(name, profile, ether_type)
-        status = max(status, file_status)
+    found: list[dict[str, Any]] = []
+
+    def one(name: str) -> int:
+        stats, status = _read(name, profile, ether_type)
         if form == "text":
             _show(name, stats.as_json(), stats.examples)
         else:
             found.append({"file": name, **stats.as_json()})
-    if form == "json":
-        click.echo(json.dumps(found[0] if len(found) == 1 else found, indent=2))
+        return status
+
+    status = each_file(files, one)
+    if form == "json" and (found or len(files) > 1):
+        click.echo(json.dumps(found[0] if len(files) == 1 else found, indent=2))
     return status
 
 
@@ -64,7 +68,7 @@ def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int]:
                 advance()
         status = report_capture_problems(reader, name)
     if stats.malformed:
-        note(f"{name}: {stats.malformed} DCP frames are malformed")
+        malformed_note(name, stats.malformed, stats.beacons + stats.malformed)
         status = max(status, MALFORMED)
     if not stats.beacons and not stats.malformed:
         no_beacons_note(name, stats.frames, dict(stats.other_traffic.most_common()), link)

@@ -137,6 +137,27 @@ def test_stats_of_several_files_is_a_list(run, capture):
     assert [row["beacons"] for row in json.loads(run("stats", "-f", "json", capture, capture).out)] == [5, 5]
 
 
+@pytest.mark.parametrize("command", ["stats", "guess", "decode"])
+def test_a_file_that_cannot_be_read_does_not_hide_the_next(run, tmp_path, capture, command):
+    (tmp_path / "empty.pcap").write_bytes(b"")
+    result = run(command, tmp_path / "empty.pcap", capture, tmp_path / "none.pcap")
+    assert result.status == 2
+    assert "empty.pcap: is empty" in result.err
+    assert "none.pcap: there is no such file" in result.err
+    assert "a.pcap: profile cpp-2.0" in result.err or "a.pcap: cpp-2.0" in result.out
+    result = run("stats", "-f", "json", tmp_path / "empty.pcap", capture)
+    assert [each["beacons"] for each in json.loads(result.out)] == [5]
+    assert run("stats", "-f", "json", tmp_path / "empty.pcap").out == ""
+
+
+@pytest.mark.parametrize("command", ["stats", "decode"])
+def test_where_nothing_decodes_another_profile_is_suggested(run, tmp_path, capture, good, command):
+    told = "5 of 5 DCP frames are malformed; another --profile? dcp-codec guess "
+    assert told in run(command, "-p", "dcp-1.0", capture).err
+    some = run(command, "-p", "cpp-2.0", write(tmp_path / "b.pcap", *good, good[0][:30])).err
+    assert some.endswith("b.pcap: 1 of 6 DCP frames are malformed\n")
+
+
 # -- guess ------------------------------------------------------------------------------------------------------
 
 VECTORS = {
