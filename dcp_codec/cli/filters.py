@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import click
 import msgspec
+from dcp_spec.constants import ICType
 
 from dcp_codec.capture import Frame
 from dcp_codec.fields import Field
@@ -55,6 +56,17 @@ def frame_range(_ctx: click.Context, _param: click.Parameter, value: str | None)
     return first, last
 
 
+def _container(name: str) -> str:
+    """The label of a type of container, or its number as text."""
+    label = name.upper().replace("_", "-").removeprefix("ICTYPE-")
+    known = [each.label for each in ICType]
+    if label not in known and not label.isdecimal():
+        raise click.BadParameter(
+            f"{name!r} is none of {', '.join(known)}, and no number of a type", param_hint="--container"
+        )
+    return label
+
+
 class Filter:
     """All conditions must hold; of several values for one condition any may."""
 
@@ -72,7 +84,7 @@ class Filter:
     ) -> None:
         self.senders = {sender.lower().replace("-", ":") for sender in senders}
         self.protocols = {_protocol(name) for name in protocols}
-        self.containers = {name.upper().removeprefix("ICTYPE-") for name in containers}
+        self.containers = {_container(name) for name in containers}
         self.variables = set(variables)
         self.frames = frames
         self.start = start

@@ -165,6 +165,12 @@ def test_hex_of_another_ether_type(run, good):
     assert "EtherType 0x0800 at octet 12" in result.err
 
 
+def test_a_container_that_does_not_exist_is_no_filter(run, tmp_path, good):
+    result = run("decode", "--container", "UPDATE", write(tmp_path / "a.pcap", *good))
+    assert result.status == 2
+    assert "'UPDATE' is none of SUMMARIES, UPDATES, REQUEST-VARUPDATES" in " ".join(result.err.split())
+
+
 # -- what is wrong with frames ----------------------------------------------------------------------------------
 
 
