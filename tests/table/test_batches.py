@@ -8,17 +8,19 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pyarrow as pa
 import pytest
+from numba import njit
 from pyarrow import parquet
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.compiled import cache_folder
-from dcp_codec.table.jit import machine
+from dcp_codec.table.jit import machine, options_of
 from dcp_codec.table.pools import Pool
 from dcp_codec.table.sources import packed
 from dcp_codec.table.stage import MOVED, OF_A_FRAME
@@ -249,6 +251,17 @@ def test_functions_that_cannot_be_kept_are_compiled_all_the_same():
     namespace: dict[str, Any] = {}
     exec("def twice(x): return 2 * x", namespace)
     assert machine(namespace["twice"])(21) == 42
+
+
+def test_an_option_that_is_not_there_is_left_out(monkeypatch):
+    """Numba refuses what it does not know, and one of the options is its own affair."""
+    assert options_of("numba.core.registry") == {"nogil": True, "_nrt": False}
+    assert options_of("numba.core.no_such_module") == {"nogil": True}
+    for registry in (SimpleNamespace(), SimpleNamespace(cpu_target=SimpleNamespace(options=object()))):
+        monkeypatch.setitem(sys.modules, "numba_of_tomorrow", registry)
+        assert options_of("numba_of_tomorrow") == {"nogil": True}
+    twice = njit(**options_of("numba_of_tomorrow"))(lambda x: 2 * x)
+    assert twice(21) == 42
 
 
 def test_a_folder_that_others_may_write_is_no_cache(tmp_path, monkeypatch):
