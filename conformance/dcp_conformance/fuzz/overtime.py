@@ -33,7 +33,8 @@ class TimeLimit:
             signal.signal(signal.SIGVTALRM, _overtime)
             self._thread = main.ident
         if threading.get_ident() == self._thread:
-            signal.setitimer(signal.ITIMER_VIRTUAL, self.seconds)
+            # Again and again: what is raised in a finaliser goes nowhere.
+            signal.setitimer(signal.ITIMER_VIRTUAL, self.seconds, self.seconds)
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         if threading.get_ident() == self._thread:
