@@ -64,10 +64,14 @@ def test_what_no_parameter_may_allow_fails_without_a_word_about_it():
 
 @pytest.mark.parametrize(
     ("case_id", "mutant"),
-    [("TC_VD_UPD_BO_03", "M-VD-UPD-04-ok"), ("TC_DCP_DATA_BV_08-least", "M-VD-PC-09-own-only")],
+    [
+        ("TC_VD_UPD_BO_03", "M-VD-UPD-04-ok"),
+        ("TC_DCP_DATA_BV_08-least", "M-VD-PC-09-own-only"),
+        ("TC_VD_CRE_BI_05-taken+value", "M-VD-CRE-13-exists-last"),
+    ],
 )
 def test_what_no_bound_excuses_fails_whoever_has_told_it(case_id: str, mutant: str):
-    """A deleted variable is deleted however long a value is, and one octet is never too long."""
+    """One octet is never too long, and what is deleted or there already is so however long a value is."""
     make = all_mutants()[mutant].make
     codec = codec_of("dcp-2.0")
     sut = InProcess(reference_config(codec), make=make)
