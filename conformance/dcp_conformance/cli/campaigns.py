@@ -164,7 +164,6 @@ def run_campaign(
     from dcp_conformance.errors import LowerTesterError, WorkerError
     from dcp_conformance.fuzz.evidence import evidence_lines
     from dcp_conformance.fuzz.live import UnhealthyError
-    from dcp_conformance.reporting import make_folder
 
     jobs = options["jobs"] if make is not None else 1
     if options["dry_run"]:
@@ -177,6 +176,8 @@ def run_campaign(
     if options["resume"]:
         campaign.resume()
     if campaign.directory is not None:
+        from dcp_conformance.reporting import make_folder
+
         make_folder(campaign.directory)
     # No worker is started that has nothing to do.
     jobs = min(jobs, options["max_cases"] or jobs)
