@@ -103,7 +103,10 @@ class Runner:
         try:
             self._reset()
             if self._reset_mode() == "restart" and (why := self.await_answer(case)):
-                bench.inconclusive("the implementation is there after its restart", why)
+                # Whatever keeps it away is not what the case is about; the next one restarts it again.
+                what = "the implementation is there after its restart"
+                check = Check(Verdict.INCONCLUSIVE, case.requirements, what, why)
+                return self._result(case, bench, begun, attempt, [check])
             bench.mark()
             bench.heard.clear()
             # What was lost, or looked at late, before the case is no excuse in it.

@@ -3,15 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from importlib import import_module
+from typing import Any, Final, TypeVar, cast
 
 from numba import njit
 
-#: Other threads may run. References to arrays are not counted, which took up to a fifth of the time: a function has to
-#: make do with the arrays that it is given.
-OPTIONS: dict[str, Any] = {"nogil": True, "_nrt": False}
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def options_of(registry: str) -> dict[str, Any]:
+    """What Numba is told; ``registry``: its module that says which options there are.
+
+    Other threads may run. References to arrays are not counted, which took up to a fifth of the time: a function has to
+    make do with the arrays that it is given. That option is Numba's own (0.60 to 0.68 have it): where there is none, or
+    no such module, it is left out, and everything is the same but for the time.
+    """
+    options: dict[str, Any] = {"nogil": True}
+    try:
+        known = import_module(registry).cpu_target.options
+    except (ImportError, AttributeError):
+        return options
+    return options | {"_nrt": False} if hasattr(known, "_nrt") else options
+
+
+#: For functions that make no arrays.
+OPTIONS: Final = options_of("numba.core.registry")
 
 
 def machine(function: _Function) -> _Function:

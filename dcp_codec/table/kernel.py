@@ -357,7 +357,9 @@ def _move(generator: _Generator, table: Table) -> None:
     """Move the rows of a table from the stage to its columns."""
     number = table.number
     begin = sum(len(other.columns) for other in generator.shape.tables[:number])
-    generator.add(f"move(u1, r{number}, t{number}, n{number}, moves, {begin}, {begin + len(table.columns)})")
+    end = begin + len(table.columns)
+    # As numbers of 64 bits like all others, or Numba would make another function for each table.
+    generator.add(f"move(u1, r{number}, t{number}, n{number}, moves, I64({begin}), I64({end}))")
     generator.add(f"n{number} += r{number}")
     generator.add(f"r{number} = 0")
 

@@ -159,4 +159,4 @@ class KernelLines:
         if size <= SHORT:
             self.intern("n", at, size, target)
         else:
-            self.intern_any(at, str(size), target)
+            self.intern_any(at, f"I64({size})", target)

@@ -62,6 +62,27 @@ def test_what_no_parameter_may_allow_fails_without_a_word_about_it():
     assert verdict is Verdict.FAIL
 
 
+@pytest.mark.parametrize(
+    ("case_id", "mutant"),
+    [
+        ("TC_VD_UPD_BO_03", "M-VD-UPD-04-ok"),
+        ("TC_DCP_DATA_BV_08-least", "M-VD-PC-09-own-only"),
+        ("TC_VD_CRE_BI_05-taken+value", "M-VD-CRE-13-exists-last"),
+    ],
+)
+def test_what_no_bound_excuses_fails_whoever_has_told_it(case_id: str, mutant: str):
+    """One octet is never too long, and what is deleted or there already is so however long a value is."""
+    make = all_mutants()[mutant].make
+    codec = codec_of("dcp-2.0")
+    sut = InProcess(reference_config(codec), make=make)
+    upper = sut.upper_tester()
+    upper.methods = upper.methods - {"VD-GetParameters"}
+    runner = Runner(Session(codec, sut.lower_tester(), upper, Pics()), sut)
+    runner.prepare()
+    verdict = runner.run(known_cases()[case_id]).verdict
+    assert verdict is Verdict.FAIL
+
+
 def test_many_variables_that_are_not_learnt_are_told_briefly():
     result = judged("TC_VD_PAY_BV_02-creates", Testing(), max_value_length=4)
     verdict = result.verdict

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind
 from dcp_conformance.mutants import all_mutants
@@ -124,6 +125,30 @@ def test_who_does_not_come_back_is_not_blamed_for_more():
     assert verdict is Verdict.INCONCLUSIVE
     assert runner.notes[-1].endswith("died in TC_VD_ROB_BI_01-type-0, was restarted, and does not answer within 30 s")
     assert "TC_VD_ROB_BI_01-type-0" in result.reason
+
+
+class Stillborn(InProcess):
+    """Is dead after a restart."""
+
+    def restart(self) -> None:
+        super().restart()
+        self.died = "a file is missing"
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"), [(Gone, "does not answer within 30 s"), (Stillborn, "is dead again: a file is missing")]
+)
+def test_no_case_fails_that_could_not_begin(kind: type[InProcess], why: str):
+    """Who is not there after a restart has not died of a case."""
+    sut = kind(reference_config(codec_of("dcp-2.0")))
+    pics = Pics(pixit=Testing(reset="restart"))
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, pics), sut)
+    runner.prepare()
+    result = runner.run(known_cases()[NEXT])
+    verdict = result.verdict
+    assert verdict is Verdict.INCONCLUSIVE
+    assert why in result.reason
+    assert not result.killed
 
 
 def test_a_death_is_told_with_the_last_sign_of_life():

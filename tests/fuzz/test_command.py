@@ -35,6 +35,8 @@ def test_nothing_is_sent_on_an_interface_that_was_not_named(mode):
         (("stack", "--resume"), "--artefacts DIR"),
         (("stack", "--resume", "--artefacts", "/nonexistent"), "no campaign"),
         (("stack", "--recording", "/nonexistent.mcap"), "/nonexistent.mcap"),
+        (("stack", "--artefacts", "/dev/null/x"), "/dev/null/x: cannot be written"),
+        (("codec", "--artefacts", "/dev/null"), "is there, and is no folder"),
         (("replay", "/nonexistent"), "/nonexistent"),
     ],
 )
@@ -89,7 +91,9 @@ def test_coverage_is_written_with_what_is_missing(tmp_path):
     coverage = json.loads(path.read_text())
     assert len(coverage["missing_states"]) > 10
     assert f"message: {coverage['possible_states'] - len(coverage['missing_states'])} of" in done.stdout
-    assert fuzz("stack", "--max-cases", "1", "--coverage", "/nonexistent/x").returncode == 2
+    done = fuzz("stack", "--max-cases", "1", "--coverage", "/nonexistent/x")
+    assert done.returncode == 2
+    assert "1 cases" in done.stdout
 
 
 def test_a_recording_and_lines_of_code_guide(tmp_path):

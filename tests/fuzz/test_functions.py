@@ -47,6 +47,15 @@ def test_all_parts_are_drawn():
     assert drawn == set(PARTS)
 
 
+def test_parts_are_named_in_any_order_and_as_often_as_one_likes():
+    drawn = []
+    for parts in (("beacon", "pics"), ("pics", "beacon", "pics")):
+        rng = random.Random(1)
+        inputs = FunctionInputs(CODEC, rng, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 20)), parts)
+        drawn.append([inputs.draw() and inputs.kinds[0] for _ in range(50)])
+    assert drawn[0] == drawn[1]
+
+
 class Raising(Codec):
     def decode_from(self, octets, start=0):
         raise KeyError("x")

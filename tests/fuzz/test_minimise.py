@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import random
 
-from dcp_conformance.fuzz import Effect, Frame, Minimiser, Wait
+from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
+from dcp_conformance.fuzz.artefact import SavedTarget
 
 from dcp_codec import Codec
 from dcp_codec.mutation_values import valid_beacons
@@ -90,3 +91,37 @@ def test_numbers_in_a_text_do_not_tell_effects_apart():
     assert one.signature == Effect("state", "variable 12 has number 0 value ''", 9).signature
     assert one.signature != Effect("state", "variable 3 is alive", 2).signature
     assert one.signature != Effect("said", "variable 3 has number 7 value '00ff'", 2).signature
+
+
+class Hanging:
+    """Does not come back from so many octets of one kind, whatever is between them."""
+
+    name = "hanging"
+
+    def __init__(self) -> None:
+        self.hangs = 0
+
+    def run(self, steps):
+        for at, step in enumerate(steps):
+            if step.octets.count(b"h") >= 32:
+                self.hangs += 1
+                return Effect("hang", "no end after 8 s of CPU time", at)
+        return None
+
+
+class Long:
+    kinds = ("long",)
+
+    def draw(self):
+        return [Frame(b"h-" * 32) for _ in range(40)]
+
+
+def test_what_does_not_come_back_is_not_tried_hundreds_of_times():
+    """Each time takes all the time that a test may have."""
+    target = Hanging()
+    campaign = Campaign(CODEC, target, Long(), SavedTarget("stack"), 1)
+    campaign.run(Limits(findings=1))
+    [artefact] = campaign.artefacts
+    assert artefact.minimised
+    assert len(artefact.steps) == 1
+    assert 1 < target.hangs <= 31

@@ -22,6 +22,25 @@ def test_what_does_not_come_back_is_ended_each_time_anew():
             pass
 
 
+class NeverGone:
+    def __del__(self):
+        forever()
+
+
+def swallow(left: list[NeverGone]) -> None:
+    left.clear()
+    for _ in range(10_000_000):
+        pass
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_what_has_swallowed_its_end_is_ended_later():
+    """Whatever is raised in a finaliser goes nowhere."""
+    left = [NeverGone()]
+    with pytest.raises(Overtime), TimeLimit(0.05):
+        swallow(left)
+
+
 def test_nothing_is_ended_behind_the_test():
     limit, spent = TimeLimit(0.02), 0
     with limit:

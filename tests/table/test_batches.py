@@ -8,19 +8,19 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pyarrow as pa
 import pytest
-from numba.core.caching import NullCache
-from numba.core.dispatcher import Dispatcher
+from numba import njit
 from pyarrow import parquet
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
-from dcp_codec.table import ColumnDecoder, Recording, messages, native, walkers
+from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.compiled import cache_folder
-from dcp_codec.table.jit import machine
+from dcp_codec.table.jit import machine, options_of
 from dcp_codec.table.pools import Pool
 from dcp_codec.table.sources import packed
 from dcp_codec.table.stage import MOVED, OF_A_FRAME
@@ -196,10 +196,10 @@ with Recording(sys.argv[1]) as source:
 """
 
 
-def program(recording: Any, cache: str) -> subprocess.CompletedProcess[str]:
+def program(recording: Any, cache: str, text: str = _PROGRAM) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "XDG_CACHE_HOME": cache}
     return subprocess.run(
-        [sys.executable, "-c", _PROGRAM, str(recording)], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", text, str(recording)], env=environment, capture_output=True, text=True, check=True
     )
 
 
@@ -220,14 +220,27 @@ def test_what_was_compiled_is_kept(tmp_path):
     assert program(path, str(tmp_path)).stdout == "445\n"
 
 
-def test_what_is_kept_is_kept_for_arguments_of_one_kind():
-    """Two processes that keep the same function for different arguments at once would mix them up in Numba's files."""
-    with Recording(C_LATEJOIN) as source:
-        assert sum(block.frames for block in source.blocks()) == 270
-    for module in (messages, native, walkers):
-        for name, function in vars(module).items():
-            if isinstance(function, Dispatcher) and not isinstance(function._cache, NullCache):
-                assert len(function.signatures) <= 1, name
+_SEVERAL = """
+from numba.core.caching import NullCache
+from numba.core.dispatcher import Dispatcher
+from dcp_codec.table import messages, native, walkers
+for module in (messages, native, walkers):
+    for name, function in vars(module).items():
+        if isinstance(function, Dispatcher) and not isinstance(function._cache, NullCache):
+            assert len(function.signatures) <= 1, (name, function.signatures)
+"""
+
+
+def test_what_is_kept_is_kept_for_arguments_of_one_kind(tmp_path):
+    """Two processes that keep the same function for different arguments at once would mix them up in Numba's files.
+
+    Which arguments there are shows where the decoder is compiled, not where it was kept.
+    """
+    copies = [C_LATEJOIN, tmp_path / "copy.pcap", tmp_path / "copy.pcapng"]
+    for copy in copies[1:]:
+        convert(C_LATEJOIN, copy, lossy=True)
+    several = [f"sys.argv[1] = {str(copy)!r}\n{_PROGRAM}" for copy in copies]
+    assert program(C_LATEJOIN, str(tmp_path), "import sys\n" + "\n".join([*several, _SEVERAL])).stdout == 3 * "445\n"
 
 
 def test_without_a_place_to_keep_it():
@@ -238,6 +251,17 @@ def test_functions_that_cannot_be_kept_are_compiled_all_the_same():
     namespace: dict[str, Any] = {}
     exec("def twice(x): return 2 * x", namespace)
     assert machine(namespace["twice"])(21) == 42
+
+
+def test_an_option_that_is_not_there_is_left_out(monkeypatch):
+    """Numba refuses what it does not know, and one of the options is its own affair."""
+    assert options_of("numba.core.registry") == {"nogil": True, "_nrt": False}
+    assert options_of("numba.core.no_such_module") == {"nogil": True}
+    for registry in (SimpleNamespace(), SimpleNamespace(cpu_target=SimpleNamespace(options=object()))):
+        monkeypatch.setitem(sys.modules, "numba_of_tomorrow", registry)
+        assert options_of("numba_of_tomorrow") == {"nogil": True}
+    twice = njit(**options_of("numba_of_tomorrow"))(lambda x: 2 * x)
+    assert twice(21) == 42
 
 
 def test_a_folder_that_others_may_write_is_no_cache(tmp_path, monkeypatch):

@@ -278,7 +278,8 @@ def deleted(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
     bench.must("RTDB-Delete", varId=var_id)
     mark = bench.mark()
-    for value in (b"newer", b"v" * (bench.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
+    # Whatever the maximum is: it is the deletion that is told.
+    for value in (b"newer", b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
         answer = bench.call("RTDB-Update", varId=var_id, value=value.hex())
         if answer.code != NOT_EXPRESSIBLE:
             allowed = statuses_after_deletion(bench)

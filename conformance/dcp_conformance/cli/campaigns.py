@@ -175,6 +175,10 @@ def run_campaign(
     campaign.directory = options["artefacts"]
     if options["resume"]:
         campaign.resume()
+    if campaign.directory is not None:
+        from dcp_conformance.reporting import make_folder
+
+        make_folder(campaign.directory)
     # No worker is started that has nothing to do.
     jobs = min(jobs, options["max_cases"] or jobs)
     if make is not None and jobs > 1:
@@ -230,9 +234,12 @@ def run_campaign(
         status = 4
     if terminal and not quiet:
         click.echo("", err=True)
-    if options["coverage"] is not None:
-        _write_coverage(campaign.state.coverage, options["coverage"])
-    _tell_end(campaign, quiet=quiet)
+    try:
+        if options["coverage"] is not None:
+            _write_coverage(campaign.state.coverage, options["coverage"])
+    finally:
+        # Also where there is no room for a file: what a long campaign has found is not lost.
+        _tell_end(campaign, quiet=quiet)
     return 1 if campaign.state.findings else status
 
 

@@ -191,8 +191,8 @@ class FunctionInputs:
     def __init__(self, codec: Codec, rng: random.Random, mutator: Mutator, parts: Sequence[str] = PARTS) -> None:
         self._rng = rng
         self._mutator = mutator
-        self._parts = tuple(parts)
-        self._weights = [share for part, share in zip(PARTS, _SHARES, strict=True) if part in parts]
+        shares = [(part, share) for part, share in zip(PARTS, _SHARES, strict=True) if part in parts]
+        self._parts, self._weights = zip(*shares, strict=True)
         beacons = [source.octets for source in mutator.sources[:6]]
         self._havoc: dict[str, Havoc] = {
             "capture": Havoc(rng, list(_captures(beacons))),

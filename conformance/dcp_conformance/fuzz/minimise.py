@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -17,6 +17,9 @@ from dcp_codec.dissect import Field
 from dcp_codec.errors import DecodeError, EncodeError
 
 from .steps import Effect, Frame, Step, Wait
+
+#: What does not come back counts for as many attempts more: it takes all the time that a test may have.
+_HANGING: Final = 20
 
 Run = Callable[[list[Step]], Effect | None]
 Known = Callable[[list[Step], Effect], bool]
@@ -61,7 +64,8 @@ class Minimiser:
         self._deadline = None if seconds is None else time.monotonic() + seconds
         self._known = known
         self._cause = cause
-        self._tries = 0
+        self._tries = self._hangs = 0
+        """Attempts, and those of them that did not come back."""
         self._in_vain: set[int] = set()
         """Steps that have not shown the effect."""
         self._best: tuple[list[Step], Effect] | None = None
@@ -109,13 +113,15 @@ class Minimiser:
 
     def _shows(self, steps: list[Step]) -> bool:
         """Whether these steps show the effect; if so they are the best so far."""
-        if self._tries >= self._budget or (self._deadline is not None and time.monotonic() > self._deadline):
+        spent = self._tries + _HANGING * self._hangs
+        if spent >= self._budget or (self._deadline is not None and time.monotonic() > self._deadline):
             raise _Spent
         key = hash(repr(steps))
         if key in self._in_vain:
             return False
         self._tries += 1
         effect = self._run(steps)
+        self._hangs += effect is not None and effect.kind == "hang"
         if effect is None or effect.signature != self._signature:
             self._in_vain.add(key)
             return False

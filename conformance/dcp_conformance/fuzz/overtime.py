@@ -18,7 +18,8 @@ class TimeLimit:
     """Ends what is inside of ``with`` by :class:`Overtime`, after so much CPU time; to be entered again and again.
 
     Outside of the main thread it does nothing: Python handles signals in that one only. The handler of SIGVTALRM stays
-    where it was put: putting it there for each test would take longer than the test's clock.
+    where it was put: putting it there for each test would take longer than the test's clock. Not
+    to be entered inside of another one: a process has one such clock.
     """
 
     def __init__(self, seconds: float) -> None:
@@ -33,7 +34,8 @@ class TimeLimit:
             signal.signal(signal.SIGVTALRM, _overtime)
             self._thread = main.ident
         if threading.get_ident() == self._thread:
-            signal.setitimer(signal.ITIMER_VIRTUAL, self.seconds)
+            # Again and again: what is raised in a finaliser goes nowhere.
+            signal.setitimer(signal.ITIMER_VIRTUAL, self.seconds, self.seconds)
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         if threading.get_ident() == self._thread:

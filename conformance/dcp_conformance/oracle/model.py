@@ -313,7 +313,7 @@ class Model:
         owing.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
 
     def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
-        """Something was said, or need not be any more. A newer number does for an older one; a create for an update."""
+        """Something was said, or need not be any more. Of updates a newer number does for an older one."""
         owing = self._owed.get(var_id)
         if not owing:
             return

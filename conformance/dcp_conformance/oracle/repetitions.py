@@ -45,6 +45,9 @@ class Repetitions(dict[Key, _Instruction]):
     def arm(self, key: Key, times: int, time: int) -> None:
         """There is a reason to say it in so many beacons."""
         one = self[key]
+        if key[0] is ICType.UPDATES:
+            # The last of them; numbers come again.
+            self[key] = self.pop(key)
         flying = one.counted + IN_FLIGHT
         one.allowed = (one.allowed if one.allowed < flying else flying) + times
         one.since, one.behind = time, 0
