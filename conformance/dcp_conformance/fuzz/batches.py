@@ -20,10 +20,12 @@ class Joined:
     def __init__(self, sequences: Generator, size: int) -> None:
         self._sequences = sequences
         self._size = size
+        self._drawn = 0
         self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
         """The next ``size`` sequences."""
+        self._drawn += 1
         steps: list[Step] = []
         kinds: list[str] = []
         for _ in range(self._size):
@@ -42,26 +44,19 @@ class Lives(Joined):
 
     def __init__(self, sequences: Generator, size: int = IN_PROCESS) -> None:
         super().__init__(sequences, size)
-        self._drawn = 0
 
     def draw(self) -> list[Step]:
         """The next test: the life of one node."""
         steps = super().draw()
-        self._drawn += 1
         return [*steps, Wait(WINDOW + 1)] if self._drawn % _UNHURRIED == 0 else steps
 
 
 class Batches(Joined):
     """The same for implementations on the air. Most is sent without pauses: they are most of the time of a sequence."""
 
-    def __init__(self, sequences: Generator, size: int) -> None:
-        super().__init__(sequences, size)
-        self._drawn = 0
-
     def draw(self) -> list[Step]:
         """The next test."""
         steps = super().draw()
-        self._drawn += 1
         if self._drawn % _UNHURRIED == 0:
             return steps
         return [step for step in steps if not isinstance(step, Wait)]

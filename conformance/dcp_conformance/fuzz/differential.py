@@ -141,17 +141,10 @@ class Comparison:
 
     def round(self, at: int) -> Effect | None:
         """Wait until everything had its time, and compare all that can be seen from outside."""
-        bench, observer = self._bench, self._observer
+        bench = self._bench
         bench.wait(bench.reaction + 2)
-        effect = self.said(at)
-        if effect is not None:
-            return effect
-        overdue = observer.oracle.overdue(bench.now())
-        # Who has too much to say is late with good reason.
-        for owed in () if self._busy() else overdue:
-            detail = f"variable {owed.var_id}: {owed.kind.label} did not come"
-            return Effect("said", detail, at, f"missing {owed.kind.label} {owed.requirement}")
-        return self._variables(at) or self._summaries(at) or self._neighbours(at)
+        effect = self.said(at) or self._observer.missing(bench.now(), at, busy=self._busy())
+        return effect or self._variables(at) or self._summaries(at) or self._neighbours(at)
 
     def _busy(self) -> bool:
         most = self._bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")

@@ -108,12 +108,12 @@ class Observer:
     def hears(self, octets: bytes, time: int, number: int) -> list[int]:
         """The node has received this bearer payload; the variables that it is about."""
         if octets == self._damaged:
-            return self._doubtful(octets)
+            return self.doubts(octets)
         try:
             beacon = self.codec.decode(octets)
         except DecodeError as error:
             # A beacon of another protocol, or of another version of it, is ignored as a whole.
-            return [] if error.problem.requirement in _IGNORED else self._doubtful(octets)
+            return [] if error.problem.requirement in _IGNORED else self.doubts(octets)
         if not self.is_for_node(beacon):
             return []
         touched: list[int] = []
@@ -122,10 +122,6 @@ class Observer:
             if isinstance(containers, tuple):
                 touched += self._payload(containers, time, number)
         return touched
-
-    def doubts(self, octets: bytes) -> None:
-        """The node has received this bearer payload, and it is open what it takes of it."""
-        self._doubtful(octets)
 
     @property
     def compares_creations(self) -> bool:
@@ -139,8 +135,8 @@ class Observer:
             return True
         return header.sender_id != self.own_id and (self._network is None or header.network_id == self._network)
 
-    def _doubtful(self, octets: bytes) -> list[int]:
-        """What a node takes of a damaged beacon is open (X34)."""
+    def doubts(self, octets: bytes) -> list[int]:
+        """The node has received this bearer payload, and what it takes of it is open (X34): about no variable."""
         if octets != self._damaged:
             self._damaged, self._named = octets, self._names_in(octets)
         ids, latest = self._named
@@ -302,10 +298,11 @@ class Observer:
         certain = self.oracle.certain
         return [(var_id, version) for var_id in var_ids if (version := certain(var_id, time)) is not None]
 
-    def missing(self, time: int, step: int) -> Effect | None:
-        """What the node should have said by then and has not, each told once; None also if it was busy."""
-        for owed in self.oracle.overdue(time):
-            if not self.busy:
-                detail = f"variable {owed.var_id}: {owed.kind.label} did not come"
-                return Effect("said", detail, step, f"missing {owed.kind.label} {owed.requirement}")
-        return None
+    def missing(self, time: int, step: int, *, busy: bool) -> Effect | None:
+        """What the node should have said by then and has not, told once; who is ``busy`` is late with good reason."""
+        overdue = self.oracle.overdue(time)
+        if busy or not overdue:
+            return None
+        owed = overdue[0]
+        detail = f"variable {owed.var_id}: {owed.kind.label} did not come"
+        return Effect("said", detail, step, f"missing {owed.kind.label} {owed.requirement}")

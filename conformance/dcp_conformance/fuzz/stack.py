@@ -170,7 +170,10 @@ class StackTarget:
             if effect is not None:
                 return effect
             if sut.now >= until:
-                return self.observer.missing(until, at)
+                return self._missing(at)
+
+    def _missing(self, at: int) -> Effect | None:
+        return self.observer.missing(self._sut.now, at, busy=self.observer.busy)
 
     def _compare(self, var_ids: list[int], at: int) -> Effect | None:
         """What the node holds of these variables, against the model."""
@@ -220,7 +223,7 @@ class StackTarget:
     def _final(self, sut: InProcess, at: int) -> Effect | None:
         at = max(at, 0)
         held = self._compare(list(self.observer.oracle.variables), at)
-        return held or self._unbounded(sut.node, at) or self._probed(sut, at) or self.observer.missing(sut.now, at)
+        return held or self._unbounded(sut.node, at) or self._probed(sut, at) or self._missing(at)
 
     def _unbounded(self, node: Any, at: int) -> Effect | None:
         """Whether queues hold more than there are variables."""
