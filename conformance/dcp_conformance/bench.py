@@ -51,12 +51,16 @@ class Bench(Listening):
 
     def transmit(self, octets: bytes, source: bytes) -> int:
         """Put a bearer payload on the air; the number of its frame in the recording."""
+        self.acts()
         frame = self.lower.send(octets, source)
+        self.acts()
         return self.traffic.frame("sent", self.lower.wall(), source.hex(":"), frame, len(frame) - len(octets))
 
     def transmit_frame(self, frame: bytes, start: int) -> int:
         """Put a whole link-layer frame on the air, whose bearer payload begins at ``start``; its number."""
+        self.acts()
         self.lower.send_frame(frame)
+        self.acts()
         return self.traffic.frame("sent", self.lower.wall(), "", frame, start)
 
     def learn(self, peer: Peer, *creates: VarCreate) -> None:
@@ -101,8 +105,12 @@ class Bench(Listening):
 
     def call_on(self, upper: UpperTester, method: str, /, **params: Any) -> Answer:
         """As :meth:`call` on another connection."""
+        self.acts()
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
         answer = upper.call(method, params)
+        # Beacons come while the upper tester takes its time, which is not the tester's delay.
+        self.lower.take_in()
+        self._acted = self.now()
         data = answer.result if answer.code is None else {"code": answer.code, "message": answer.message}
         self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)
         if method == "RTDB-Create" and answer.ok:
@@ -116,6 +124,7 @@ class Bench(Listening):
             self.inconclusive("the implementation is started again", "there is no command to restart it")
         self.traffic.note("note", self.lower.wall(), "restart of the implementation")
         self.session.restart()
+        self._acted = None
         for _ in range(5):
             if self.probe(self.reaction):
                 return

@@ -1,7 +1,15 @@
-"""What a case knows, and what it says it has found.
+"""The checks of a case, and what the tester holds against itself before it believes a failure.
 
-Before a failure is believed, the tester looks for its own: frames that the kernel dropped and beacons that were not
-heard turn it into ``inconclusive``.
+A failed check is one of two kinds, and each call says which it is:
+
+* ``shown=True``: what was received proves the fault. Octets that are wrong, a record that must not be sent, one too
+  many of something, an answer with the wrong status: a conforming implementation cannot have sent this, whatever was
+  lost or late, in either direction.
+* otherwise (the default): something was not received, too little of it, or too late. Lost frames can explain that, and
+  so can a stimulus that was lost or sent too late.
+
+:meth:`Findings.excuse` is the only place that decides whether a failure counts; a failure with an excuse is
+``inconclusive``.
 """
 
 from __future__ import annotations
@@ -41,6 +49,9 @@ class Findings:
         self.readings: dict[str, str] = {}
         self.dropped = 0
         self.late_ns = 0
+        """The longest that the tester itself was idle in this case when it had to act; see :meth:`acts`."""
+        self._acted: int | None = None
+        """When (ns) the last step of the case ended (a wait, call or transmission); None before the first."""
         self.assumptions: dict[str, str] = {}
         """What this case hangs on and nobody has told, by parameter; in words for who can tell."""
 
@@ -73,17 +84,25 @@ class Findings:
         /,
         *requirements: str,
         frames: Iterable[Heard | Instruction | Mark] = (),
+        shown: object = False,
+        numbers: bool = False,
     ) -> bool:
-        """Say that something is as it must be, or is not. ``requirements``: those decided, by default all of the case.
+        """Record whether something is as it must be. Does not stop the case; returns whether it holds.
 
-        A failure with losses of the tester's own in this case counts as inconclusive, and so does one that hangs on
-        what was assumed. Does not stop the case.
+        ``requirements``: those decided, by default all of the case. ``frames``: the evidence.
+
+        ``shown``: a failure of this check is proved by what was received (see the module); false: it is about something
+        missing. A check that can fail in both ways gives the condition, as in ``shown=len(found) > allowed``. Do not
+        set it where a lost or late *stimulus* can have caused what was received, such as an old value.
+
+        ``numbers``: the check is about sequence numbers of beacons: a gap between them is the finding and no excuse;
+        only frames that the kernel dropped are one.
+
+        A failure that :meth:`excuse` explains is recorded as inconclusive.
         """
         verdict = Verdict.PASS if holds else Verdict.FAIL
-        if not holds and (lost := self.own_losses()):
-            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but the tester has lost something: {lost}"
-        elif not holds and self.assumptions:
-            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {self.assumed()}"
+        if not holds and (excuse := self.excuse(shown=bool(shown), numbers=numbers)):
+            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
         self._add(verdict, expected, "" if holds else observed, requirements, frames)
         return bool(holds)
 
@@ -95,16 +114,25 @@ class Findings:
         /,
         *requirements: str,
         frames: Iterable[Heard | Instruction | Mark] = (),
+        shown: object = False,
+        numbers: bool = False,
     ) -> None:
         """As :meth:`check`, and stops the case if it does not hold."""
-        if not self.check(holds, expected, observed, *requirements, frames=frames):
+        if not self.check(holds, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers):
             raise StopCase
 
     def fail(
-        self, expected: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
+        self,
+        expected: str,
+        observed: str,
+        /,
+        *requirements: str,
+        frames: Iterable[Heard | Instruction | Mark] = (),
+        shown: object = False,
+        numbers: bool = False,
     ) -> NoReturn:
-        """Something is wrong: stops the case."""
-        self.check(False, expected, observed, *requirements, frames=frames)
+        """Record a failure as :meth:`check` does, and stop the case."""
+        self.check(False, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers)
         raise StopCase
 
     def inconclusive(self, expected: str, observed: str, /, *requirements: str) -> NoReturn:
@@ -125,19 +153,6 @@ class Findings:
         entry = reading_of(identifier)
         self.readings[identifier] = observed
         self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
-
-    def fail_numbers(
-        self, expected: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
-    ) -> NoReturn:
-        """As :meth:`fail` for a fault of the sequence numbers, where a gap is the finding and no excuse.
-
-        Only frames that the kernel is known to have dropped are one.
-        """
-        health = self.lower.health()
-        self.dropped += health.dropped
-        verdict = Verdict.INCONCLUSIVE if self.dropped else Verdict.FAIL
-        self._add(verdict, expected, observed, requirements, frames)
-        raise StopCase
 
     def verdict(self) -> Verdict:
         """What the checks come to; ``inconclusive`` for a case that has checked nothing."""
@@ -182,19 +197,43 @@ class Findings:
 
     # -- what the tester has missed ------------------------------------------------------------------------------------
 
-    def own_losses(self) -> str:
-        """What the tester has missed in this case, in words; empty if nothing is known."""
-        health = self.lower.health()
-        self.dropped += health.dropped
-        self.late_ns = max(self.late_ns, health.late_ns)
+    def excuse(self, *, shown: bool = False, numbers: bool = False) -> str:
+        """Why a failed check does not count against the implementation, in words; empty if it counts.
+
+        ``shown`` and ``numbers``: see :meth:`check`. A parameter that was assumed excuses both kinds of failure, since
+        the expectation itself may be wrong; losses and lateness of the tester excuse only what is missing.
+        """
+        if not shown and (lost := self.own_losses(numbers=numbers)):
+            return f"the tester has lost something: {lost}"
+        return self.assumed()
+
+    def own_losses(self, *, numbers: bool = False) -> str:
+        """What the tester has missed in this case, in words; empty if nothing is known.
+
+        ``numbers``: only what can explain a gap between the sequence numbers of beacons.
+        """
+        self.dropped += self.lower.health().dropped
         lost = []
         if self.dropped:
             lost.append(f"the kernel dropped {self.dropped} frames")
-        if self.late_ns > self.period:
-            lost.append(f"it was late by {self.late_ns / MS:.0f} ms")
-        if gaps := self.gaps():
+        if not numbers and self.late_ns > self.period:
+            lost.append(f"it acted late by {self.late_ns / MS:.0f} ms")
+        if not numbers and (gaps := self.gaps()):
             lost.append(f"beacons were not heard ({gaps})")
         return ", ".join(lost)
+
+    def acts(self) -> None:
+        """Note that the tester takes its next step now: a transmission, a call, the begin of a wait.
+
+        What passed since its last step ended was its own time, in which it should only have computed. The longest such
+        time of a case is its lateness (``late_ns``); more than one beacon period of it is an excuse, since a stimulus
+        may then have come too late. How late the tester *reads* a frame does not matter: the kernel's stamp says when
+        it came, and no wait ends before everything stamped in time was read.
+        """
+        now = self.lower.now()
+        if self._acted is not None:
+            self.late_ns = max(self.late_ns, now - self._acted)
+        self._acted = now
 
     def gaps(self) -> str:
         """Where sequence numbers are missing between the beacons that were heard, in words; empty if none are."""

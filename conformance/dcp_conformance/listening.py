@@ -86,9 +86,7 @@ class Listening(Naming):
             behind = len(frames) - 1 - having[-1] if having else 0
             if behind >= self.pixit.quiet_beacons:
                 break
-            before = len(self.heard)
-            self.beacons(1, self.reaction)
-            if len(self.heard) == before:
+            if not self.beacons(1, self.reaction):
                 break
         return [heard for heard in self.heard[start:] if present(heard)]
 
@@ -123,11 +121,16 @@ class Listening(Naming):
         """The implementation's frames as they come in, until the deadline."""
         lower, upper = self.lower, self.session.upper
         also = upper.filenos() if upper is not None else ()
+        self.acts()
+        begun = self._acted or 0
         while True:
+            # Before receiving: the wait is over when nothing had arrived at a time after the deadline.
+            now = lower.now()
             arrival = lower.receive(deadline, also)
             self.take_notifications()
             if arrival is None:
-                if lower.now() >= deadline:
+                if now >= deadline:
+                    self._acted = max(begun, deadline)
                     return
                 continue
             heard = Heard(self.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
@@ -145,6 +148,8 @@ class Listening(Naming):
                     self.session.known.add(var_id)
                     if heard.about(ICType.DELETE_VARIABLES, var_id) is None:
                         self.session.leaving.pop(var_id, None)
+                # What the case does next it does on account of this frame.
+                self._acted = max(begun, heard.time)
                 yield heard
             else:
                 self.others.append(heard)

@@ -175,7 +175,7 @@ class TestEthernet:
         os.close(reading)
         os.close(writing)
 
-    def test_it_knows_that_it_was_late(self, ends):
+    def test_it_knows_when_a_frame_came_that_it_reads_late(self, ends):
         near, far = ends(), ends(SUT_INTERFACE)
         far.health()
         before = near.now()
@@ -183,10 +183,8 @@ class TestEthernet:
         sent = near.now()
         time.sleep(0.1)
         arrival = hear(far)[0]
-        # It was late, and knows all the same when the frame came.
         assert before - 2 * MS <= arrival.time <= sent + 50 * MS
-        assert far.health().late_ns >= 45 * MS
-        assert far.health() == (0, 0)
+        assert far.health() == (0,)
 
     def test_drops_are_counted(self, ends):
         near, far = ends(), ends(SUT_INTERFACE)

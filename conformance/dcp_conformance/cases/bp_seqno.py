@@ -35,7 +35,7 @@ def consecutive(bench: Bench) -> None:
             bench.inconclusive("beacons that can be read", f"{before.problem or after.problem}")
         if (after.seqno - before.seqno) % BP_SEQNO_MODULUS != 1:
             expected, said = f"{(before.seqno + 1) % BP_SEQNO_MODULUS} follows {before.seqno}", f"{after.seqno} does"
-            bench.fail_numbers(expected, said, frames=[before, after])
+            bench.fail(expected, said, frames=[before, after], numbers=True)
     bench.check(True, "consecutive numbers")
 
 
@@ -118,7 +118,7 @@ def idle_gap(bench: Bench) -> None:
         bench.inconclusive("beacons that can be read", f"{last.problem or following.problem}")
     if (following.seqno - last.seqno) % BP_SEQNO_MODULUS != 1:
         said = f"{following.seqno}"
-        bench.fail_numbers(f"{last.seqno + 1} follows {last.seqno} after a pause", said, frames=[last, following])
+        bench.fail(f"{last.seqno + 1} follows {last.seqno} after a pause", said, frames=[last, following], numbers=True)
     if pause:
         bench.inconclusive("a pause in which it has nothing to send", f"{len(pause)} beacons came")
     bench.check(True, "consecutive numbers")

@@ -23,8 +23,6 @@ class LinkHealth(NamedTuple):
 
     dropped: int = 0
     """Frames that the kernel dropped since the last time this was asked."""
-    late_ns: int = 0
-    """The longest that the tester was late in looking at the link since then."""
 
 
 class LowerTester(Protocol):
@@ -52,9 +50,18 @@ class LowerTester(Protocol):
         ...
 
     def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
-        """The next frame before ``until``; None at that time, or earlier when a descriptor of ``also`` is readable.
+        """The next frame that arrived before ``until``; None at that time, or earlier if a descriptor of ``also`` is
+        readable.
 
-        Virtual time passes in here. Raises ``LowerTesterError``.
+        What counts is when a frame arrived, not when it is read: None at that time means that everything that arrived
+        before has been returned. Virtual time passes in here. Raises ``LowerTesterError``.
+        """
+        ...
+
+    def take_in(self) -> None:
+        """Read what has arrived, for :meth:`receive` to return later, so that the kernel has room for more.
+
+        Does not wait. Raises ``LowerTesterError``.
         """
         ...
 

@@ -96,13 +96,24 @@ class InProcess:
 
     def advance(self, until: int) -> None:
         """Let time pass until a frame has arrived at the tester, at most to ``until``."""
-        while not self.arrivals:
-            due = None if self.died else self.node.poll_timeout()
-            if due is None or due > until:
-                self.now = max(self.now, until)
-                return
-            self.now = max(self.now, due)
-            self.guarded(self.node.handle_timeout, self.now, EPOCH + self.now)
+        while not self.arrivals and self._step(until):
+            pass
+
+    def elapse(self, duration: int) -> None:
+        """Let this time (ns) pass, whatever arrives at the tester meanwhile."""
+        until = self.now + duration
+        while self._step(until):
+            pass
+
+    def _step(self, until: int) -> bool:
+        """Go on to the node's next timer, or to ``until``; whether that was a timer."""
+        due = None if self.died else self.node.poll_timeout()
+        if due is None or due > until:
+            self.now = max(self.now, until)
+            return False
+        self.now = max(self.now, due)
+        self.guarded(self.node.handle_timeout, self.now, EPOCH + self.now)
+        return True
 
     # -- SutControl --------------------------------------------------------------------------------------------
 
@@ -173,6 +184,9 @@ class VirtualLowerTester:
         if not self._sut.arrivals:
             self._sut.advance(until)
         return self._sut.arrivals.popleft() if self._sut.arrivals else None
+
+    def take_in(self) -> None:
+        """Nothing: what has arrived waits without a bound."""
 
     def health(self) -> LinkHealth:
         """Nothing is ever lost."""
