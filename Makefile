@@ -1,13 +1,21 @@
 # Two commands for a fresh machine with Python >= 3.11:
 #   make demo    install into .venv, test our own node with the whole suite, and write a report
-#   make test    install into .venv and run everything that CI runs
+#   make test    install into .venv and run everything that CI runs: about ten minutes on two processors
+# For longer:
+#   make test-fresh FOR=3600      new random seeds, round after round, for an hour or until a test fails
+#   make test-repeat N=10 LOAD=2  `make test` in ten fresh clones, with two busy processes beside
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 KAITAI := node_modules/kaitai-struct-compiler/package.json
 
-.PHONY: demo test lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
+# Tests see the same environment whoever runs them. tests/conftest.py removes more; these act before it is read.
+unexport PYTEST_ADDOPTS PYTEST_PLUGINS PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTHONSTARTUP
+unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
+export PYTHONHASHSEED := 0
+
+.PHONY: demo test test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
@@ -21,7 +29,18 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 unit: $(STAMP) $(KAITAI)
+	@echo "13,000 tests: about 8 minutes on two processors, longer on a busy machine."
 	$(BIN)/pytest -n auto
+
+FOR  ?= 3600
+N    ?= 10
+LOAD ?= 0
+
+test-fresh: $(STAMP) $(KAITAI)
+	$(BIN)/python tests/meta/fresh.py --seconds $(FOR)
+
+test-repeat:
+	$(PYTHON) tests/meta/repeat.py -n $(N) --load $(LOAD)
 
 # The Kaitai compiler that a test runs; without npm that test says so and is skipped.
 $(KAITAI): package.json

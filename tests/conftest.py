@@ -1,47 +1,88 @@
-"""What all tests share: tools that must be there, recordings, codecs."""
+"""What all tests share: the environment, Hypothesis profiles, tools that must be there, and random order.
+
+`make test`, `.ci/run` and a plain `pytest` run the same tests on the same examples. Only `make test-fresh` differs: it
+sets HYPOTHESIS_PROFILE=fresh (see tests/meta/fresh.py).
+"""
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import os
-import pkgutil
+import random
 import shutil
 import signal
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture.providers import HypothesisProvider, _get_local_constants
+
+from .chance import FACTOR, FRESH
 
 ROOT = Path(__file__).resolve().parent.parent
+#: Variables of the user's environment that change what commands print, import or find.
+STRAY = (
+    *("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_THEME", "PYTHONPATH", "PYTHONOPTIMIZE", "PYTHONWARNINGS"),
+    *("PYTHONUNBUFFERED", "PYTHONIOENCODING", "PYTHONUTF8", "PYTHONDEVMODE", "PYTHONDONTWRITEBYTECODE"),
+    *("COLUMNS", "LINES", "FORCE_COLOR", "NO_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "SOURCE_DATE_EPOCH"),
+    *("NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "MPLBACKEND", "XDG_CACHE_HOME"),
+)
 
-settings.register_profile("default", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("ci", parent=settings.get_profile("default"), derandomize=True)
-#: "ci" draws the same in every run; by default each run looks elsewhere.
-PROFILE = os.environ.get("HYPOTHESIS_PROFILE") or ("ci" if os.environ.get("CI") else "default")
-settings.load_profile(PROFILE)
+# deadline=None: how long an example takes depends on the machine. derandomize draws the same examples in every run and
+# keeps no database, in which one failing example would fail a clone for ever.
+settings.register_profile(
+    "default", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, print_blob=True
+)
+# Other examples for each seed (--hypothesis-seed), and more of them.
+settings.register_profile(
+    "fresh", parent=settings.get_profile("default"), derandomize=False, database=None, max_examples=100 * FACTOR
+)
+settings.load_profile("fresh" if FRESH else "default")
+# Hypothesis also draws constants that it finds in modules of ours, of which a test process may have imported any
+# number: the same test would draw other examples alone than beside others. There is no setting for this;
+# tests/meta/test_environment.py notices if the attribute gets another name.
+HypothesisProvider._local_constants = type(_get_local_constants())()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run modules, and tests in them, in a random order")
 
 
 def pytest_configure() -> None:
-    """Let programs that tests start hear Ctrl-C: in background jobs it is ignored, and that is inherited."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Make the environment that of every other run, for this process and those that it starts."""
+    for name in STRAY:
+        os.environ.pop(name, None)
+    # For the workers of pytest-xdist and for commands that tests start.
+    os.environ.setdefault("PYTHONHASHSEED", "0")
+    os.environ["TERM"] = "dumb"
+    # Compiled decoders and fonts: kept from run to run, as they would be in the user's cache.
+    os.environ["XDG_CACHE_HOME"] = str(ROOT / ".pytest_cache" / "xdg")
+    # Programs that tests start inherit what is ignored: SIGINT in background jobs of a shell, SIGHUP after nohup.
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
 
 
-def pytest_collection_finish() -> None:
-    """Import all modules of ours, where every run has to be the same.
-
-    Hypothesis draws constants of the modules that are there, and which tests a worker of pytest-xdist had before is a
-    matter of chance.
-    """
-    if PROFILE != "ci":
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Shuffle modules, and the tests in each: what a module sets up is still set up once."""
+    seed = config.getoption("--shuffle")
+    if seed is None:
         return
-    for package in ("dcp_spec", "dcp_codec", "dcp_stack", "dcp_conformance"):
-        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-            # Some need what not everybody has installed, some are commands.
-            if not module.name.endswith("__main__"):
-                with contextlib.suppress(ImportError):
-                    importlib.import_module(module.name)
+    chance = random.Random(seed)
+    modules: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        modules.setdefault(item.path, []).append(item)
+    names = sorted(modules)
+    chance.shuffle(names)
+    items[:] = [item for name in names for item in shuffled(modules[name], chance)]
+
+
+def shuffled(items: Iterable[pytest.Item], chance: random.Random) -> list[pytest.Item]:
+    """A copy in random order."""
+    copy = list(items)
+    chance.shuffle(copy)
+    return copy
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 from dcp_codec.capture import FORMATS, MAX_TIME_NS, CaptureError, Frame, Reason, convert, create_capture, open_capture
 
+from ..chance import examples
+
 #: What each format can hold, beyond the octets.
 LAST_TIME = {"pcap": 2**32 * 10**9 - 1, "pcapng": MAX_TIME_NS, "mcap": MAX_TIME_NS}
 INTERFACES = {"pcap": 0, "pcapng": 20, "mcap": 2**32 - 1}
 
-MANY = settings(max_examples=60)
+MANY = settings(max_examples=examples(60))
 
 
 @st.composite
@@ -167,7 +169,7 @@ def test_any_octet_may_be_any_other(name):
 
 
 @pytest.mark.parametrize("name", list(ALL))
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(st.data())
 def test_any_part_may_be_anything(name, data):
     octets = ALL[name]
@@ -186,7 +188,7 @@ MAGICS = [
 ]
 
 
-@settings(max_examples=500)
+@settings(max_examples=examples(500))
 @given(st.sampled_from(MAGICS), st.binary(max_size=400))
 def test_anything_may_follow_a_magic(magic, rest):
     survives(magic + rest)

@@ -25,6 +25,8 @@ from dcp_codec.dissector import Doubt, generate_dissector
 from dcp_codec.lint import DOUBTS, warnings
 from dcp_codec.plan import Exact, Group, Many, Node, Region, Select
 
+from ..chance import examples
+
 PARTS = ("beacon", "envelope", "containers", "report")
 
 
@@ -195,7 +197,7 @@ def check_agreement(view: View, octets: bytes) -> None:
 
 @pytest.mark.req("BP-FMT-01", "DATA-02", "BP-HDR-10")
 def test_round_trip(view: View) -> None:
-    @settings(max_examples=25)
+    @settings(max_examples=examples(25))
     @given(view.values)
     def check(value: Any) -> None:
         octets = view.encode(value)
@@ -211,7 +213,7 @@ def test_round_trip(view: View) -> None:
 
 @pytest.mark.req("BP-RX-16", "VD-RX-07", "SRP-RX-01")
 def test_damaged(view: View) -> None:
-    @settings(max_examples=40)
+    @settings(max_examples=examples(40))
     @given(strategies.mutations(view.values.map(view.encode), view.dissect))
     def check(octets: bytes) -> None:
         check_agreement(view, octets)
@@ -221,7 +223,7 @@ def test_damaged(view: View) -> None:
 
 @pytest.mark.req("BP-RX-16", "VD-ROB-01")
 def test_arbitrary(view: View) -> None:
-    @settings(max_examples=25)
+    @settings(max_examples=examples(25))
     @given(st.binary(max_size=64))
     def check(octets: bytes) -> None:
         check_agreement(view, octets)
@@ -231,7 +233,7 @@ def test_arbitrary(view: View) -> None:
 
 @pytest.mark.req("BP-RX-16")
 def test_cut_off_anywhere(view: View) -> None:
-    @settings(max_examples=3)
+    @settings(max_examples=examples(3))
     @given(view.values.map(view.encode).filter(lambda octets: len(octets) < 4096))
     def check(octets: bytes) -> None:
         for size in range(min(len(octets), 300)):
@@ -245,7 +247,7 @@ def test_padding_is_ignored(codec: Codec) -> None:
     if not codec.profile.bp.header:
         pytest.skip("without a header nothing says where the payloads end")
 
-    @settings(max_examples=15)
+    @settings(max_examples=examples(15))
     @given(strategies.beacons(codec), st.binary(max_size=46))
     def check(beacon: Any, padding: bytes) -> None:
         octets = codec.encode(beacon)
@@ -263,7 +265,7 @@ def test_padding_is_ignored(codec: Codec) -> None:
 def test_lint_only_warns(codec: Codec) -> None:
     """Rules beyond the layout never turn into errors and never raise, whatever the octets are."""
 
-    @settings(max_examples=25)
+    @settings(max_examples=examples(25))
     @given(strategies.mutations(strategies.beacons(codec).map(codec.encode), codec.dissect))
     def check(octets: bytes) -> None:
         found = codec.dissect(octets)
@@ -280,7 +282,7 @@ def test_every_record_that_breaks_a_rule_is_doubtful(codec: Codec) -> None:
     every = {name: Doubt((), lambda: True) for name in DOUBTS}
     dissect_all = generate_dissector(codec.beacon_plan, "with every record in doubt", every)
 
-    @settings(max_examples=25)
+    @settings(max_examples=examples(25))
     @given(strategies.mutations(strategies.beacons(codec).map(codec.encode), codec.dissect))
     def check(octets: bytes) -> None:
         assert codec.dissect(octets).warnings == warnings(dissect_all(octets, 0, 0))
@@ -291,7 +293,7 @@ def test_every_record_that_breaks_a_rule_is_doubtful(codec: Codec) -> None:
 def test_fields_lie_where_they_say(view: View) -> None:
     """The parts of a dissection are octets of the message, in order, without holes in records."""
 
-    @settings(max_examples=15)
+    @settings(max_examples=examples(15))
     @given(view.values.map(view.encode), st.integers(0, 99))
     def check(octets: bytes, base: int) -> None:
         found = dissect(view.plan, b"\xaa\xbb" + octets, start=2, base=base)
@@ -311,7 +313,7 @@ def test_fields_lie_where_they_say(view: View) -> None:
 
 
 def test_nothing_given_for_extra_is_zeros(codec: Codec) -> None:
-    @settings(max_examples=15)
+    @settings(max_examples=examples(15))
     @given(strategies.beacons(codec))
     def check(beacon: Any) -> None:
         bare = msgspec.structs.replace(
@@ -412,7 +414,7 @@ def put(value: Any, steps: tuple[Any, ...], new: Any) -> Any:
 def test_wrong_values_name_the_field(view: View) -> None:
     """One member of a good value replaced by anything: encoded, or an EncodeError with the path of that member."""
 
-    @settings(max_examples=60)
+    @settings(max_examples=examples(60))
     @given(view.values, st.data(), _WRONG)
     def check(value: Any, data: st.DataObject, wrong: Any) -> None:
         found = list(places(view, view.plan, value))

@@ -28,6 +28,8 @@ from hypothesis import strategies as st
 from dcp_codec import Codec, DecodeError, strategies
 from dcp_codec.jsonform import beacon_from_json, value_json
 
+from ..chance import examples
+
 _ORDERS = st.sampled_from(["big", "little"])
 _FLOATS_OR_INTS = st.sampled_from(["f64", "f32", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64"])
 
@@ -112,7 +114,7 @@ def plain(value: Any) -> Any:
     return repr(value)
 
 
-@settings(max_examples=120)
+@settings(max_examples=examples(120))
 @given(profiles().filter(lambda profile: not list(contradictions(profile))), st.data())
 def test_any_profile(profile: Profile, data: st.DataObject) -> None:
     codec = Codec(profile)

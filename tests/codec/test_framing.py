@@ -12,6 +12,8 @@ from dcp_codec.capture import Frame
 from dcp_codec.frames import DissectedFrame, FrameDissector, with_ether_type
 from dcp_codec.framing import Framing, OtherTraffic, bare, locate, mac
 
+from ..chance import examples
+
 DST, SRC = b"\xff" * 6, bytes.fromhex("020000000001")
 ETHERNET = Link(transport="ethernet", ether_type=0x4953)
 UDP = Link(transport="udp", udp_port=5950)
@@ -176,7 +178,7 @@ _HEADS = st.sampled_from([ethernet(b""), ipv4(b""), ipv6(b""), ipv4(udp(b"")), e
 
 @pytest.mark.parametrize("link", [ETHERNET, UDP, Link(ether_type=0x0800), Link(ether_type=0x8100)])
 def test_any_frame(link: Link) -> None:
-    @settings(max_examples=150)
+    @settings(max_examples=examples(150))
     @given(_HEADS, st.binary(max_size=80), st.data())
     def check(head: bytes, rest: bytes, data: st.DataObject) -> None:
         frame = bytearray(head + rest)

@@ -36,6 +36,8 @@ from dcp_codec.jsonform import (
     value_json,
 )
 
+from ..chance import examples
+
 SENDER = bytes.fromhex("0200000000bb")
 PRODUCER = bytes.fromhex("020000000001")
 
@@ -57,7 +59,7 @@ def plain(value: Any) -> Any:
 
 
 def test_round_trip(codec: Codec) -> None:
-    @settings(max_examples=30)
+    @settings(max_examples=examples(30))
     @given(strategies.beacons(codec))
     def check(beacon: Beacon) -> None:
         data = through_text(value_json(codec, beacon))
@@ -67,7 +69,7 @@ def test_round_trip(codec: Codec) -> None:
 
 
 def test_what_is_damaged_is_still_json(codec: Codec) -> None:
-    @settings(max_examples=30)
+    @settings(max_examples=examples(30))
     @given(
         st.one_of(
             strategies.mutations(strategies.beacons(codec).map(codec.encode), codec.dissect),
@@ -101,7 +103,7 @@ def test_arbitrary_json(codec: Codec) -> None:
         max_leaves=12,
     )
 
-    @settings(max_examples=60)
+    @settings(max_examples=examples(60))
     @given(documents)
     def check(document: Any) -> None:
         try:
@@ -116,7 +118,7 @@ def test_arbitrary_json(codec: Codec) -> None:
     check()
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(data=st.data())
 def test_one_thing_replaced(data: st.DataObject) -> None:
     """A good object with one member replaced or removed is encoded, or refused by a path near that member."""
@@ -348,7 +350,7 @@ def test_node_identifiers_as_text(octets: bytes, text: str) -> None:
     assert node_id_octets(text, "text") == octets
 
 
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(st.one_of(st.binary(max_size=12), st.text("\\x5cf0\xff", max_size=12).map(lambda text: text.encode("latin-1"))))
 def test_node_identifiers_lose_nothing(octets: bytes) -> None:
     for representation in ("text", "mac", "hex"):

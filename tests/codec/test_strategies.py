@@ -26,6 +26,8 @@ from dcp_codec import (
     strategies,
 )
 
+from ..chance import examples
+
 RECORDS = {
     "SUMMARIES": VarSumm,
     "UPDATES": VarUpdate,
@@ -47,7 +49,7 @@ def reaches(strategy: st.SearchStrategy[Any], wanted: Callable[[Any], bool]) -> 
 def test_records(codec: Codec) -> None:
     numbers = codec.profile.vardis.container_types.by_name()
 
-    @settings(max_examples=10)
+    @settings(max_examples=examples(10))
     @given(st.data())
     def check(data: st.DataObject) -> None:
         for name, cls in RECORDS.items():
@@ -61,7 +63,7 @@ def test_records(codec: Codec) -> None:
 
 
 def test_payloads(codec: Codec) -> None:
-    @settings(max_examples=20)
+    @settings(max_examples=examples(20))
     @given(strategies.payloads(codec), strategies.beacons(codec))
     def check(payload: Payload, beacon: Beacon) -> None:
         assert codec.decode(codec.encode(Beacon(beacon.bp, (payload,)))).payloads[0].protocol_id == payload.protocol_id
@@ -175,7 +177,7 @@ def test_mutations_of_octets_that_lie_somewhere_else() -> None:
     """Fields are found by their place in the octets, whatever their offsets are called."""
     codec = get_codec("dcp-2.0")
 
-    @settings(max_examples=50)
+    @settings(max_examples=examples(50))
     @given(strategies.mutations(st.just(VALID), lambda octets: codec.dissect(octets, base=14)))
     def check(octets: bytes) -> None:
         assert len(octets) <= 2 * len(VALID) + 24

@@ -26,6 +26,7 @@ from dcp_stack.config import BPConfig
 from dcp_stack.links.memory import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Topology
 
+from ..chance import examples
 from .air import MS, SECOND, Script, case_of, findings, judged, simulated, thinned
 from .rig import codec_of
 
@@ -685,7 +686,7 @@ def test_nothing_that_is_recorded_raises(profile: str):
     codec = codec_of(profile)
     valid = beacons(codec).map(codec.encode)
 
-    @settings(max_examples=60)
+    @settings(max_examples=examples(60))
     @given(st.lists(st.one_of(valid, mutations(valid, codec.dissect), st.binary(max_size=80)), max_size=12))
     def judge_all(octets: list[bytes]) -> None:
         # Twice, so that everything is also a repetition of something.

@@ -18,9 +18,9 @@ from dcp_conformance.case import SANITY, Case, Kind, all_cases
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.lower.udp import DEFAULT_GROUP
 from dcp_conformance.pics import Pics, Testing
-from dcp_conformance.process import started_at
+from dcp_conformance.process import ProcessControl, started_at
 from dcp_conformance.reference.namespace import Namespace, NamespaceError
-from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process
+from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process, wait_for
 from dcp_conformance.runner import Runner
 from dcp_conformance.verdict import Verdict
 
@@ -276,6 +276,30 @@ def test_a_node_that_does_not_start():
         reference_process(Codec("dcp-2.0"), link="udp", options=["--neighbour-file", "/no-such-folder/x"]),
     ):
         pytest.fail("it runs")
+
+
+#: Listens, and ends once somebody has connected and asked.
+LISTENS = """
+import socket, sys
+with socket.socket(socket.AF_UNIX) as listener:
+    listener.bind(sys.argv[1])
+    listener.listen()
+    client = listener.accept()[0]
+    client.recv(1)
+    sys.exit("this will not do")
+"""
+
+
+def test_a_node_that_listens_and_then_does_not_start(tmp_path):
+    """The error is its exit status and not a missing answer, however much later it ends on a busy machine."""
+    path = tmp_path / "node.sock"
+    control = ProcessControl(start=[sys.executable, "-c", LISTENS, str(path)], settle=0)
+    control.start()
+    try:
+        with pytest.raises(ConformanceError, match=r"does not run: it ended with exit status 1; it said: .*not do"):
+            wait_for(control, path)
+    finally:
+        control.close()
 
 
 SCRIPT = """

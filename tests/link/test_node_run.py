@@ -266,11 +266,10 @@ def test_a_signal_ends_it_in_an_orderly_way(node, tmp_path, number):
     running = node("--record", str(recording), "--position", "track:circle")
     with running.client() as client:
         eventually(lambda: client.call("UT-Status")["runtime"]["recording"]["frames"] >= 2, "two beacons")
-        waiting = running.client()
-        assert running.end(number) == 0
-        with pytest.raises(ControlError, match="closed the connection"):
-            waiting.wait()
-        waiting.close()
+        with running.client() as waiting:
+            assert running.end(number) == 0
+            with pytest.raises(ControlError, match="closed the connection"):
+                waiting.wait()
     assert any("event=ended" in line for line in running.log)
     with open_capture(recording) as reader:
         assert len(list(reader)) >= 2

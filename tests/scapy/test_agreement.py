@@ -24,8 +24,10 @@ from dcp_codec.jsonform import node_id_octets, node_id_text
 from dcp_codec.plan import Scalar, Text
 from dcp_codec.scapy_layers import DCPBeacon, DCPPayload, Octets, use_profile
 
+from ..chance import examples
+
 RECORDINGS = sorted((Path(__file__).parent.parent.parent / "captures").glob("*.mcap"))
-PER_PROFILE = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+PER_PROFILE = settings(max_examples=examples(12), suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def reach(beacon: Any, path: str) -> Any:
@@ -153,7 +155,7 @@ def test_damaged_octets_never_raise_and_none_is_lost(codec: Codec, data: st.Data
         bytes(beacon)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(100), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(octets=st.binary(min_size=1, max_size=200))
 def test_any_octets(octets: bytes) -> None:
     for layer in (DCPBeacon, DCPPayload):

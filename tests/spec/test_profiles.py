@@ -20,8 +20,10 @@ from dcp_spec.profile_loading import (
     srp_record_size,
 )
 from dcp_spec.schema import build_schema
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
+
+from ..chance import examples
 
 WriteProfile = Callable[[str], Path]
 
@@ -594,17 +596,33 @@ def load(folder: Path, octets: bytes) -> Profile | None:
     return None
 
 
+_OCTETS = st.one_of(st.binary(max_size=60), st.text(max_size=60).map(lambda text: text.encode(errors="replace")))
+
+
 def test_arbitrary_octets(tmp_path: Path) -> None:
-    @settings(max_examples=100)
-    @given(st.one_of(st.binary(max_size=60), st.text(max_size=60).map(lambda text: text.encode(errors="replace"))))
-    def check(octets: bytes) -> None:
-        assert load(tmp_path, octets) is None
+    """Octets are refused, or they are TOML that extends a profile: they are too few to define a whole one."""
+
+    @settings(max_examples=examples(100))
+    @given(st.sampled_from([b"", *(f'extends="{name}"\n'.encode() for name in BUILTIN_PROFILES)]), _OCTETS)
+    @example(b'extends="dcp-1.0"', b"")
+    @example(b'extends="dcp-1.0"\n', b"# and nothing else")
+    def check(start: bytes, rest: bytes) -> None:
+        found = load(tmp_path, start + rest)
+        if found is not None:
+            table = tomllib.loads((start + rest).decode())
+            assert table.keys() >= {"extends"}
+            assert build_schema(found).profile is found
+            if table.keys() == {"extends"}:
+                assert msgspec.structs.replace(found, name="") == msgspec.structs.replace(
+                    load_profile(table["extends"]), name=""
+                )
 
     check()
+    assert load(tmp_path, b'extends="dcp-1.0"') is not None
 
 
 def test_arbitrary_tables(tmp_path: Path) -> None:
-    @settings(max_examples=200)
+    @settings(max_examples=examples(200))
     @given(st.dictionaries(_KEYS, _VALUES, max_size=6), st.sampled_from([{}, {"extends": "dcp-2.0"}]))
     def check(data: dict[str, Any], base: dict[str, Any]) -> None:
         load(tmp_path, toml({**data, **base}).encode())
@@ -639,7 +657,7 @@ def without_none(data: Any) -> Any:
 def test_one_thing_changed(tmp_path: Path) -> None:
     """A good profile with one value replaced is a profile with a schema, or a ProfileError."""
 
-    @settings(max_examples=300)
+    @settings(max_examples=examples(300))
     @given(st.sampled_from(BUILTIN_PROFILES), st.data(), _VALUES)
     def check(name: str, data: st.DataObject, value: Any) -> None:
         profile = without_none(msgspec.to_builtins(load_profile(name)))

@@ -15,6 +15,7 @@ from dcp_stack.control import server as server_module
 from dcp_stack.control.jsonrpc import MAX_LINE, LineBuffer, RpcError
 from dcp_stack.control.server import HIGH_WATER, MAX_BACKLOG, MAX_BATCH
 
+from ..chance import examples
 from .control_rig import Rig
 
 HELLO = {"jsonrpc": "2.0", "id": 1, "method": "UT-Hello"}
@@ -257,7 +258,7 @@ def test_who_does_not_read_what_it_wants_to_be_told_is_given_up(rig):
     assert heard == number + 2
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(st.lists(st.binary(max_size=200), max_size=5))
 def test_arbitrary_octets_never_raise(chunks):
     rig = SHARED
@@ -289,7 +290,7 @@ REQUESTS = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=500)
+@settings(max_examples=examples(500))
 @given(st.lists(REQUESTS | JSON, max_size=4), st.booleans())
 def test_arbitrary_messages_never_raise_and_never_break_the_node(messages, batch):
     client = SHARED.client()

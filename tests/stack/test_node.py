@@ -16,6 +16,8 @@ from dcp_stack.config import NodeConfig, SRPConfig
 from dcp_stack.effects import Dropped, NeighbourSeen, PayloadReceived, PayloadTransmitted, SendBeacon, VariableChanged
 from dcp_stack.node import Node
 
+from ..chance import examples
+
 WALL = 1_795_225_151_000_000_000
 MS = 1_000_000
 #: A profile without a beacon header has no sender for a node to be.
@@ -243,7 +245,7 @@ def test_srp_and_vardis_take_their_number_back_when_they_start_again(prot_id):
     assert reasons == [{1: "wrong-length", 2: "unknown-type"}[prot_id]]
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(frames=st.lists(st.binary(max_size=200), max_size=8), profile=st.sampled_from(PROFILES))
 def test_no_octets_raise(frames, profile):
     pair = Pair(profile)

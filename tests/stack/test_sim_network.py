@@ -19,6 +19,8 @@ from dcp_stack.sim.network import Network, node_id
 from dcp_stack.sim.player import Simulation, simulate
 from dcp_stack.sim.scenario import LinkQuality, Scenario, Topology, Tracks
 
+from ..chance import examples
+
 SECOND = 1_000_000_000
 
 
@@ -60,7 +62,7 @@ class TestSeeds:
         with open_capture(tmp_path / "node-3.mcap") as capture:
             assert sum(1 for _ in capture) == own.beacons_sent + own.beacons_received
 
-    @settings(max_examples=10)
+    @settings(max_examples=examples(10))
     @given(st.integers(0, 2**64), st.floats(0, 0.6), st.sampled_from(["full", "line", "grid"]))
     def test_lossy_networks_agree_in_the_end_and_nobody_raises(self, seed, loss, shape):
         scenario = default_scenario(5, topology=parse_topology(shape), duration_s=30.0, seed=seed)

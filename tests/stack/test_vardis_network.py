@@ -30,6 +30,7 @@ from dcp_stack.config import NodeConfig, VardisConfig
 from dcp_stack.effects import Dropped, VariableChanged
 from dcp_stack.vardis import Vardis
 
+from ..chance import examples
 from .vardis_rig import MS, WALL, OneSlot, Rig
 
 PERIOD = 100 * MS
@@ -344,5 +345,5 @@ class Network13(Network):
 
 TestNetwork = Network.TestCase
 TestNetwork13 = Network13.TestCase
-TestNetwork.settings = settings(max_examples=40, stateful_step_count=40, deadline=None)
-TestNetwork13.settings = settings(max_examples=25, stateful_step_count=40, deadline=None)
+TestNetwork.settings = settings(max_examples=examples(40), stateful_step_count=40, deadline=None)
+TestNetwork13.settings = settings(max_examples=examples(25), stateful_step_count=40, deadline=None)

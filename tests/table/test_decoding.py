@@ -17,6 +17,7 @@ from dcp_codec.capture import Frame, convert
 from dcp_codec.table.decoding import ColumnDecoder
 from dcp_codec.table.sources import Recording, packed
 
+from ..chance import examples
 from ..codec.test_any_profile import profiles
 
 #: Profiles that are compiled; all others are run as plain Python, from the same source.
@@ -104,7 +105,7 @@ def test_any_message(any_profile, decoder_of, reference, rows, differ):
     beacons = strategies.beacons(codec).map(codec.encode)
     octets = st.one_of(beacons, strategies.mutations(beacons, codec.dissect), st.binary(max_size=64))
 
-    @settings(max_examples=15 if any_profile not in COMPILED else 150)
+    @settings(max_examples=examples(15 if any_profile not in COMPILED else 150))
     @given(st.lists(octets, min_size=1, max_size=3), st.binary(max_size=3))
     def check(messages: list[bytes], padding: bytes) -> None:
         frames = [framed(codec, message + padding, number) for number, message in enumerate(messages, start=1)]
@@ -115,7 +116,7 @@ def test_any_message(any_profile, decoder_of, reference, rows, differ):
     check()
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(profiles().filter(lambda profile: not list(contradictions(profile))), st.data())
 def test_any_profile(reference, rows, differ, profile: Profile, data: st.DataObject) -> None:
     codec = Codec(profile)

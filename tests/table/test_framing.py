@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_codec.table import native
 
+from ..chance import examples
+
 ETHERNET = Link(transport="ethernet", ether_type=0x4953)
 UDP = Link(transport="udp", udp_port=5950)
 _TYPES = [0x4953, 0x4952, 0x0800, 0x86DD, 0x8100, 0x88A8, 0x0806]
@@ -46,7 +48,7 @@ def frames(draw: st.DrawFn) -> bytes:
 
 
 @pytest.mark.parametrize("link", [ETHERNET, UDP], ids=["ethernet", "udp"])
-@settings(max_examples=600)
+@settings(max_examples=examples(600))
 @given(frame=frames() | st.binary(max_size=80))
 def test_the_same_place(link, frame):
     found, expected = both(frame, link)

@@ -19,6 +19,7 @@ from dcp_codec.table import Recording
 
 from ..capture import test_pcapng as pcapng
 from ..capture import test_properties as properties
+from ..chance import examples
 
 
 def read(path: Path, **options: Any) -> tuple[Any, ...]:
@@ -74,7 +75,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("form", FORMATS)
 def test_what_is_written(form, folder):
-    @settings(max_examples=40)
+    @settings(max_examples=examples(40))
     @given(properties.frames_for([form]), st.integers(1, 5), st.sampled_from([1, 200, 1 << 20]))
     def body(frames: list[Frame], most: int, span: int) -> None:
         check(properties.written(frames, form), folder, frames=most, span=span)
@@ -86,7 +87,7 @@ def test_what_is_written(form, folder):
 def test_damaged_anywhere(form, folder):
     octets = properties.written(properties.SOME, form)
 
-    @settings(max_examples=150)
+    @settings(max_examples=examples(150))
     @given(st.lists(st.tuples(st.integers(0, len(octets) - 1), st.integers(0, 255)), max_size=4), st.data())
     def body(changes: list[tuple[int, int]], data: st.DataObject) -> None:
         damaged = bytearray(octets)

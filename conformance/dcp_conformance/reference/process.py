@@ -33,6 +33,7 @@ NODE_ID = b"\x02\x00\x00\x00\x00\x01"
 EXPERIMENTAL = 0x88B5
 #: Seconds that the node may take until it answers: Python on a busy machine.
 PATIENCE = 30.0
+_HELLO = b'{"jsonrpc":"2.0","id":1,"method":"UT-Hello"}\n'
 
 
 class ReferenceProcess:
@@ -126,18 +127,30 @@ def _first_contact(control: ProcessControl, path: Path, patience: float) -> Reco
     return open_upper(f"unix:{path}", patience)
 
 
-def wait_for(control: ProcessControl, path: Path) -> None:
-    """Wait until somebody listens on a Unix socket. Raises ``ConformanceError`` if the process ends before."""
+def wait_for(control: SutControl, path: Path) -> None:
+    """Wait until the node answers a request on its Unix socket: one that only listens may still fail to start.
+
+    Raises ``ConformanceError`` if the process ends before, or does not answer within ``PATIENCE`` s.
+    """
     deadline = time.monotonic() + PATIENCE
-    while True:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial, contextlib.suppress(OSError):
-            trial.connect(os.fspath(path))
-            return
+    while not _answers(control, path, deadline):
         if control.alive() is False:
             raise ConformanceError(f"our node does not run: {control.why_dead()}")
         if time.monotonic() > deadline:
             raise ConformanceError(f"our node does not answer within {PATIENCE:g} s: is the machine that busy?")
         time.sleep(0.01)
+
+
+def _answers(control: SutControl, path: Path, deadline: float) -> bool:
+    """Whether the node answers on one connection, before it closes it, ends, or the deadline comes."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial, contextlib.suppress(OSError):
+        trial.settimeout(0.1)
+        trial.connect(os.fspath(path))
+        trial.sendall(_HELLO)
+        while control.alive() is not False and time.monotonic() < deadline:
+            with contextlib.suppress(TimeoutError):
+                return trial.recv(1) != b""
+    return False
 
 
 def _open_link(
