@@ -54,6 +54,7 @@ class Bench(Listening):
         self.acts()
         frame = self.lower.send(octets, source)
         self.acts()
+        self.stimulated()
         return self.traffic.frame("sent", self.lower.wall(), source.hex(":"), frame, len(frame) - len(octets))
 
     def transmit_frame(self, frame: bytes, start: int) -> int:
@@ -61,6 +62,7 @@ class Bench(Listening):
         self.acts()
         self.lower.send_frame(frame)
         self.acts()
+        self.stimulated()
         return self.traffic.frame("sent", self.lower.wall(), "", frame, start)
 
     def learn(self, peer: Peer, *creates: VarCreate) -> None:
@@ -111,6 +113,7 @@ class Bench(Listening):
         # Beacons come while the upper tester takes its time, which is not the tester's delay.
         self.lower.take_in()
         self._acted = self.now()
+        self.stimulated()
         data = answer.result if answer.code is None else {"code": answer.code, "message": answer.message}
         self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)
         if method == "RTDB-Create" and answer.ok:

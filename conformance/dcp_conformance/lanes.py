@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-import pytest
 
-from . import plugin
-from .case import SANITY
-from .plugin import ConformanceRun
+from .case import SANITY, Case
 from .results import CaseResult, Sut
+from .run import ConformanceRun
 from .selection import Selection
+from .signals import deferred
 from .target import TargetOptions
 
 
@@ -36,19 +35,10 @@ class LaneEnd(NamedTuple):
     usage: bool
 
 
-def run_pytest(run: ConformanceRun, extra: list[str] | None = None) -> None:
-    """Run the cases with pytest in this process; with ``extra`` options pytest reports itself."""
-    arguments = ["--pyargs", "dcp_conformance.cases", "-c", os.devnull]
-    arguments += ["--rootdir", str(Path(__file__).parent), "-p", "no:cacheprovider", "--noconftest"]
-    # Where it is installed it makes a folder for its results wherever the user is.
-    arguments += ["-p", "no:benchmark"]
-    if not extra:
-        # What is captured would be kept from the display, too.
-        arguments += ["-p", "no:terminal", "-p", "no:logging", "-p", "no:warnings", "--capture", "no"]
-    status = pytest.main([*arguments, *(extra or [])], plugins=[plugin, run])
-    if not run.finished:
-        # It has not come to a session, and has said why.
-        run.trouble, run.usage = f"pytest could not begin (its status is {int(status)})", True
+class Revised(NamedTuple):
+    """A lane replaces one of its results: JSON of a ``CaseResult``."""
+
+    result: bytes
 
 
 def lanes_of(run: ConformanceRun, jobs: int | None = None) -> int:
@@ -71,10 +61,9 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
     # Importing is most of what it takes to start a lane: it is done once, where the lanes are forked from.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([f"{__package__}.preload"])
-    run.begin(len(cases))
+    if run.on_start is not None:
+        run.on_start(len(cases))
     with contextlib.ExitStack() as stack:
-        # Whoever ends this process ends the lanes, and these their nodes.
-        stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
         connections: dict[Connection, Any] = {}
         for share in shares:
             ours, theirs = context.Pipe(duplex=False)
@@ -90,14 +79,19 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
                 if isinstance(message, LaneEnd):
                     ends.append(message)
                     continue
+                if isinstance(message, Revised):
+                    run.revise(msgspec.json.decode(message.result, type=CaseResult))
+                    continue
                 result = msgspec.json.decode(message, type=CaseResult)
                 run.take(run.cases[result.id], result)
-                if run.until_fail and run.should_stop(result):
+                if run.stops(result):
                     break
         except KeyboardInterrupt:
-            count = len({result.id for result in run.results} - {SANITY})
-            ends.insert(0, LaneEnd(None, (), f"interrupted after {count} of {len(cases)} cases", usage=False))
-        run.close_lanes(ends, lanes)
+            run.interrupt(len({result.id for result in run.results} - {SANITY}), len(cases))
+        with deferred():
+            stack.close()
+    run.account([run.cases[name] for name in cases])
+    run.close_lanes(ends, lanes)
 
 
 def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
@@ -137,16 +131,24 @@ def _lane(
     # The parent's way to end it: everything is closed, then.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
+    sent: set[tuple[str, int]] = set()
+
+    def report(_case: Case, result: CaseResult, _surprise: str) -> None:
+        # A result that replaces another one is sent as such.
+        if (result.id, result.attempt) not in sent:
+            sent.add((result.id, result.attempt))
+            to.send(msgspec.json.encode(result))
+
     run = ConformanceRun(
         options,
         Selection(patterns=cases),
         repeat=repeat,
         until_fail=until_fail,
         artefacts=artefacts,
-        on_result=lambda _case, result, _surprise: to.send(msgspec.json.encode(result)),
+        on_result=report,
     )
     try:
-        run_pytest(run)
+        run.execute(lambda result: to.send(Revised(msgspec.json.encode(result))))
         about = run.result()
         to.send(LaneEnd(about.sut, about.notes, run.trouble, run.usage))
     except (BrokenPipeError, KeyboardInterrupt):

@@ -25,6 +25,17 @@ class Listening(Naming):
         self.others: list[Heard] = []
         """Frames with another sender's identifier that the tester has not sent."""
         self.notifications: list[Notification] = []
+        self._stimulus: int | None = None
+        """When something was done to the implementation since its last frame."""
+
+    def stimulated(self) -> None:
+        """Note that something was done to the implementation just now."""
+        self._stimulus = self.now()
+
+    @property
+    def silent(self) -> bool:
+        """Whether no frame of the implementation has come since the last stimulus."""
+        return self._stimulus is not None
 
     # -- waiting -------------------------------------------------------------------------------------------------------
 
@@ -140,6 +151,8 @@ class Listening(Naming):
             heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
             if ours:
                 self.heard.append(heard)
+                if self._stimulus is not None and arrival.time >= self._stimulus:
+                    self._stimulus = None
                 self.session.summarised.update(each.var_id for each in heard.instructions(ICType.SUMMARIES))
                 self.session.summarised.difference_update(
                     each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)

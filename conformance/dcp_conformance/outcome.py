@@ -15,6 +15,8 @@ from .verdict import Verdict
 
 AS_EXPECTED, UNEXPECTED, USAGE, INCONCLUSIVE, TESTER_ERROR = range(5)
 """The exit statuses of ``dcp-conformance``."""
+INTERRUPTED: Final = 130
+"""The exit status after Ctrl-C, SIGTERM or SIGHUP, as shells give it."""
 
 TOOL: Final = f"dcp-conformance {__version__}"
 

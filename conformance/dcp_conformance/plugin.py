@@ -1,35 +1,28 @@
-"""The cases as pytest items.
+"""The cases as pytest items, if the user wants pytest: ``-k``, ``--lf``, ``--durations`` and other plugins work.
 
-``dcp-conformance run`` calls pytest with this plugin, so that ``-k``, ``-x``, ``--durations`` and other plugins work;
-so does ``pytest -p dcp_conformance.plugin --pyargs dcp_conformance.cases --dcp-in-process``. What pytest calls passed,
-failed and skipped is derived from the verdict and never the other way round.
+``dcp-conformance run`` runs cases without pytest, so that no setting of pytest changes a verdict; with ``--pytest``
+it calls pytest with this plugin. So does ``pytest -p dcp_conformance.plugin --pyargs dcp_conformance.cases
+--dcp-in-process``. What pytest calls passed, failed and skipped is derived from the verdict and never the other way
+round.
 """
 
 from __future__ import annotations
 
-import contextlib
-import datetime
 import importlib
-import time
-import traceback
-from collections.abc import Callable, Iterator, Sequence
+import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
-from .case import CASES, SANITY, Case, all_cases, cases_of
-from .errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
-from .expected import ExpectedResults
-from .outcome import TESTER_ERROR, USAGE, assemble, exit_status
-from .results import CaseResult, RunResult, Sut
-from .runner import timestamp
-from .selection import Selection, select
-from .target import Target, TargetOptions, describe, open_target
+from .case import CASES, Case, cases_of
+from .errors import UsageError
+from .results import CaseResult
+from .run import ConformanceRun
+from .selection import Selection
+from .target import TargetOptions
 from .verdict import Verdict
-
-if TYPE_CHECKING:
-    from .lanes import LaneEnd
 
 _CASES_DIRECTORY = Path(__file__).parent / "cases"
 #: Verdict -> (letter, word) for pytest's own terminal.
@@ -43,216 +36,82 @@ _SHOWN = {
 }
 
 
-class ConformanceRun:
-    """One run: what was asked for, what came of it. The plugin object that pytest knows."""
+class Driver:
+    """The plugin object of one run: has pytest collect and run what the run has selected."""
 
-    def __init__(
-        self,
-        target: TargetOptions,
-        selection: Selection,
-        *,
-        expected: Path | None = None,
-        repeat: int = 1,
-        until_fail: bool = False,
-        command: str = "",
-        artefacts: Path | None = None,
-        on_start: Callable[[int], None] | None = None,
-        on_result: Callable[[Case, CaseResult, str], None] | None = None,
-    ) -> None:
-        """``on_start`` is told the number of cases, ``on_result`` each result and what is unexpected about it.
-
-        ``artefacts``: a folder of findings of the fuzzer, which become cases. Raises :class:`UsageError`.
-        """
-        self.options = target
-        self.cases = all_cases()
-        self.artefacts = artefacts
-        self._found_by_fuzzer: dict[str, Case] = {}
-        if artefacts is not None:
-            from .fuzz.cases import artefact_cases
-
-            self._found_by_fuzzer = {case.id: case for case in artefact_cases(artefacts)}
-            self.cases |= self._found_by_fuzzer
-        self.codec, self.pics = describe(target)
-        self.selected = select(self.cases, selection)
-        self.expected = ExpectedResults() if expected is None else ExpectedResults.load(expected, self.cases.values())
-        self.repeat = repeat
-        self.until_fail = until_fail
-        self.command = command
-        self.results: list[CaseResult] = []
-        self.unexpected: list[str] = []
-        self.trouble = ""
-        """Why nothing could be run, or not to the end: the tester's own fault."""
-        self.usage = False
-        """Whether the trouble is what the user asked for."""
-        self._on_start = on_start
-        self._on_result = on_result
-        self._stack = contextlib.ExitStack()
-        self._target: Target | None = None
-        self._sut: Sut | None = None
-        self._notes: list[str] = []
-        self._attempts: dict[str, int] = {}
-        self._began = time.monotonic()
-        self._started = timestamp()
+    def __init__(self, run: ConformanceRun) -> None:
+        self.run = run
         self.finished = False
         """Whether there was a session of pytest, with or without results."""
-
-    # -- collection --------------------------------------------------------------------------------------------
+        self._planned: list[Case] = []
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        """The selected cases in their order, sanity also last and behind every destructive case."""
-        by_id = {item.case.id: item for item in items if isinstance(item, CaseItem)}
-        left_out = [item for item in items if isinstance(item, CaseItem)]
+        """Put the selected cases in their order."""
+        collected = [item for item in items if isinstance(item, CaseItem)]
+        by_id = {item.case.id: item for item in collected}
         chosen: list[pytest.Item] = [item for item in items if not isinstance(item, CaseItem)]
-        module = next(iter(by_id.values())).parent if by_id else None
-        sanity = self.cases[SANITY]
-        for round_number in range(self.repeat):
-            cases = [case for case in self.selected if case.id in by_id or case.id in self._found_by_fuzzer]
-            for case in self._with_sanity(cases, sanity):
-                if round_number == 0 and case.id in by_id and by_id[case.id] in left_out:
-                    item = by_id[case.id]
-                    left_out.remove(item)
-                elif module is not None:
-                    item = CaseItem.from_parent(module, name=case.id, case=case)
-                else:
-                    continue
+        module = collected[0].parent if collected else None
+        unused = dict(by_id)
+        self._planned = self.run.plan(lambda case: case.id in by_id or case.id in self.run.found_by_fuzzer)
+        for case in self._planned:
+            # An item runs once: repetitions are items of their own.
+            item = unused.pop(case.id, None)
+            if item is None and module is not None:
+                item = CaseItem.from_parent(module, name=case.id, case=case)
+            if item is not None:
                 chosen.append(item)
-        if left_out:
-            config.hook.pytest_deselected(items=left_out)
+        if unused:
+            config.hook.pytest_deselected(items=list(unused.values()))
         items[:] = chosen
 
-    def _with_sanity(self, cases: list[Case], sanity: Case) -> Iterator[Case]:
-        if not cases:
-            return
-        yield sanity
-        for case in cases:
-            if case.base != SANITY:
-                yield case
-                if case.destructive:
-                    yield sanity
-        if len(cases) > 1 and not cases[-1].destructive:
-            yield sanity
-
     def pytest_collection_finish(self, session: pytest.Session) -> None:
-        """How many there are."""
-        if self._on_start is not None:
-            self._on_start(len(session.items))
-
-    # -- running -----------------------------------------------------------------------------------------------
+        """Say how many executions there are."""
+        if self.run.on_start is not None:
+            self.run.on_start(len(session.items))
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool | None:
         """Open the way to the implementation, if there is anything to run."""
         if session.config.option.collectonly or not session.items:
             return None
-        try:
-            self._target = self._stack.enter_context(open_target(self.options))
-            self._target.runner.prepare()
-            if self.options.foreign and self.options.start:
-                self._target.runner.await_answer(self.cases[SANITY])
-        except ConformanceError as error:
-            self.trouble = str(error)
-            self.usage = isinstance(error, UsageError)
-            return True
-        except Exception as error:
-            self.trouble = f"a fault of the tester: {type(error).__name__}: {error}"
-            self._notes.append("".join(traceback.format_exception(error)))
-            return True
-        return None
-
-    def run_case(self, case: Case) -> tuple[CaseResult, str]:
-        """Run one; its result and what is unexpected about it."""
-        assert self._target is not None
-        attempt = self._attempts[case.id] = self._attempts.get(case.id, 0) + 1
-        result = self._target.runner.run(case, attempt)
-        return result, self.take(case, result)
-
-    def take(self, case: Case, result: CaseResult) -> str:
-        """Take a result, of this process or of a lane; what is unexpected about it."""
-        surprise = self.expected.judge(case, result)
-        if surprise:
-            self.unexpected.append(f"{case.id}: {surprise}")
-        self.results.append(result)
-        if self._on_result is not None:
-            self._on_result(case, result, surprise)
-        return surprise
-
-    def begin(self, total: int) -> None:
-        """So many cases are to be run, in lanes."""
-        if self._on_start is not None:
-            self._on_start(total)
-
-    def close_lanes(self, ends: Sequence[LaneEnd], lanes: int) -> None:
-        """All lanes are done: what they say of the implementation, and in which order their results belong."""
-        self._sut = next((end.sut for end in ends if end.sut is not None), None)
-        self._notes += [note for end in ends for note in end.notes]
-        if lanes > 1:
-            self._notes.append(f"{lanes} nodes were tested side by side, each with a share of the cases")
-        for end in ends:
-            if end.trouble and not self.trouble:
-                self.trouble, self.usage = end.trouble, end.usage
-        order = {case.id: number for number, case in enumerate(self.cases.values())}
-        self.results.sort(key=lambda result: (result.id != SANITY, order[result.id], result.attempt))
-
-    def should_stop(self, result: CaseResult) -> str:
-        """Why the run should end here; empty if it should go on."""
-        if self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR):
-            return f"{result.id}: {result.verdict}"
-        if result.id == SANITY and result.attempt == 1 and result.verdict is not Verdict.PASS:
-            return f"the implementation does not take part: {result.reason}"
-        return ""
+        return None if self.run.open() else True
 
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
-        """Close everything; whatever was still to be said is said by :meth:`result`."""
+        """Close everything; results are complete then, or the run says what is missing."""
         self.finished = True
-        self._note_end(session, exitstatus)
-        if self._target is not None:
-            self._sut = self._target.runner.about()
-            self._notes = list(self._target.runner.notes)
-        with contextlib.suppress(LowerTesterError, UpperTesterError):
-            self._stack.close()
-        session.exitstatus = self.exit_status()
+        run = self.run
+        planned = [item.case for item in session.items if isinstance(item, CaseItem)]
+        if not session.config.option.collectonly and not run.trouble:
+            if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED or not session.items:
+                run.trouble, run.usage = "no case is left to run", True
+            elif exitstatus == pytest.ExitCode.INTERNAL_ERROR:
+                run.trouble = "pytest has failed; what it said of it is above"
+            elif exitstatus == pytest.ExitCode.INTERRUPTED and not session.shouldstop:
+                run.interrupt(len(run.results), len(planned))
+        run.close()
+        if run.results and not session.shouldstop and not session.shouldfail:
+            run.account(planned)
+        session.exitstatus = run.exit_status()
 
-    def _note_end(self, session: pytest.Session, status: int) -> None:
-        """What pytest says of the session, where that is more than the results say."""
-        if self.trouble or session.config.option.collectonly:
-            return
-        if status == pytest.ExitCode.NO_TESTS_COLLECTED or not session.items:
-            self.trouble, self.usage = "no case is left to run", True
-        elif status == pytest.ExitCode.INTERNAL_ERROR:
-            self.trouble = "pytest has failed; what it said of it is above"
-        elif status == pytest.ExitCode.INTERRUPTED and not session.shouldstop:
-            self.trouble = f"interrupted after {len(self.results)} of {len(session.items)} cases"
 
-    # -- results -----------------------------------------------------------------------------------------------
+def run_with_pytest(run: ConformanceRun, options: list[str]) -> None:
+    """Run the cases with pytest in this process; ``options`` are those of the user for pytest.
 
-    def complaints(self) -> list[str]:
-        """What is unexpected: results, and entries of the file of expected results."""
-        today = datetime.datetime.now(datetime.UTC).date()
-        ran = {result.id for result in self.results}
-        selected = [case for case in self.selected if case.id in ran]
-        return [*self.unexpected, *self.expected.complaints(selected, today)]
-
-    def exit_status(self) -> int:
-        """As documented: the tester's own trouble before everything, then what is unexpected, then doubts."""
-        if self.trouble:
-            return USAGE if self.usage else TESTER_ERROR
-        return exit_status(self.results, unexpected=bool(self.complaints()))
-
-    def result(self) -> RunResult:
-        """Everything that is known of the run, also of one that could not begin."""
-        notes = [*self._notes, *([self.trouble] if self.trouble else [])]
-        if self.expected.entries:
-            notes += self.complaints()
-        return assemble(
-            self.codec.profile,
-            self.pics,
-            self.results,
-            sut=self._sut,
-            started=self._started,
-            duration=time.monotonic() - self._began,
-            command=self.command,
-            notes=notes,
-        )
+    Settings of the directory that the user is in, and of its environment, do not count.
+    """
+    arguments = ["--pyargs", CASES, "-c", os.devnull, "--rootdir", str(Path(__file__).parent)]
+    arguments += ["-p", "no:cacheprovider", "--noconftest"]
+    # Where it is installed it makes a folder for its results in the current directory.
+    arguments += ["-p", "no:benchmark"]
+    driver = Driver(run)
+    kept = {name: os.environ.pop(name) for name in ("PYTEST_ADDOPTS", "PYTEST_PLUGINS") if name in os.environ}
+    try:
+        status = pytest.main([*arguments, *options], plugins=[importlib.import_module(__name__), driver])
+    finally:
+        os.environ.update(kept)
+    if not driver.finished:
+        # It has not come to a session, and has said why.
+        run.trouble, run.usage = f"pytest could not begin (its status is {int(status)})", True
 
 
 class CaseFile(pytest.File):
@@ -280,9 +139,8 @@ class CaseItem(pytest.Item):
         run = _run_of(self.config)
         self.result, self.surprise = run.run_case(self.case)
         self.user_properties.append(("verdict", str(self.result.verdict)))
-        stop = run.should_stop(self.result)
-        if stop:
-            self.session.shouldstop = stop
+        if run.stops(self.result):
+            self.session.shouldstop = f"{self.result.id}: {self.result.verdict}"
         if self.surprise or self.result.verdict is Verdict.ERROR:
             raise CaseVerdictError(self.result, self.surprise)
         if self.result.verdict in (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE):
@@ -291,13 +149,13 @@ class CaseItem(pytest.Item):
             pytest.xfail(f"as expected: {self.result.reason}")
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """A verdict is shown as what was expected and what came instead, not as a traceback."""
+        """Show a verdict as what was expected and what came instead, not as a traceback."""
         if isinstance(excinfo.value, CaseVerdictError):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """Where the case stands, and what it is for."""
+        """The place of the case, and its purpose."""
         return self.path, self.case.line - 1, f"{self.case.id}: {self.case.purpose}"
 
 
@@ -323,7 +181,7 @@ def _run_of(config: pytest.Config) -> ConformanceRun:
     return config.stash[_RUN]
 
 
-# -- hooks of the module ----------------------------------------------------------------------------------------
+# -- hooks of the module -----------------------------------------------------------------------------------------------
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -346,8 +204,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Take the run over from ``dcp-conformance``, or make one from the options."""
-    run = next((plugin for plugin in config.pluginmanager.get_plugins() if isinstance(plugin, ConformanceRun)), None)
-    if run is None:
+    driver = next((plugin for plugin in config.pluginmanager.get_plugins() if isinstance(plugin, Driver)), None)
+    if driver is None:
         option = config.getoption
         pics, expected, artefacts = option("--dcp-pics"), option("--dcp-expected"), option("--dcp-artefacts")
         target = TargetOptions(
@@ -368,8 +226,9 @@ def pytest_configure(config: pytest.Config) -> None:
             )
         except UsageError as error:
             raise pytest.UsageError(str(error)) from None
-        config.pluginmanager.register(run, "dcp-conformance-run")
-    config.stash[_RUN] = run
+        driver = Driver(run)
+        config.pluginmanager.register(driver, "dcp-conformance-run")
+    config.stash[_RUN] = driver.run
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> CaseFile | None:

@@ -76,7 +76,11 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     rerun: str = ""
     """The command that runs this case again."""
     killed: bool = False
-    """The implementation was found dead after this case."""
+    """The implementation died of this case, or fell silent."""
+    death: str = ""
+    """How it died, without numbers that differ from time to time: equal for deaths that look alike."""
+    counted: bool = True
+    """Whether it counts as a case: repetitions of the sanity case do not."""
     attempt: int = 1
     error_detail: str = ""
     """For a fault of the tester: where it happened."""
@@ -154,5 +158,7 @@ def summarise(cases: tuple[CaseResult, ...]) -> dict[str, dict[str, int]]:
         table: {str(verdict): 0 for verdict in Verdict} for table in ("conformance", "robustness")
     }
     for case in cases:
+        if not case.counted:
+            continue
         counts[case.table][str(case.verdict)] += 1
     return counts

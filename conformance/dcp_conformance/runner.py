@@ -5,33 +5,32 @@ from __future__ import annotations
 import shlex
 import time
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+import msgspec
 from dcp_spec.parameters import parameters
-from dcp_spec.requirements import requirements
 
 from .applicability import why_not
+from .attribution import Attribution, Trial, attribute, likely_stimulus
 from .bench import Bench, Session
-from .case import Case
+from .case import SANITY, Case
 from .control import SutControl
 from .errors import LowerTesterError, StopCase, UpperTesterError
+from .life import Life
 from .node_id import node_id_octets
-from .results import CaseResult, Check, EventRecord, Sut, Table
+from .results import CaseResult, Check, EventRecord, Sut
 from .traffic import Event
-from .verdict import Verdict
+from .verdict import Verdict, worst
 
-#: Questions without an answer after which an implementation is taken for dead.
-_QUESTIONS = 4
-#: Seconds that an implementation which has hung up may take to be seen dead.
-DEATH_PATIENCE = 1.0
-#: Seconds that an implementation may take until it answers after it was started.
-START_PATIENCE = 30.0
+#: Cases that a note names of those that ended the life of the implementation in the same way.
+_NAMED = 6
 
 
 class Runner:
     """Runs one case after the other against one implementation.
 
-    A case that finds the implementation dead is named; with a command to restart it the run goes on.
+    A case after which the implementation is dead is run again alone before it is blamed (:mod:`.attribution`); with a
+    command to restart the implementation the run goes on.
     """
 
     def __init__(
@@ -40,13 +39,23 @@ class Runner:
         self.session = session
         self.control = control
         self.rerun = rerun
-        self.notes: list[str] = []
-        self._lived = control is not None
-        """Whether there ever was a sign of life."""
+        self.life = Life(session, control)
+        self.remarks: list[str] = []
+        """What the reader of the results should know, beside deaths."""
         self.dead = ""
         """Why nothing can be run any more; empty while the implementation lives."""
+        self._deaths: dict[str, list[str]] = {}
+        """Cases by how the implementation ended."""
+        self._before: tuple[Case, CaseResult] | None = None
+        """The case that ran before in this life of the implementation, and its result."""
+        self._revised: list[CaseResult] = []
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
+
+    @property
+    def notes(self) -> list[str]:
+        """What the reader of the results should know of the run as a whole."""
+        return [*self.remarks, *(_told(how, cases) for how, cases in self._deaths.items())]
 
     def prepare(self) -> None:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
@@ -86,27 +95,69 @@ class Runner:
             methods=tuple(sorted(upper.methods)) if upper is not None else (),
         )
 
-    # -- one case ----------------------------------------------------------------------------------------------
+    # -- one case ------------------------------------------------------------------------------------------------------
 
     def run(self, case: Case, attempt: int = 1) -> CaseResult:
-        """Run one case. Whatever happens, there is a result; only ``KeyboardInterrupt`` and the like get through."""
+        """Run one case. Whatever happens, there is a result; only ``KeyboardInterrupt`` and the like get through.
+
+        The result of the case before may have changed: see :meth:`take_revised`.
+        """
         bench = Bench(self.session, case)
-        begun = self.session.lower.now()
         reason = why_not(bench, case)
         if reason:
-            check = Check(Verdict.NOT_APPLICABLE, case.requirements, reason)
-            return self._result(case, bench, begun, attempt, [check])
+            return self._without_trial(case, bench, attempt, Verdict.NOT_APPLICABLE, reason)
         if self.dead:
-            check = Check(Verdict.INCONCLUSIVE, case.requirements, "a living implementation", self.dead)
-            return self._result(case, bench, begun, attempt, [check])
-        detail = ""
+            return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, "a living implementation", self.dead)
         try:
-            self._reset()
-            if self._reset_mode() == "restart" and (why := self.await_answer(case)):
+            result = self._run(case, attempt)
+        except Exception as error:
+            # A fault of this module: the case still has a result.
+            what = f"{type(error).__name__}: {error}"
+            result = self._without_trial(case, bench, attempt, Verdict.ERROR, "the case runs to its end", what)
+            detail = "".join(traceback.format_exception(error))
+            result = msgspec.structs.replace(result, error_detail=detail)
+        return result
+
+    def take_revised(self) -> list[CaseResult]:
+        """Results of earlier cases that were found to be wrong since; each replaces the one with its id and attempt."""
+        revised, self._revised = self._revised, []
+        return revised
+
+    def _run(self, case: Case, attempt: int) -> CaseResult:
+        trial = self._trial(case)
+        if trial.loss is None:
+            result = self._result(trial, attempt, trial.checks)
+            # A restart before each case ends the life that the case was run in.
+            self._before = (case, result) if self._reset_mode() != "restart" else None
+            self._refuse(case, trial)
+            return result
+        before = self._before
+        found = attribute(trial, before[0] if before is not None else None, self._again if self._restartable else None)
+        result = self._result(found.trial, attempt, found.checks, killed=found.killed)
+        if found.killed:
+            self._count_death(case, trial)
+            result = msgspec.structs.replace(result, death=trial.loss.group)
+        if found.before and found.before_trial is not None and before is not None:
+            self._blame_before(before[1], found)
+        if found.note:
+            self.remarks.append(found.note)
+        self._before = None
+        self._revive(case, trial)
+        return result
+
+    def _trial(self, case: Case, *, fresh: bool = False) -> Trial:
+        """Run a case once, and look after the implementation. ``fresh``: it is in its initial state already."""
+        bench = Bench(self.session, case)
+        trial = Trial(case, bench, self.session.lower.now(), bench.checks)
+        try:
+            if not fresh:
+                self._reset()
+            if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
                 # Whatever keeps it away is not what the case is about; the next one restarts it again.
-                what = "the implementation is there after its restart"
-                check = Check(Verdict.INCONCLUSIVE, case.requirements, what, why)
-                return self._result(case, bench, begun, attempt, [check])
+                bench.checks.append(
+                    Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
+                )
+                return trial
             bench.mark()
             bench.heard.clear()
             # What was lost, or looked at late, before the case is no excuse in it.
@@ -115,132 +166,97 @@ class Runner:
         except StopCase:
             pass
         except UpperTesterError as error:
-            self._judge_silence(bench, error)
+            self.life.hung_up = str(error)
+            bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, "the upper tester answers", str(error)))
         except LowerTesterError as error:
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the link can be used", str(error)))
         except Exception as error:
-            detail = "".join(traceback.format_exception(error))
+            trial.detail = "".join(traceback.format_exception(error))
             what = f"{type(error).__name__}: {error}"
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
-        killed = self._look_after(case, bench)
-        return self._result(case, bench, begun, attempt, bench.checks, killed=killed, detail=detail)
+        trial.stimulus = likely_stimulus(bench.traffic)
+        # Silence after the last stimulus is no sign of life, whatever the verdict.
+        doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
+        if not self.life.ended() and not self.life.hung_up:
+            doubt = not self._clean(bench) or doubt
+        # The sanity case has asked already.
+        ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
+        trial.loss = self.life.loss(bench, ask=ask)
+        return trial
 
-    def _judge_silence(self, bench: Bench, error: UpperTesterError) -> None:
-        """The upper tester failed in a case. If the implementation is dead, that is looked at afterwards."""
-        bench.checks.append(
-            Check(Verdict.INCONCLUSIVE, bench.case.requirements, "the upper tester answers", str(error))
-        )
-        # A process closes its connections before it is gone.
-        deadline = time.monotonic() + DEATH_PATIENCE
-        while self.control is not None and self.control.alive() and time.monotonic() < deadline:
-            time.sleep(0.02)
-
-    def _look_after(self, case: Case, bench: Bench) -> bool:
-        """See whether the implementation survived; whether it is dead now. Brings it back if that can be done."""
-        suspicious = case.destructive or bench.verdict().rank > Verdict.PASS.rank
-        control = self.control
-        dead = control is not None and control.alive() is False
-        mute = suspicious and not dead and not self._answers(bench)
-        # One that was never there has not died here.
-        self._lived = self._lived or bool(bench.heard)
-        if not (dead or mute) or not self._lived:
-            self._clean(bench)
-            return False
-        why = control.why_dead() if control is not None and dead else ""
-        observed = "it is dead after this case" if dead else self._muteness(bench)
-        table: Table = "robustness" if case.robustness else "conformance"
-        bench.checks.append(
-            Check(
-                Verdict.FAIL,
-                _broken_by_death(case),
-                "the implementation survives",
-                f"{observed}{f': {why}' if why else ''}{_last_sign(bench) if dead else ''}",
-                table=table,
-            )
-        )
-        self._revive(case, "died" if dead else "fell silent")
-        return True
-
-    def _answers(self, bench: Bench) -> bool:
-        """Whether the implementation still takes part: what the sanity case asks. Only silence after several questions
-        is silence, since frames get lost. When a case has left no variable to ask about, beacons have to do.
-        """
-        try:
-            if bench.pics.vardis is False or not bench.has_unknown_ids():
-                return any(bench.beacons(1, 5) for _ in range(_QUESTIONS)) or self._serves()
-            return any(bench.probe(5) for _ in range(_QUESTIONS)) or (bench.pics.vardis is None and self._serves())
-        except LowerTesterError:
-            return False
-
-    def _serves(self) -> bool:
-        """Whether the upper tester answers."""
-        upper = self.session.upper
-        if upper is None or "UT-Hello" not in upper.methods:
-            return False
-        try:
-            upper.call("UT-Hello", {})
-        except UpperTesterError:
-            return False
-        self._lived = True
-        return True
-
-    def _muteness(self, bench: Bench) -> str:
-        """What is left of an implementation that does not answer."""
-        try:
-            if bench.beacons(1, 5):
-                return "VarDis does not answer any more, though there are beacons"
-        except LowerTesterError:
-            pass
-        runs = self.control is not None and self.control.alive()
-        return "it does not answer any more" + (", though its process runs" if runs else "")
-
-    def _revive(self, case: Case, how: str) -> None:
-        control = self.control
-        if control is None or not control.can_restart:
-            self.dead = f"the implementation {how} in {case.id}, and there is no command to restart it (--restart)"
-            self.notes.append(self.dead)
+    def _refuse(self, case: Case, trial: Trial) -> None:
+        """End the run if the sanity case has found that there is nothing to test."""
+        if case.id != SANITY or trial.verdict is Verdict.PASS or trial.bench.heard or self.life.serves():
             return
+        reason = next((check.observed for check in trial.checks if check.verdict is trial.verdict), "")
+        self.dead = f"the implementation does not take part: {reason}"
+
+    # -- deaths --------------------------------------------------------------------------------------------------------
+
+    @property
+    def _restartable(self) -> bool:
+        return self.control is not None and self.control.can_restart
+
+    def _again(self, cases: Sequence[Case]) -> Trial | str:
+        """Run cases from a fresh start, and wait for a slow death after the last."""
+        if why := self._start_afresh(cases[0]):
+            return why
+        for number, case in enumerate(cases):
+            trial = self._trial(case, fresh=number == 0)
+            if trial.loss is not None:
+                return trial
+        self.life.await_end(trial.bench)
+        trial.loss = self.life.loss(trial.bench, ask=True)
+        return trial
+
+    def _start_afresh(self, case: Case) -> str:
+        """Restart the implementation and wait until it answers; why it cannot be had back, empty if it is there."""
+        assert self.control is not None
         try:
-            control.restart()
+            self.control.restart()
         except Exception as error:
-            self.dead = f"the implementation {how} in {case.id} and could not be restarted: {error}"
-            self.notes.append(self.dead)
-            return
-        self.session.known.clear()
-        self.session.summarised.clear()
-        if why := self.await_answer(case):
-            self.dead = f"the implementation {how} in {case.id}, was restarted, and {why}"
-            self.notes.append(self.dead)
-            return
-        self.notes.append(f"the implementation {how} in {case.id} and was restarted")
-
-    def await_answer(self, case: Case) -> str:
-        """Wait until an implementation that was started answers: what is sent before that, it cannot hear.
-
-        ``case``: the next one, or the last. Returns why there is nothing to wait for any more, empty if it answers.
-        """
-        if not self._lived:
-            return ""
-        # What it takes is no evidence of the case.
-        bench, control = Bench(self.session, case), self.control
-        deadline = bench.now() + round(START_PATIENCE * 1e9)
-        while not self._answers(bench):
-            bench.take_newcomer()
-            if control is not None and control.alive() is False:
-                return f"is dead again: {control.why_dead()}"
-            if bench.now() >= deadline:
-                return f"does not answer within {START_PATIENCE:g} s"
-            try:
-                bench.wait(1)
-            except LowerTesterError as error:
-                return f"cannot be reached: {error}"
+            return f"it could not be restarted: {error}"
+        self._forget()
+        if why := self.life.await_answer(case):
+            return f"after a restart it {why}"
         return ""
 
-    def _clean(self, bench: Bench) -> None:
-        """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up."""
+    def _revive(self, case: Case, trial: Trial) -> None:
+        """Have the implementation back for the next case."""
+        assert trial.loss is not None
+        if not self._restartable:
+            lost = f"the implementation {trial.loss.how} in {case.id}"
+            self.dead = f"{lost}, and there is no command to restart it (--restart)"
+        elif why := self._start_afresh(case):
+            self.dead = f"the implementation {trial.loss.how} in {case.id}; {why}"
+        if self.dead:
+            self.remarks.append(self.dead)
+
+    def _count_death(self, case: Case, trial: Trial) -> None:
+        assert trial.loss is not None
+        if self._restartable and not trial.loss.upper_only:
+            self._deaths.setdefault(trial.loss.group, []).append(case.id)
+
+    def _blame_before(self, result: CaseResult, found: Attribution) -> None:
+        """Give the case before its death."""
+        trial = found.before_trial
+        assert trial is not None
+        assert trial.loss is not None
+        self._count_death(trial.case, trial)
+        checks = (*found.before[:1], *result.checks)
+        revised = self._result(trial, result.attempt, checks, killed=True)
+        self._revised.append(msgspec.structs.replace(revised, death=trial.loss.group))
+
+    # -- before and after a case ---------------------------------------------------------------------------------------
+
+    def _clean(self, bench: Bench) -> bool:
+        """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up.
+
+        Returns whether nothing went wrong.
+        """
         made = bench.created | bench.produced
         if self._reset_mode() != "none" or not made or not bench.traffic.frames:
-            return
+            return True
         upper = self.session.upper
         try:
             if upper is not None and "RTDB-Delete" in upper.methods:
@@ -252,9 +268,12 @@ class Runner:
             if bench.features.removed_after_deletion:
                 gone = bench.now() + (bench.parameter("VARDISPAR_MAX_REPETITIONS") + 4) * bench.period
                 self.session.leaving.update(dict.fromkeys(made, gone))
-        except (LowerTesterError, UpperTesterError):
-            # What is wrong will show in the next case.
-            return
+        except UpperTesterError as error:
+            self.life.hung_up = str(error)
+            return False
+        except LowerTesterError:
+            return False
+        return True
 
     def _reset_mode(self) -> str:
         mode = self.session.pics.pixit.reset
@@ -267,28 +286,27 @@ class Runner:
         mode = self._reset_mode()
         if mode == "ut" and self.session.upper is not None:
             self.session.upper.call("UT-Reset", {})
-            self.session.known.clear()
-            self.session.summarised.clear()
+            self._forget()
         elif mode == "restart" and self.control is not None:
             self.control.restart()
-            self.session.known.clear()
-            self.session.summarised.clear()
+            self._forget()
 
-    # -- the result --------------------------------------------------------------------------------------------
+    def _forget(self) -> None:
+        """The implementation is in its initial state again."""
+        self.session.known.clear()
+        self.session.summarised.clear()
 
-    def _result(
-        self,
-        case: Case,
-        bench: Bench,
-        begun: int,
-        attempt: int,
-        checks: Iterable[Check],
-        *,
-        killed: bool = False,
-        detail: str = "",
+    # -- the result ----------------------------------------------------------------------------------------------------
+
+    def _without_trial(
+        self, case: Case, bench: Bench, attempt: int, verdict: Verdict, expected: str, observed: str = ""
     ) -> CaseResult:
-        checks = tuple(checks)
-        verdict = max((check.verdict for check in checks), key=lambda each: each.rank, default=Verdict.INCONCLUSIVE)
+        trial = Trial(case, bench, self.session.lower.now())
+        return self._result(trial, attempt, [Check(verdict, case.requirements, expected, observed)])
+
+    def _result(self, trial: Trial, attempt: int, checks: Iterable[Check], *, killed: bool = False) -> CaseResult:
+        case, bench, checks = trial.case, trial.bench, tuple(checks)
+        verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
         decisive = next((check for check in checks if check.verdict is verdict), None)
         reason = ""
         if decisive is None:
@@ -308,7 +326,7 @@ class Runner:
             stimulus=case.stimulus,
             expectation=case.expect,
             window=case.window,
-            duration=(self.session.lower.now() - begun) / 1e9,
+            duration=(self.session.lower.now() - trial.begun) / 1e9,
             table="robustness" if case.robustness else "conformance",
             checks=checks,
             readings=bench.readings,
@@ -317,23 +335,17 @@ class Runner:
             rerun=f"{self.rerun} {shlex.quote(case.id)}",
             killed=killed,
             attempt=attempt,
-            error_detail=detail,
+            error_detail=trial.detail,
         )
 
 
-def _last_sign(bench: Bench) -> str:
-    """Behind which of its beacons an implementation died, as the end of a sentence; empty if that says nothing."""
-    frames = [event for event in bench.traffic.events if event.number and event.direction in ("sent", "heard")]
-    last = max((place for place, event in enumerate(frames) if event.direction == "heard"), default=len(frames))
-    behind = frames[last + 1 :]
-    return f"; its last beacon came before frame {behind[0].number} of {bench.traffic.frames}" if behind else ""
-
-
-def _broken_by_death(case: Case) -> tuple[str, ...]:
-    """The requirements of a case that a death violates: what is an implementation's own choice cannot be violated."""
-    known = requirements()
-    binding = tuple(each for each in case.requirements if each not in known or known[each].level != "optional")
-    return binding or case.requirements
+def _told(how: str, cases: Sequence[str]) -> str:
+    """Deaths that look alike, in one sentence."""
+    kind, _, cause = how.partition(": ")
+    if len(cases) == 1:
+        return f"the implementation {kind} in {cases[0]} and was restarted"
+    listed = ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
+    return f"the implementation {kind} in {len(cases)} cases in the same way ({cause}): {listed}; restarted each time"
 
 
 def _event_record(event: Event) -> EventRecord:

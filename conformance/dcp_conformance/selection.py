@@ -6,6 +6,7 @@ import difflib
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 
 from dcp_spec.requirements import UnknownRequirementError, requirement, requirements
@@ -80,7 +81,7 @@ def _matching(cases: Mapping[str, Case], pattern: str) -> list[Case]:
         if ids and not found:
             raise UsageError(f"no case decides {', '.join(ids)}; docs/traceability.md says why")
     if not found:
-        if pattern in _retired():
+        if pattern in retired():
             raise UsageError(f"the case {pattern} is retired: CHANGELOG.md says what has taken its place")
         names: Sequence[str] = list(dict.fromkeys((*cases, *(case.base for case in cases.values()), *requirements())))
         near = difflib.get_close_matches(pattern, names, n=3)
@@ -89,10 +90,11 @@ def _matching(cases: Mapping[str, Case], pattern: str) -> list[Case]:
     return found
 
 
-def _retired() -> set[str]:
-    """The identifiers of cases that are no more: reports of earlier runs still name them."""
+@cache
+def retired() -> frozenset[str]:
+    """The identifiers of cases that do not exist any more: reports of earlier runs still name them."""
     ledger = resources.files("dcp_conformance").joinpath("data", "case-ids.txt").read_text(encoding="utf-8")
-    return {name for name, _, retired in (line.partition(" ") for line in ledger.splitlines()) if retired}
+    return frozenset(name for name, _, why in (line.partition(" ") for line in ledger.splitlines()) if why)
 
 
 def _requirements(pattern: str) -> list[str]:

@@ -145,7 +145,7 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
         if session.upper is not None:
             stack.callback(session.upper.close)
         runner = Runner(session, control, rerun=options.command_line())
-        runner.notes += notes
+        runner.remarks += notes
         yield Target(codec, pics, runner, notes)
 
 

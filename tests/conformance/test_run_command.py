@@ -16,12 +16,13 @@ import pytest
 from dcp_conformance.case import SANITY, all_cases
 from dcp_conformance.errors import UsageError
 from dcp_conformance.expected import ExpectedResults
-from dcp_conformance.lanes import lanes_of, run_in_lanes, run_pytest
-from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, TESTER_ERROR, UNEXPECTED, USAGE, exit_status
-from dcp_conformance.plugin import ConformanceRun
+from dcp_conformance.lanes import lanes_of, run_in_lanes
+from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, INTERRUPTED, TESTER_ERROR, UNEXPECTED, USAGE, exit_status
+from dcp_conformance.plugin import run_with_pytest
 from dcp_conformance.process import started_at
 from dcp_conformance.reporting import load_results
 from dcp_conformance.results import CaseResult
+from dcp_conformance.run import ConformanceRun
 from dcp_conformance.selection import Selection, select
 from dcp_conformance.target import TargetOptions, open_target
 from dcp_conformance.verdict import Verdict
@@ -178,11 +179,18 @@ class TestWhatIsRun:
         wanted = {case.id for case in all_cases().values() if "VD-UPD-08" in case.requirements} - {ONE}
         assert ran == wanted | {SANITY}
 
-    def test_sanity_is_first_and_last_and_behind_every_destructive_case(self, dcp_conformance: Command, tmp_path: Path):
+    def test_sanity_is_first_and_last_and_counted_once(self, dcp_conformance: Command, tmp_path: Path):
         destructive = [case.id for case in all_cases().values() if case.destructive][:2]
-        dcp_conformance("run", "--in-process", ONE, *destructive, "--report-dir", tmp_path)
-        ran = [case.id for case in load_results(tmp_path).cases]
-        assert ran == [SANITY, ONE, destructive[0], SANITY, destructive[1], SANITY]
+        done = dcp_conformance("run", "--in-process", ONE, *destructive, "--report-dir", tmp_path)
+        result = load_results(tmp_path)
+        assert [case.id for case in result.cases] == [SANITY, ONE, *destructive, SANITY]
+        assert [case.counted for case in result.cases] == [True] * 4 + [False]
+        assert sum(sum(verdicts.values()) for verdicts in result.summary.values()) == 4
+        assert "4 cases in" in done.out
+
+    def test_sanity_can_be_left_out(self, dcp_conformance: Command, tmp_path: Path):
+        dcp_conformance("run", "--in-process", ONE, "-x", SANITY, "--report-dir", tmp_path)
+        assert [case.id for case in load_results(tmp_path).cases] == [ONE]
 
     def test_the_sanity_case_alone_is_run_alone(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance("run", "--in-process", SANITY, "--report-dir", tmp_path)
@@ -328,7 +336,7 @@ class TestPytest:
 
     def test_its_options_work_in_a_run(self, tmp_path: Path):
         run = ConformanceRun(TargetOptions(in_process=True), Selection())
-        run_pytest(run, ["-k", ONE, "-q"])
+        run_with_pytest(run, ["-k", ONE, "-q"])
         assert {result.id for result in run.results} == {SANITY, ONE}
         assert run.exit_status() == AS_EXPECTED
 
@@ -394,16 +402,17 @@ class TestLanes:
         assert "a lane of the tester has ended" in err
         assert any("a lane of the tester" in note for note in load_results(tmp_path).notes)
 
-    def test_an_interrupted_run_leaves_a_report_and_nothing_else(self, tmp_path: Path):
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_an_interrupted_run_leaves_a_report_and_nothing_else(self, tmp_path: Path, number: signal.Signals):
         command = self._for_ever(tmp_path)
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         ) as process:
             lanes = self._lanes_of(process.pid)
-            process.send_signal(signal.SIGTERM)
-            _, err = process.communicate(timeout=PATIENCE)
-        assert process.returncode == TESTER_ERROR, err
-        assert "interrupted after" in err
+            process.send_signal(number)
+            out, err = process.communicate(timeout=PATIENCE)
+        assert process.returncode == INTERRUPTED == 130, err
+        assert "note: interrupted after" in out
         assert (tmp_path / "report.html").exists()
         deadline = time.monotonic() + PATIENCE
         while any(started_at(lane) is not None for lane in lanes):

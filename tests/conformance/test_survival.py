@@ -123,7 +123,8 @@ def test_who_does_not_come_back_is_not_blamed_for_more():
     runner, result = died_and_then(Gone)
     verdict = result.verdict
     assert verdict is Verdict.INCONCLUSIVE
-    assert runner.notes[-1].endswith("died in TC_VD_ROB_BI_01-type-0, was restarted, and does not answer within 30 s")
+    assert runner.dead.endswith("died in TC_VD_ROB_BI_01-type-0; after a restart it does not answer within 30 s")
+    assert runner.dead in runner.notes
     assert "TC_VD_ROB_BI_01-type-0" in result.reason
 
 
@@ -156,13 +157,13 @@ def test_a_death_is_told_with_the_last_sign_of_life():
 
     def deadly(bench: Bench) -> None:
         peer = bench.peer()
+        bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=3, descr="d", value="01")
         bench.require(bench.beacons(2, 5), "beacons", "")
         peer.send(bench.forge.container(peer.summary(1, 1), ic_type=0))
         peer.send(peer.summary(1, 1))
 
     sut = InProcess(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
-    assert sut.upper_tester().call("RTDB-Create", {"varId": 1, "repCnt": 3, "descr": "d", "value": "01"}).ok
-    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, Pics()), sut)
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), Pics()), sut)
     runner.prepare()
     result = runner.run(case_of(deadly))
     assert result.killed

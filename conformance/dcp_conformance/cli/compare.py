@@ -11,7 +11,8 @@ from dcp_conformance.errors import UsageError
 
 @click.command(
     "compare",
-    epilog="Exit status: 0 nothing became worse; 1 a case fails that did not fail before; 2 results cannot be read.",
+    epilog="Exit status: 0 nothing became worse; 1 a case fails that did not fail before, or has no result any more; "
+    "2 results cannot be read.",
 )
 @click.argument("old", type=click.Path(path_type=Path))
 @click.argument("new", type=click.Path(path_type=Path))
@@ -22,7 +23,7 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
     OLD and NEW are results.json files, or the folders they are in.
     """
     from dcp_conformance.reporting import load_results
-    from dcp_conformance.reporting.merge import compare
+    from dcp_conformance.reporting.merge import WORSE, compare
 
     before, after = load_results(old), load_results(new)
     if before.profile != after.profile:
@@ -50,5 +51,5 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
             click.echo(f"{each.kind:<10}  {each.id}  {was} -> {is_now}" + (f"  {each.reason}" if each.reason else ""))
         counts = {kind: sum(each.kind == kind for each in changes) for kind in dict.fromkeys(c.kind for c in changes)}
         shown = ", ".join(f"{count} {kind}" for kind, count in counts.items())
-        click.echo(f"{len(after.cases)} cases: {shown or 'no verdict differs'}")
-    return int(any(each.kind == "regression" for each in changes))
+        click.echo(f"{sum(case.counted for case in after.cases)} cases: {shown or 'no verdict differs'}")
+    return int(any(each.kind in WORSE for each in changes))

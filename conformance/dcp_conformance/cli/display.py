@@ -132,7 +132,8 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
         out.print(f"note: {escape(note)}", soft_wrap=True)
     if len(run.notes) > _NOTES:
         out.print(f"      ... and {len(run.notes) - _NOTES} more, which the report shows")
-    number = f"{len(run.cases)} case" + ("" if len(run.cases) == 1 else "s")
+    count = sum(case.counted for case in run.cases)
+    number = f"{count} case" + ("" if count == 1 else "s")
     out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
 
 
@@ -181,6 +182,8 @@ def _sections(run: RunResult) -> Table:
         table.add_column(heading, justify="right", no_wrap=True, min_width=len(heading))
     sections: dict[tuple[str, str], dict[Verdict, int]] = {}
     for case in run.cases:
+        if not case.counted:
+            continue
         # By document: every heading of it would be pages.
         row = sections.setdefault((case.table, case.section.partition(":")[0]), dict.fromkeys(Verdict, 0))
         row[case.verdict] += 1

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
+
+if TYPE_CHECKING:
+    from dcp_conformance.run import ConformanceRun
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -41,10 +44,11 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    from dcp_conformance.lanes import lanes_of, run_in_lanes, run_pytest
-    from dcp_conformance.plugin import ConformanceRun
+    from dcp_conformance.lanes import lanes_of, run_in_lanes
+    from dcp_conformance.run import ConformanceRun
+    from dcp_conformance.signals import deferred, ending_like_interrupts
 
-    from .display import Display, print_summary
+    from .display import Display
 
     target = target_of(options)
     display = Display(verbose=options["verbose"], quiet=options["quiet"])
@@ -69,22 +73,32 @@ def command(**options: Any) -> int:
         from dcp_conformance.reporting import make_folder
 
         make_folder(report)
-    lanes = 1 if extra else lanes_of(run, options["jobs"])
-    if extra:
-        run_pytest(run, extra)
-    else:
-        with display:
-            run_in_lanes(run, lanes) if lanes > 1 else run_pytest(run)
+    with ending_like_interrupts():
+        if extra:
+            from dcp_conformance.plugin import run_with_pytest
+
+            run_with_pytest(run, extra)
+        else:
+            lanes = lanes_of(run, options["jobs"])
+            with display:
+                run_in_lanes(run, lanes) if lanes > 1 else run.execute()
+        with deferred():
+            _report(run, report)
+    return run.exit_status()
+
+
+def _report(run: ConformanceRun, folder: Path | None) -> None:
+    """Write the report, and show the summary whatever becomes of the report."""
+    from .display import print_summary
+
     result = run.result()
     page = ""
     try:
-        if report is not None:
+        if folder is not None:
             from dcp_conformance.reporting import write_report
 
-            page = str(write_report(result, report))
+            page = str(write_report(result, folder))
     finally:
-        # Also where the report found no room: what a long run has found is not lost.
         print_summary(result, report=page)
     if run.trouble:
         click.echo(f"dcp-conformance: {run.trouble}", err=True)
-    return run.exit_status()

@@ -14,8 +14,8 @@ from dcp_conformance.case import Case, Kind
 from dcp_conformance.control import SutControl
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
 from dcp_conformance.heard import var_id_of
+from dcp_conformance.life import DEATH_PATIENCE
 from dcp_conformance.oracle import Limits
-from dcp_conformance.runner import DEATH_PATIENCE
 from dcp_conformance.target import Target as Opened
 
 from .differential import Comparison

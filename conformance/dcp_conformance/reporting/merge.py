@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from dcp_spec.requirements import requirements
 
 from dcp_conformance.results import CaseResult, RunResult
+from dcp_conformance.selection import retired
 from dcp_conformance.verdict import Verdict, worst
 
 #: From the best to the worst for comparisons: what was not decided is neither better nor worse than another doubt.
 _GOOD = (Verdict.PASS, Verdict.INFO)
 _BAD = (Verdict.FAIL, Verdict.ERROR)
+
+
+#: Changes to the worse: a result that is missing may be hiding a fail.
+WORSE = ("regression", "gone")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +31,11 @@ class Change:
 
     @property
     def kind(self) -> str:
-        """``regression``, ``fixed``, ``new``, ``gone`` or ``changed``."""
+        """``regression``, ``gone``, ``changed``, ``fixed``, ``new`` or ``retired``."""
         if self.old is None:
             return "new"
         if self.new is None:
-            return "gone"
+            return "retired" if self.id in retired() else "gone"
         if self.new in _BAD and self.old not in _BAD:
             return "regression"
         if self.old in _BAD and self.new in _GOOD:
@@ -48,7 +53,7 @@ def compare(old: RunResult, new: RunResult) -> list[Change]:
             reason = is_now.reason if is_now is not None else ""
             verdicts = (was.verdict if was is not None else None, is_now.verdict if is_now is not None else None)
             changes.append(Change(identifier, *verdicts, reason))
-    order = ("regression", "changed", "fixed", "new", "gone")
+    order = ("regression", "gone", "changed", "fixed", "new", "retired")
     return sorted(changes, key=lambda change: order.index(change.kind))
 
 

@@ -1,0 +1,212 @@
+"""Signs of life: whether the implementation still takes part, and what is known of its end.
+
+The runner asks after every case that leaves a doubt, after every start, and before it believes in a death.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import time
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from dcp_spec.constants import ICType
+
+from .bench import Bench
+from .case import Case
+from .control import SutControl
+from .errors import LowerTesterError, StopCase, UpperTesterError
+from .session import Session
+
+#: Questions without an answer after which an implementation counts as silent: frames get lost.
+QUESTIONS: Final = 4
+#: Seconds that a dying implementation may take until its process has ended. Its connections close first.
+DEATH_PATIENCE: Final = 1.5
+#: Seconds that an implementation may take to answer after a start.
+START_PATIENCE: Final = 30.0
+Sign = Literal["answer", "beacon", "service"]
+_POLL_NS: Final = 20_000_000
+_NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """The implementation does not take part any more."""
+
+    died: bool
+    """Its process has ended; otherwise it runs, as far as is known, and does not answer."""
+    observed: str
+    """What was seen, for the failed check."""
+    cause: str = ""
+    """How the process ended, and its last words; empty if that is not known."""
+    doubtful: bool = False
+    """It only stopped sending beacons, and never answered on the link: it may have nothing to send."""
+    upper_only: bool = False
+    """Only the upper tester is gone; the implementation answers on the link."""
+
+    @property
+    def how(self) -> str:
+        """A verb for messages."""
+        if self.upper_only:
+            return "lost its upper tester"
+        return "died" if self.died else "fell silent"
+
+    @property
+    def group(self) -> str:
+        """Equal for losses that look alike: numbers (process ids, addresses, line numbers) do not count."""
+        return _NUMBERS.sub("#", f"{self.how}: {self.cause or self.observed}")
+
+
+class Life:
+    """What is known of the life of one implementation."""
+
+    def __init__(self, session: Session, control: SutControl | None) -> None:
+        self._session = session
+        self._control = control
+        self._shown: set[Sign] = set()
+        """The signs of life that there were: what an implementation never did it cannot have stopped doing."""
+        self.hung_up = ""
+        """Why the upper tester had no connection any more, since the last look; empty if it had one."""
+
+    def ended(self) -> bool:
+        """Whether the process is known to have ended."""
+        return self._control is not None and self._control.alive() is False
+
+    def await_end(self, bench: Bench) -> bool:
+        """Wait for a process that may be ending; whether it has ended."""
+        deadline = bench.now() + round(DEATH_PATIENCE * 1e9)
+        real = time.monotonic() + DEATH_PATIENCE
+        # Both clocks: time passes on the lower tester's only while the link can be read.
+        while self._control is not None and bench.now() < deadline and time.monotonic() < real:
+            if self._control.alive() is not True:
+                break
+            try:
+                bench.wait_ns(_POLL_NS)
+            except UpperTesterError as error:
+                self.hung_up = str(error)
+            except LowerTesterError:
+                time.sleep(_POLL_NS / 1e9)
+        return self.ended()
+
+    def learn(self, bench: Bench) -> None:
+        """Remember the signs of life that a case has brought."""
+        if bench.heard:
+            self._shown.add("beacon")
+        if any(heard.instructions(ICType.REQUEST_VARCREATES) for heard in bench.heard):
+            self._shown.add("answer")
+
+    def answers(self, bench: Bench) -> bool:
+        """Whether the implementation takes part as it did before.
+
+        If it ever answered a summary of an unknown variable, it must answer one of several now. Otherwise, or where
+        no variable is left to ask about, a beacon or an answer of the upper tester is enough.
+        """
+        strict = "answer" in self._shown and self._can_ask(bench)
+        for _ in range(QUESTIONS):
+            before = len(bench.heard)
+            try:
+                answered = self._asked(bench)
+            except LowerTesterError:
+                return False
+            except UpperTesterError as error:
+                # The connection of notifications has ended; the implementation may live all the same.
+                self.hung_up = str(error)
+                continue
+            if answered or (not strict and len(bench.heard) > before):
+                self.learn(bench)
+                return True
+        return not strict and self.serves()
+
+    def _asked(self, bench: Bench) -> bool:
+        if self._can_ask(bench):
+            with contextlib.suppress(StopCase):
+                return bench.probe(5)
+        return bool(bench.beacons(1, 5))
+
+    @staticmethod
+    def _can_ask(bench: Bench) -> bool:
+        return bench.pics.vardis is not False and bench.has_unknown_ids()
+
+    def serves(self) -> bool:
+        """Whether the upper tester answers."""
+        upper = self._session.upper
+        if upper is None or "UT-Hello" not in upper.methods:
+            return False
+        try:
+            upper.call("UT-Hello", {})
+        except UpperTesterError as error:
+            self.hung_up = str(error)
+            return False
+        self._shown.add("service")
+        return True
+
+    def loss(self, bench: Bench, *, ask: bool) -> Loss | None:
+        """Look at the implementation after a case; None if it lives.
+
+        ``ask``: the case leaves a doubt, so that the implementation must answer.
+        """
+        self.learn(bench)
+        if not self.ended():
+            if self.hung_up:
+                # It may be the first sign of an end.
+                self.await_end(bench)
+                ask = True
+            if not self.ended() and (not ask or self.answers(bench)):
+                if not self.hung_up or self.serves():
+                    self.hung_up = ""
+                    return None
+                why, self.hung_up = self.hung_up, ""
+                return Loss(False, f"its upper tester is gone, though it answers on the link: {why}", upper_only=True)
+        self.await_end(bench)
+        if not self._shown and not self.ended():
+            return None
+        self.hung_up = ""
+        control = self._control
+        if control is not None and self.ended():
+            cause = control.why_dead()
+            return Loss(True, f"it is dead after this case{f': {cause}' if cause else ''}{_last_sign(bench)}", cause)
+        return Loss(False, self._silence(bench), doubtful=not {"answer", "service"} & self._shown)
+
+    def _silence(self, bench: Bench) -> str:
+        """Describe how an implementation that does not answer still behaves."""
+        try:
+            if bench.beacons(1, 5):
+                return "VarDis does not answer any more, though there are beacons"
+        except (LowerTesterError, UpperTesterError):
+            pass
+        runs = self._control is not None and self._control.alive()
+        return "it does not answer any more" + (", though its process runs" if runs else "")
+
+    def await_answer(self, case: Case) -> str:
+        """Wait until an implementation that was started answers: what is sent before that, it cannot hear.
+
+        ``case``: the next one, or the last. Returns why waiting is in vain, empty if it answers.
+        """
+        if not self._shown and self._control is None:
+            return ""
+        # Traffic while waiting is not evidence of the case.
+        bench, control = Bench(self._session, case), self._control
+        deadline = bench.now() + round(START_PATIENCE * 1e9)
+        while not self.answers(bench):
+            bench.take_newcomer()
+            if control is not None and control.alive() is False:
+                return f"is dead again: {control.why_dead()}"
+            if bench.now() >= deadline:
+                return f"does not answer within {START_PATIENCE:g} s"
+            try:
+                bench.wait(1)
+            except LowerTesterError as error:
+                return f"cannot be reached: {error}"
+            except UpperTesterError as error:
+                self.hung_up = str(error)
+        self.hung_up = ""
+        return ""
+
+
+def _last_sign(bench: Bench) -> str:
+    """After which of its beacons an implementation died, as the end of a sentence; empty if that says nothing."""
+    frames = [event for event in bench.traffic.events if event.number and event.direction in ("sent", "heard")]
+    last = max((place for place, event in enumerate(frames) if event.direction == "heard"), default=len(frames))
+    after = frames[last + 1 :]
+    return f"; its last beacon came before frame {after[0].number} of {bench.traffic.frames}" if after else ""

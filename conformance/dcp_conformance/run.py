@@ -1,0 +1,284 @@
+"""One run of the suite: what was asked for, cases one after the other, what came of them.
+
+Knows nothing of terminals and files; ``dcp-conformance run`` and the pytest plugin both drive it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from .case import SANITY, Case, all_cases
+from .errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
+from .expected import ExpectedResults
+from .outcome import INTERRUPTED, TESTER_ERROR, USAGE, assemble, exit_status
+from .results import CaseResult, Check, RunResult, Sut
+from .runner import Runner, timestamp
+from .selection import Selection, matches, select
+from .signals import deferred
+from .target import TargetOptions, describe, open_target
+from .verdict import Verdict
+
+if TYPE_CHECKING:
+    from .lanes import LaneEnd
+
+
+class _Key(NamedTuple):
+    """What tells results of a run apart."""
+
+    id: str
+    attempt: int
+
+
+class ConformanceRun:
+    """One run: what was asked for, and what came of it."""
+
+    def __init__(
+        self,
+        target: TargetOptions,
+        selection: Selection,
+        *,
+        expected: Path | None = None,
+        repeat: int = 1,
+        until_fail: bool = False,
+        command: str = "",
+        artefacts: Path | None = None,
+        on_start: Callable[[int], None] | None = None,
+        on_result: Callable[[Case, CaseResult, str], None] | None = None,
+    ) -> None:
+        """``on_start`` gets the number of executions to come, ``on_result`` each result and what is unexpected in it.
+
+        ``artefacts``: a folder of findings of the fuzzer, which become cases. Raises :class:`UsageError`.
+        """
+        self.options = target
+        self.cases = all_cases()
+        self.artefacts = artefacts
+        self.found_by_fuzzer: dict[str, Case] = {}
+        if artefacts is not None:
+            from .fuzz.cases import artefact_cases
+
+            self.found_by_fuzzer = {case.id: case for case in artefact_cases(artefacts)}
+            self.cases |= self.found_by_fuzzer
+        self.codec, self.pics = describe(target)
+        self.selected = select(self.cases, selection)
+        self._with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
+        self.expected = ExpectedResults() if expected is None else ExpectedResults.load(expected, self.cases.values())
+        self.repeat = repeat
+        self.until_fail = until_fail
+        self.command = command
+        self.results: list[CaseResult] = []
+        self.trouble = ""
+        """Why nothing could be run, or not to the end: the tester's own fault."""
+        self.usage = False
+        """Whether the trouble is a mistake of the user."""
+        self.interrupted = False
+        """Whether a signal ended the run."""
+        self.on_start = on_start
+        self._on_result = on_result
+        self._on_revised: Callable[[CaseResult], None] | None = None
+        self._runner: Runner | None = None
+        self._stack = contextlib.ExitStack()
+        self._sut: Sut | None = None
+        self._notes: list[str] = []
+        self._attempts: dict[str, int] = {}
+        self._surprises: dict[_Key, str] = {}
+        self._began = time.monotonic()
+        self._started = timestamp()
+
+    # -- what is run ---------------------------------------------------------------------------------------------------
+
+    def plan(self, available: Callable[[Case], bool] = lambda _: True) -> list[Case]:
+        """The executions in their order: the sanity case first and last, unless it is excluded.
+
+        ``available``: which of the selected cases can be run.
+        """
+        sanity, planned = self.cases[SANITY], []
+        for _ in range(self.repeat):
+            cases = [case for case in self.selected if case.id != SANITY and available(case)]
+            if not self._with_sanity:
+                planned += cases
+            elif cases:
+                planned += [sanity, *cases, sanity]
+            elif sanity in self.selected and available(sanity):
+                planned.append(sanity)
+        return planned
+
+    # -- running -------------------------------------------------------------------------------------------------------
+
+    def execute(self, on_revised: Callable[[CaseResult], None] | None = None) -> None:
+        """Run everything in this process. Every case that was planned has a result afterwards, unless a signal or
+        ``until_fail`` ended the run; :attr:`trouble` says what kept it from being run.
+
+        ``on_revised`` gets each result that replaces an earlier one.
+        """
+        self._on_revised = on_revised
+        planned = self.plan()
+        if self.on_start is not None:
+            self.on_start(len(planned))
+        done = 0
+        try:
+            if not self.open():
+                return
+            for case in planned:
+                result, _ = self.run_case(case)
+                done += 1
+                if self.stops(result):
+                    return
+        except KeyboardInterrupt:
+            self.interrupt(done, len(planned))
+        finally:
+            with deferred():
+                self.close()
+        self.account(planned)
+
+    def open(self) -> bool:
+        """Open the way to the implementation; False if there is none, see :attr:`trouble`."""
+        try:
+            runner = self._stack.enter_context(open_target(self.options)).runner
+            self._runner = runner
+            runner.prepare()
+            if self.options.foreign and self.options.start:
+                runner.life.await_answer(self.cases[SANITY])
+        except ConformanceError as error:
+            self.trouble = str(error)
+            self.usage = isinstance(error, UsageError)
+            return False
+        except Exception as error:
+            self.trouble = f"a fault of the tester: {type(error).__name__}: {error}"
+            self._notes.append("".join(traceback.format_exception(error)))
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close everything, and end the implementation if it was started here."""
+        runner, self._runner = self._runner, None
+        if runner is not None:
+            self._sut = runner.about()
+            self._notes += runner.notes
+        with contextlib.suppress(LowerTesterError, UpperTesterError):
+            self._stack.close()
+
+    def run_case(self, case: Case) -> tuple[CaseResult, str]:
+        """Run one; its result and what is unexpected in it."""
+        assert self._runner is not None
+        attempt = self._attempts[case.id] = self._attempts.get(case.id, 0) + 1
+        result = self._runner.run(case, attempt)
+        for revised in self._runner.take_revised():
+            self.revise(revised)
+        return result, self.take(case, result)
+
+    def take(self, case: Case, result: CaseResult) -> str:
+        """Take a result, of this process or of a lane; what is unexpected in it."""
+        if case.id == SANITY and any(each.id == SANITY for each in self.results):
+            # It is repeated to see whether the implementation is still there, not as one more case.
+            result = msgspec.structs.replace(result, counted=False)
+        surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
+        self.results.append(result)
+        if self._on_result is not None:
+            self._on_result(case, result, surprise)
+        return surprise
+
+    def revise(self, result: CaseResult) -> None:
+        """Replace an earlier result with the same identifier and attempt."""
+        key = _Key(result.id, result.attempt)
+        for place, each in enumerate(self.results):
+            if _Key(each.id, each.attempt) == key:
+                result = msgspec.structs.replace(result, counted=each.counted)
+                self.results[place] = result
+                break
+        else:
+            return
+        case = self.cases[result.id]
+        surprise = self._surprises[key] = self.expected.judge(case, result)
+        if self._on_result is not None:
+            self._on_result(case, result, surprise)
+        if self._on_revised is not None:
+            self._on_revised(result)
+
+    def stops(self, result: CaseResult) -> bool:
+        """Whether the user wants the run to end after this result."""
+        return self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR)
+
+    def interrupt(self, done: int, planned: int) -> None:
+        """A signal has ended the run."""
+        self.interrupted = True
+        self._notes.append(f"interrupted after {done} of {planned} cases")
+
+    def account(self, planned: Sequence[Case]) -> None:
+        """Count planned cases against results: one without a result is an error of the tester, and says so."""
+        if self.interrupted or self.until_fail:
+            return
+        there = {result.id for result in self.results}
+        for case in dict.fromkeys(planned):
+            if case.id not in there:
+                self._add_lost(case)
+
+    def _add_lost(self, case: Case) -> None:
+        expected, observed = "the case has a result", self.trouble or "the tester has lost it"
+        lost = CaseResult(
+            id=case.id,
+            purpose=case.purpose,
+            section=case.section,
+            kind=str(case.kind),
+            requirements=case.requirements,
+            verdict=Verdict.ERROR,
+            reason=f"{expected}: {observed}",
+            table="robustness" if case.robustness else "conformance",
+            checks=(Check(Verdict.ERROR, case.requirements, expected, observed),),
+        )
+        self.take(case, lost)
+
+    # -- lanes ---------------------------------------------------------------------------------------------------------
+
+    def close_lanes(self, ends: Sequence[LaneEnd], lanes: int) -> None:
+        """All lanes are done: take what they say of the implementation, and put their results in order."""
+        self._sut = next((end.sut for end in ends if end.sut is not None), None)
+        self._notes += [note for end in ends for note in end.notes]
+        if lanes > 1:
+            self._notes.append(f"{lanes} nodes were tested side by side, each with a share of the cases")
+        for end in ends:
+            if end.trouble and not self.trouble:
+                self.trouble, self.usage = end.trouble, end.usage
+        order = {case.id: number for number, case in enumerate(self.cases.values())}
+        self.results.sort(key=lambda result: (result.id != SANITY, order[result.id], result.attempt))
+
+    # -- results -------------------------------------------------------------------------------------------------------
+
+    def complaints(self) -> list[str]:
+        """What is unexpected: results, and entries of the file of expected results."""
+        today = datetime.datetime.now(datetime.UTC).date()
+        ran = {result.id for result in self.results}
+        selected = [case for case in self.selected if case.id in ran]
+        unexpected = [f"{key.id}: {surprise}" for key, surprise in self._surprises.items() if surprise]
+        return [*dict.fromkeys(unexpected), *self.expected.complaints(selected, today)]
+
+    def exit_status(self) -> int:
+        """As documented: a signal, then the tester's own trouble, then unexpected results, then doubts."""
+        if self.interrupted:
+            return INTERRUPTED
+        if self.trouble:
+            return USAGE if self.usage else TESTER_ERROR
+        return exit_status(self.results, unexpected=bool(self.complaints()))
+
+    def result(self) -> RunResult:
+        """Everything that is known of the run, also of one that could not begin."""
+        notes = [*self._notes, *([self.trouble] if self.trouble else [])]
+        if self.expected.entries:
+            notes += self.complaints()
+        return assemble(
+            self.codec.profile,
+            self.pics,
+            self.results,
+            sut=self._sut,
+            started=self._started,
+            duration=time.monotonic() - self._began,
+            command=self.command,
+            notes=notes,
+        )

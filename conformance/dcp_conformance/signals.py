@@ -1,0 +1,57 @@
+"""Signals that end a command in an orderly way: what was found is reported, what was started is ended."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from typing import Any, Final
+
+_ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+
+
+@contextlib.contextmanager
+def ending_like_interrupts() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise ``KeyboardInterrupt``, as Ctrl-C does, while the ``with`` block runs.
+
+    A signal that the process was started to ignore (``nohup``) stays ignored. Signal handlers belong to the main
+    thread: elsewhere this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in _ENDING}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def deferred() -> Iterator[None]:
+    """Signals that end the process wait until the ``with`` block is done, then take effect; for closing and reporting.
+
+    A second Ctrl-C while a report is written does not lose the report.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    waiting: list[int] = []
+
+    def remember(number: int, _frame: Any) -> None:
+        waiting.append(number)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *_ENDING)}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, remember)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
