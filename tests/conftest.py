@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from hypothesis.internal.conjecture.providers import HypothesisProvider, _get_local_constants
+from hypothesis.internal.conjecture.providers import HypothesisProvider
+from hypothesis.internal.constants_ast import Constants
 
 from .chance import FACTOR, FRESH
 
@@ -41,7 +42,7 @@ settings.load_profile("fresh" if FRESH else "default")
 # Hypothesis also draws constants that it finds in modules of ours, of which a test process may have imported any
 # number: the same test would draw other examples alone than beside others. There is no setting for this;
 # tests/meta/test_environment.py notices if the attribute gets another name.
-HypothesisProvider._local_constants = type(_get_local_constants())()
+HypothesisProvider._local_constants = Constants()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
