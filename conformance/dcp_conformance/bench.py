@@ -11,6 +11,8 @@ hearing), and here what is done to the implementation.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from dcp_spec.constants import ICType
@@ -18,7 +20,8 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VarCreate
 
 from .case import Case
-from .errors import UpperTesterError
+from .changes import Changes
+from .errors import ConformanceError, UpperTesterError
 from .findings import MS
 from .forge import Forge
 from .heard import Heard
@@ -30,6 +33,9 @@ from .upper import Answer, UpperTester
 
 __all__ = ["MS", "Bench", "Session"]
 
+#: Calls without an answer after which :meth:`Bench.restore` stops trying.
+_GIVEN_UP = 3
+
 
 class Bench(Listening):
     """One case's view of the session."""
@@ -38,6 +44,9 @@ class Bench(Listening):
         super().__init__(session, case)
         self.forge = Forge(session.codec)
         self.peers_made: list[Peer] = []
+        self.changes = Changes(self._initial_value)
+        self.not_restored = ""
+        """Why :meth:`restore` did not succeed, in words; empty if it did."""
 
     # -- sending -------------------------------------------------------------------------------------------------------
 
@@ -109,7 +118,9 @@ class Bench(Listening):
         """As :meth:`call` on another connection."""
         self.acts()
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
+        self.changes.asked(method, params)
         answer = upper.call(method, params)
+        self.changes.answered(method, params, answer)
         # Beacons come while the upper tester takes its time, which is not the tester's delay.
         self.lower.take_in()
         self._acted = self.now()
@@ -127,6 +138,7 @@ class Bench(Listening):
             self.inconclusive("the implementation is started again", "there is no command to restart it")
         self.traffic.note("note", self.lower.wall(), "restart of the implementation")
         self.session.restart()
+        self.changes.forget()
         self._acted = None
         for _ in range(5):
             if self.probe(self.reaction):
@@ -147,3 +159,50 @@ class Bench(Listening):
         if not answer.ok:
             self.inconclusive(f"{method} succeeds, which this case needs", str(answer))
         return answer
+
+    @contextmanager
+    def deactivated(self, entity: str) -> Iterator[None]:
+        """Deactivate ``BP`` or ``VD`` for a while; stops as inconclusive if either call does not succeed.
+
+        Whatever ends the block early, the entity is activated again.
+        """
+        self.must(f"{entity}-MGMT-Deactivate")
+        try:
+            yield
+        except BaseException:
+            with suppress(ConformanceError):
+                self.call(f"{entity}-MGMT-Activate")
+            raise
+        self.must(f"{entity}-MGMT-Activate")
+
+    def restore(self) -> None:
+        """Undo what the case has changed and not changed back: activity, parameters, registrations, subscriptions.
+
+        Called after each case, however it ended. Does not raise: what cannot be undone is told by :attr:`not_restored`.
+        """
+        self.not_restored, failures = "", 0
+        # The bounds of some parameters depend on others: what is refused first may be accepted later.
+        for _ in range(2):
+            for method, params in self.changes.due():
+                try:
+                    answer = self.call(method, **params)
+                except ConformanceError as error:
+                    self.not_restored, failures = f"{method}: {error}", failures + 1
+                    # An implementation that does not answer is given up: each call takes the whole patience.
+                    if failures == _GIVEN_UP:
+                        return
+                else:
+                    self.not_restored = "" if answer.ok else f"{method}: {answer}"
+            if not self.changes.due():
+                self.not_restored = ""
+                return
+
+    def _initial_value(self, parameter: str) -> Any:
+        if parameter in self.session.parameters:
+            return self.session.parameters[parameter]
+        try:
+            value = self.parameter(parameter)
+        except KeyError:
+            return None
+        # Only the number of summaries may be 0; of others it means that nobody has told the value.
+        return value if value or parameter == "VARDISPAR_MAX_SUMMARIES" else None

@@ -211,15 +211,12 @@ class BPClient:
                 what = f"{count} payloads are submitted between two beacons"
                 bench.inconclusive(what, "a beacon came in between each time")
             paused = attempt == 3 and {ACTIVATE, DEACTIVATE} <= bench.ut.methods
-            if paused:
-                bench.must(DEACTIVATE)
-            start = bench.mark()
-            payloads = [self.payload(size) for _ in range(count)]
-            for payload in payloads:
-                self.transmit(payload, must=must)
-            submitted = bench.now()
-            if paused:
-                bench.must(ACTIVATE)
+            with bench.deactivated("BP") if paused else contextlib.nullcontext():
+                start = bench.mark()
+                payloads = [self.payload(size) for _ in range(count)]
+                for payload in payloads:
+                    self.transmit(payload, must=must)
+                submitted = bench.now()
             bench.wait_ns(0)
             early = [each for each in bench.heard[start:] if each.time <= submitted and self.in_frame(each)]
             if not early or count == 1 or not at_once:

@@ -25,3 +25,11 @@ class WorkerError(ConformanceError):
 
 class StopCase(Exception):  # noqa: N818 - not an error: the case is decided
     """Raised inside of a case when going on makes no sense; its verdict is set already."""
+
+
+class NamesUsedUp(StopCase):
+    """The case needs identifiers that the implementation does not know, and none are left until it is reset.
+
+    The verdict ``inconclusive`` and what the user can do are set already. A runner that can restart the implementation
+    restarts it and repeats the case.
+    """

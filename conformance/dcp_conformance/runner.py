@@ -162,7 +162,10 @@ class Runner:
             bench.heard.clear()
             # What was lost, or looked at late, before the case is no excuse in it.
             self.session.lower.health()
-            case.run(bench)
+            try:
+                case.run(bench)
+            finally:
+                bench.restore()
         except StopCase:
             pass
         except UpperTesterError as error:

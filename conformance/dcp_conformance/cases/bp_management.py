@@ -74,12 +74,9 @@ def switched_off(bench: Bench) -> None:
 def deaf(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
         peer, var_id, early, late = bench.peer(), bench.unknown_id(), b"while inactive", b"while active"
-        bench.must(DEACTIVATE)
-        try:
+        with bench.deactivated("BP"):
             peer.send(Block(client.prot_id, early), peer.summary(var_id, 1))
             bench.wait(1.5)
-        finally:
-            bench.must(ACTIVATE)
         peer.send(Block(client.prot_id, late))
         until(bench, lambda: late in client.received())
         bench.require_alive("an inactive time", "BP-MGT-05")
@@ -100,10 +97,9 @@ def deaf(bench: Bench) -> None:
     window=8,
 )
 def serves_while_inactive(bench: Bench) -> None:
-    bench.must(DEACTIVATE)
     client = BPClient(bench, ONCE)
     prot_id, payload = client.prot_id, client.payload()
-    try:
+    with bench.deactivated("BP"):
         bench.expect_status(UNKNOWN_PROTOCOL, QUERY, "BP-MGT-04", protId=prot_id)
         bench.expect_status(OK, REGISTER, "BP-MGT-04", **client.registration)
         bench.check(prot_id in registered(bench), "the client is listed", "it is not", "BP-MGT-04")
@@ -122,8 +118,6 @@ def serves_while_inactive(bench: Bench) -> None:
             bench.check(said == number, f"{number} payloads after {method}", f"{said}", "BP-MGT-04")
         bench.wait(2)
         bench.check(not client.sent(), "nothing is sent meanwhile", "the payload is", "BP-MGT-02", "BP-TXP-09")
-    finally:
-        bench.must(ACTIVATE)
     bench.check(client.until_sent(payload), "the payload is sent after activation", "it is not", "BP-MGT-04")
     bench.expect_status(OK, DEREGISTER, "BP-MGT-04", protId=prot_id)
 

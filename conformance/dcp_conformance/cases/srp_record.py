@@ -156,13 +156,10 @@ def time_stamp_of_late_record(bench: Bench) -> None:
     begun = timed(bench, "SRP-UpdateSafetyData", sData=values)
     sent = until_report(bench, values)
     first = None if sent is None else sent.report
-    bench.must("BP-MGMT-Deactivate")
-    try:
+    with bench.deactivated("BP"):
         values = safety_data(bench, 2)
         handed = timed(bench, "SRP-UpdateSafetyData", sData=values)
         bench.wait(8)
-    finally:
-        bench.must("BP-MGMT-Activate")
     heard = until_report(bench, values)
     if heard is None or heard.report is None or first is None:
         bench.fail("the record is sent once BP is active again", "it is not", "SRP-TYP-05")

@@ -58,8 +58,7 @@ def no_payloads(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
     if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
         bench.inconclusive("VarDis payloads are heard", "they are not")
-    bench.must(_OFF)
-    try:
+    with bench.deactivated("VD"):
         mark = bench.mark()
         bench.wait(6)
         frames = [heard for heard in bench.heard[mark:] if heard.has_vardis]
@@ -67,8 +66,6 @@ def no_payloads(bench: Bench) -> None:
         bench.check(
             len(frames) <= 1, "no VarDis payload but one that BP had already", observed, "VD-MGT-02", frames=frames
         )
-    finally:
-        bench.must(_ON)
     again = bench.until(lambda heard: heard.has_vardis and heard)
     # All repetitions may have gone, and summaries may be switched off.
     if not again and not bench.parameter("VARDISPAR_MAX_SUMMARIES"):
@@ -90,13 +87,10 @@ def discards(bench: Bench) -> None:
     peer = bench.peer()
     known = taught(bench, peer, value=b"before")
     created, summarized = bench.var_ids(2)
-    bench.must(_OFF)
-    try:
+    with bench.deactivated("VD"):
         mark = bench.mark()
         peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
         bench.wait(2)
-    finally:
-        bench.must(_ON)
     bench.require_alive("being inactive")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
     value = bench.call("RTDB-Read", varId=known).result.get("value")
@@ -122,11 +116,8 @@ def discards(bench: Bench) -> None:
 def database_kept(bench: Bench) -> None:
     mine = produced(bench, value=b"mine")
     theirs = taught(bench, bench.peer(), value=b"theirs")
-    bench.must(_OFF)
-    try:
+    with bench.deactivated("VD"):
         bench.wait(2)
-    finally:
-        bench.must(_ON)
     mark = bench.mark()
     for var_id, value in ((mine, b"mine"), (theirs, b"theirs")):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
@@ -144,13 +135,10 @@ def database_kept(bench: Bench) -> None:
 
 def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dict[str, Any]:
     """The service must answer INACTIVE between deactivation and activation; what it returned."""
-    bench.must(_OFF)
-    try:
+    with bench.deactivated("VD"):
         answer = bench.call(method, **params)
         holds = same_status(answer, INACTIVE)
         bench.check(holds, f"{method} answers {INACTIVE}", str(answer), requirement, "VD-MGT-04")
-    finally:
-        bench.must(_ON)
     return answer.result
 
 

@@ -132,16 +132,13 @@ def only_while_active(bench: Bench) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(15)
     peer.send(peer.create(name, rep_cnt=count))
     bench.require(bench.until_instruction(_CREATE, name), "the VarCreate is passed on", "it is not")
-    bench.must("VD-MGMT-Deactivate")
-    try:
+    with bench.deactivated("VD"):
         bench.wait(2)
         mark = bench.mark()
         peer.send(peer.summary(bench.unknown_id(), 1))
         bench.wait(6)
         found = [each for each in bench.heard[mark:] if each.has_vardis]
         bench.check(not found, "no VarDis block while inactive", f"{len(found)} came", frames=found[:4])
-    finally:
-        bench.must("VD-MGMT-Activate")
     bench.check(bench.probe(), "VarDis takes part again after its activation", "no answer to a probe")
     if count > 6:
         bench.repeated(_CREATE, name, 0)
