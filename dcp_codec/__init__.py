@@ -7,6 +7,7 @@ The names below are the package's interface; everything is built on :class:`Code
     >>> beacon = codec.decode(octets)              # strict: a value, or DecodeError
     >>> octets == codec.encode(beacon)
     >>> codec.dissect(octets).problems             # lenient: never raises
+    >>> codec.salvage(octets).beacon               # what can be read of damaged octets
 
 Tables of whole recordings, with the extra ``table``::
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from .codec import Codec, get_codec
     from .errors import CodecError, DecodeError, EncodeError, Problem
     from .fields import Dissection, Field
+    from .salvage import Damaged, Salvaged
     from .table.opening import OpenTable, Source
     from .values import (
         Beacon,
@@ -48,6 +50,7 @@ __getattr__ = exported(
         "codec": ("Codec", "get_codec"),
         "errors": ("CodecError", "DecodeError", "EncodeError", "Problem"),
         "fields": ("Dissection", "Field"),
+        "salvage": ("Damaged", "Salvaged"),
         "values": (
             *("BPHeader", "Beacon", "Container", "ExtendedSafetyData", "Payload", "SafetyData", "VarCreate"),
             *("VarDelete", "VarReqCreate", "VarReqUpdate", "VarSpec", "VarSumm", "VarUpdate"),
@@ -75,6 +78,7 @@ __all__ = [
     "Codec",
     "CodecError",
     "Container",
+    "Damaged",
     "DecodeError",
     "Dissection",
     "EncodeError",
@@ -83,6 +87,7 @@ __all__ = [
     "Payload",
     "Problem",
     "SafetyData",
+    "Salvaged",
     "VarCreate",
     "VarDelete",
     "VarReqCreate",

@@ -17,6 +17,7 @@ from .fields import Dissection
 from .layout import ValueTypes
 from .lint import DOUBTS, warnings
 from .plan import Node, lower
+from .salvage import Salvaged, Salvager
 from .values import Beacon, Container, ExtendedSafetyData, SafetyData
 
 
@@ -100,6 +101,10 @@ class Codec:
     def _dissect_beacon(self) -> Dissect:
         return generate_dissector(self.beacon_plan, f"{self.profile.name} beacon", DOUBTS)
 
+    @functools.cached_property
+    def _salvager(self) -> Salvager:
+        return Salvager(self)
+
     def _needed_report_plan(self) -> Node:
         if self.report_plan is None:
             raise ValueError(f"profile {self.profile.name} has no octets for a state report (srp.record is empty)")
@@ -129,6 +134,18 @@ class Codec:
         """As :meth:`decode_from` with every client payload left as octets: what BP itself has to understand."""
         beacon, end = self._decode_envelope(octets, start, len(octets))
         return beacon, end
+
+    def salvage(self, octets: bytes) -> Salvaged:
+        """What can be read of a bearer payload, and everything that is wrong with it. Never raises.
+
+        For octets that :meth:`decode` accepts this is its result. Otherwise payloads and containers that are sound in
+        themselves are read, and the header as far as its rules are only broken in value; see :mod:`dcp_codec.salvage`
+        for where it stops.
+        """
+        try:
+            return Salvaged(self._decode_beacon(octets, 0, len(octets))[0])
+        except DecodeError:
+            return self._salvager.salvage(octets)
 
     def encode(self, beacon: Beacon) -> bytes:
         """The bearer payload of ``beacon``. Raises :class:`~dcp_codec.errors.EncodeError` naming the field at fault."""
