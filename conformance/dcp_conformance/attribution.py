@@ -1,7 +1,7 @@
 """Who is to blame for a death: confirmed alone, from a fresh start, before it is a verdict.
 
-When the implementation is found dead or silent after a case, that case may have killed it, or the one before it (a
-process takes a moment to die), or both together. Each is tried from a fresh start. What a case saw fail while the
+When the implementation is found dead or silent after a case, that case may have killed it, or one shortly before it (a
+process takes a moment to die), or several together. Each is tried from a fresh start. What a case saw fail while the
 implementation was dying is not held against the requirements of the case: only the death is.
 """
 
@@ -60,9 +60,8 @@ class Attribution:
     """What counts for the case itself."""
     killed: bool
     """The case is to blame."""
-    before: tuple[Check, ...] = ()
-    """What is to be added to the case before it; empty if that is not to blame."""
-    before_trial: Trial | None = None
+    earlier: Trial | None = None
+    """The execution of an earlier case that is to blame instead."""
     note: str = ""
     """What the run should say of it; empty if the blame says it all."""
 
@@ -72,42 +71,45 @@ Again = Callable[[Sequence[Case]], Trial | str]
 text says why the implementation could not be started."""
 
 
-def attribute(trial: Trial, before: Case | None, again: Again | None) -> Attribution:
+def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attribution:
     """Find out which case ended the life of the implementation.
 
-    ``before``: the case that ran before in the same life of the implementation, if there was one. ``again``: None if
+    ``recent``: the cases shortly before, in the same life of the implementation, in their order. ``again``: None if
     the implementation cannot be started by the tester.
     """
     loss, case = trial.loss, trial.case
     assert loss is not None
     if again is None:
-        return _unconfirmed(trial, "", before)
+        return _unconfirmed(trial, "", recent)
     alone = again([case])
     if isinstance(alone, str):
-        return _unconfirmed(trial, alone, before)
+        return _unconfirmed(trial, alone, recent)
     if alone.loss is not None:
         # The first execution has the evidence of the whole run; both ended alike.
-        return Attribution(trial, _blamed(trial, loss), killed=True)
-    if before is None:
-        return _not_reproduced(alone, trial, before)
-    earlier = again([before])
-    if isinstance(earlier, str):
-        return _unconfirmed(trial, earlier, before)
-    if earlier.loss is not None:
-        note = f"{case.id} found the implementation dead: it {earlier.loss.how} of {before.id}, before it"
-        return Attribution(
-            alone, tuple(alone.checks), killed=False, before=_blamed(earlier, earlier.loss), before_trial=earlier,
-            note=note,
-        )  # fmt: skip
-    both = again([before, case])
-    if isinstance(both, str) or both.loss is None:
-        return _not_reproduced(alone, trial, before)
-    text = f" (only when it follows {before.id})"
-    return Attribution(both, _blamed(both, both.loss, text), killed=True)
+        return Attribution(trial, blamed(trial), killed=True)
+    for suspect in reversed(recent):
+        earlier = again([suspect])
+        if isinstance(earlier, str):
+            return _unconfirmed(trial, earlier, recent)
+        if earlier.loss is not None:
+            note = f"{case.id} found the implementation dead; {suspect.id}, before it, ends it when it is run alone"
+            return Attribution(alone, tuple(alone.checks), killed=False, earlier=earlier, note=note)
+    if recent:
+        row = again([*recent, case])
+        if isinstance(row, Trial) and row.loss is not None:
+            text = f" (only when it follows {', '.join(each.id for each in recent)})"
+            if row.case is case:
+                return Attribution(row, blamed(row, text), killed=True)
+    return _not_reproduced(alone, trial, recent)
 
 
-def _blamed(trial: Trial, loss: Loss, text: str = "") -> tuple[Check, ...]:
-    """The checks of a case that is to blame: its death, and what it saw before without holding it against anybody."""
+def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
+    """The checks of a case that ended the life of the implementation: first the death, then what it saw.
+
+    Nothing that failed while the implementation was dying stays a fail.
+    """
+    loss = trial.loss
+    assert loss is not None
     if loss.upper_only:
         what = "the upper tester stays connected"
         check = Check(Verdict.INCONCLUSIVE, trial.case.requirements, what, loss.observed + text)
@@ -128,27 +130,30 @@ def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
     )
 
 
-def _unconfirmed(trial: Trial, why: str, before: Case | None) -> Attribution:
-    """Without a fresh start there is no confirmation: a case is blamed if the implementation lived in it."""
+def _unconfirmed(trial: Trial, why: str, recent: Sequence[Case]) -> Attribution:
+    """Without a fresh start there is no confirmation.
+
+    That a process has ended is a fact, whatever ended it: a fail, but of no requirement where another case comes into
+    question. Silence is only a doubt then.
+    """
     loss = trial.loss
     assert loss is not None
-    if trial.bench.heard or (loss.died and before is None):
-        # It lived when the case began, and no other case comes into question.
-        text = f"; not confirmed: {why or 'there is no command to start it again (--start, --restart)'}"
-        return Attribution(trial, _blamed(trial, loss, text), killed=True)
-    text = loss.observed if not why else f"{loss.observed}; {why}"
-    if before is not None:
-        text += f"; nothing was heard in this case, so that {before.id} before it may have been the cause"
-    what = "the implementation takes part in this case"
-    check = Check(Verdict.INCONCLUSIVE, trial.case.requirements, what, text)
-    return Attribution(trial, (check, *_withheld(trial, f"the implementation {loss.how}")), killed=False)
+    text = f"; not confirmed: {why or 'there is no command to start it again (--start, --restart)'}"
+    if not recent:
+        return Attribution(trial, blamed(trial, text), killed=True)
+    text = f"{loss.observed}{text}; what ended it may have been sent in {', '.join(each.id for each in recent)}"
+    verdict = Verdict.FAIL if loss.died else Verdict.INCONCLUSIVE
+    check = Check(verdict, (), "the implementation survives", text)
+    return Attribution(trial, (check, *_withheld(trial, f"the implementation {loss.how}")), killed=loss.died)
 
 
-def _not_reproduced(alone: Trial, trial: Trial, before: Case | None) -> Attribution:
+def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attribution:
     """The death was seen once: a fact of the run, and no verdict about any case."""
     loss = trial.loss
     assert loss is not None
-    tried = f"{trial.case.id} alone" + (f", {before.id} alone, and both in a row" if before is not None else "")
+    tried = f"{trial.case.id} alone"
+    if recent:
+        tried += f", {', '.join(each.id for each in recent)} alone, and all of them in a row"
     text = f"{loss.observed}; not reproduced from a fresh start ({tried})"
     check = Check(Verdict.INCONCLUSIVE, survival(trial), "the implementation survives", text)
     note = f"the implementation {loss.how} once, in or before {trial.case.id}; it was not reproduced: {tried}"

@@ -88,6 +88,8 @@ class Driver:
                 run.trouble = "pytest has failed; what it said of it is above"
             elif exitstatus == pytest.ExitCode.INTERRUPTED and not session.shouldstop:
                 run.interrupt(len(run.results), len(planned))
+        if run.results and not run.interrupted:
+            run.finish()
         run.close()
         if run.results and not session.shouldstop and not session.shouldfail:
             run.account(planned)

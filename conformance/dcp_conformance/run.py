@@ -131,6 +131,7 @@ class ConformanceRun:
                 done += 1
                 if self.stops(result):
                     return
+            self.finish()
         except KeyboardInterrupt:
             self.interrupt(done, len(planned))
         finally:
@@ -173,6 +174,13 @@ class ConformanceRun:
         for revised in self._runner.take_revised():
             self.revise(revised)
         return result, self.take(case, result)
+
+    def finish(self) -> None:
+        """All cases have been run: look whether the implementation outlives them."""
+        assert self._runner is not None
+        self._runner.finish()
+        for revised in self._runner.take_revised():
+            self.revise(revised)
 
     def take(self, case: Case, result: CaseResult) -> str:
         """Take a result, of this process or of a lane; what is unexpected in it."""

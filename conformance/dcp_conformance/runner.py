@@ -5,13 +5,15 @@ from __future__ import annotations
 import shlex
 import time
 import traceback
+from collections import deque
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import msgspec
 from dcp_spec.parameters import parameters
 
 from .applicability import why_not
-from .attribution import Attribution, Trial, attribute, likely_stimulus
+from .attribution import Trial, attribute, blamed, likely_stimulus
 from .bench import Bench, Session
 from .case import SANITY, Case
 from .control import SutControl
@@ -24,6 +26,17 @@ from .verdict import Verdict, worst
 
 #: Cases that a note names of those that ended the life of the implementation in the same way.
 _NAMED = 6
+#: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
+SLOW_DEATH = 3.0
+_SUSPECTS = 8
+
+
+class _Done(NamedTuple):
+    """A case that was run, with the time of its end in ns."""
+
+    trial: Trial
+    result: CaseResult
+    ended: int
 
 
 class Runner:
@@ -46,8 +59,8 @@ class Runner:
         """Why nothing can be run any more; empty while the implementation lives."""
         self._deaths: dict[str, list[str]] = {}
         """Cases by how the implementation ended."""
-        self._before: tuple[Case, CaseResult] | None = None
-        """The case that ran before in this life of the implementation, and its result."""
+        self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
+        """The last cases in this life of the implementation."""
         self._revised: list[CaseResult] = []
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
@@ -127,22 +140,45 @@ class Runner:
         trial = self._trial(case)
         if trial.loss is None:
             result = self._result(trial, attempt, trial.checks)
-            # A restart before each case ends the life that the case was run in.
-            self._before = (case, result) if self._reset_mode() != "restart" else None
+            if self._reset_mode() != "restart":
+                self._recent.append(_Done(trial, result, self.session.lower.now()))
             self._refuse(case, trial)
             return result
-        before = self._before
-        found = attribute(trial, before[0] if before is not None else None, self._again if self._restartable else None)
+        result = self._judge_loss(trial, attempt)
+        self._revive(case, trial)
+        return result
+
+    def finish(self) -> None:
+        """Look after the implementation for the last time: it may be dying of one of the last cases.
+
+        Their results may have changed: see :meth:`take_revised`.
+        """
+        if self.dead or not self._recent:
+            return
+        last = self._recent.pop()
+        trial = last.trial
+        bench = Bench(self.session, trial.case)
+        self.life.await_end(bench)
+        trial.loss = self.life.loss(bench, ask=True)
+        if trial.loss is None:
+            return
+        self._revised.append(self._judge_loss(trial, last.result.attempt))
+
+    def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
+        """The result of a case after which the implementation was found dead."""
+        assert trial.loss is not None
+        suspects = [each for each in self._recent if trial.begun - each.ended <= SLOW_DEATH * 1e9]
+        self._recent.clear()
+        again = self._again if self._restartable else None
+        found = attribute(trial, [each.trial.case for each in suspects], again)
         result = self._result(found.trial, attempt, found.checks, killed=found.killed)
         if found.killed:
-            self._count_death(case, trial)
+            self._count_death(trial)
             result = msgspec.structs.replace(result, death=trial.loss.group)
-        if found.before and found.before_trial is not None and before is not None:
-            self._blame_before(before[1], found)
+        if found.earlier is not None:
+            self._blame_earlier(found.earlier, suspects)
         if found.note:
             self.remarks.append(found.note)
-        self._before = None
-        self._revive(case, trial)
         return result
 
     def _trial(self, case: Case, *, fresh: bool = False) -> Trial:
@@ -235,19 +271,17 @@ class Runner:
         if self.dead:
             self.remarks.append(self.dead)
 
-    def _count_death(self, case: Case, trial: Trial) -> None:
+    def _count_death(self, trial: Trial) -> None:
         assert trial.loss is not None
         if self._restartable and not trial.loss.upper_only:
-            self._deaths.setdefault(trial.loss.group, []).append(case.id)
+            self._deaths.setdefault(trial.loss.group, []).append(trial.case.id)
 
-    def _blame_before(self, result: CaseResult, found: Attribution) -> None:
-        """Give the case before its death."""
-        trial = found.before_trial
-        assert trial is not None
+    def _blame_earlier(self, trial: Trial, suspects: Sequence[_Done]) -> None:
+        """Revise the result of an earlier case, which ended the implementation when it was run alone."""
         assert trial.loss is not None
-        self._count_death(trial.case, trial)
-        checks = (*found.before[:1], *result.checks)
-        revised = self._result(trial, result.attempt, checks, killed=True)
+        self._count_death(trial)
+        old = next(each.result for each in suspects if each.trial.case is trial.case)
+        revised = self._result(trial, old.attempt, (blamed(trial)[0], *old.checks), killed=True)
         self._revised.append(msgspec.structs.replace(revised, death=trial.loss.group))
 
     # -- before and after a case ---------------------------------------------------------------------------------------

@@ -1,0 +1,266 @@
+"""Which case is blamed for a death, and that no result is lost by one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import pytest
+from dcp_conformance.bench import Bench, Session
+from dcp_conformance.case import Case, Kind
+from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.results import CaseResult
+from dcp_conformance.runner import Runner
+from dcp_conformance.upper import Answer
+from dcp_conformance.verdict import Verdict
+
+from .rig import codec_of
+
+WORD = b"\xde\xad\xbe\xef"
+#: Which beacons carry the word, in the order of their cases.
+A, B = b"\x01", b"\x02"
+
+
+class Frail(InProcess):
+    """Dies some time after it got a beacon with the word; of the second kind only after one of the first."""
+
+    delay_ms = 0
+    needs_both = False
+    times = 1_000_000
+    """Deaths until it has become immune."""
+    cause = "RuntimeError: a word"
+
+    def __init__(self) -> None:
+        self.at: int | None = None
+        self.got: list[bytes] = []
+        super().__init__(reference_config(codec_of("dcp-2.0")))
+
+    def restart(self) -> None:
+        self.at, self.got = None, []
+        super().restart()
+
+    def deliver(self, octets: bytes) -> None:
+        if WORD in octets and not self.died and self.times:
+            self.got.append(octets[octets.index(WORD) + len(WORD) :][:1])
+            if not self.needs_both or self.got == [A, B]:
+                self.times -= 1
+                self.at = self.now + self.delay_ms * 1_000_000
+                self._end_if_due()
+        super().deliver(octets)
+
+    def _end_if_due(self) -> None:
+        if self.at is not None and self.now >= self.at:
+            self.died, self.at = self.cause, None
+            self.arrivals.clear()
+
+    def advance(self, until: int) -> None:
+        if self.at is not None and self.at <= until and not self.arrivals:
+            super().advance(self.at)
+            self._end_if_due()
+            if self.arrivals:
+                return
+        super().advance(until)
+
+    def alive(self) -> bool:
+        self._end_if_due()
+        return super().alive()
+
+
+def case_of(name: str, body: Callable[[Bench], None], *requirements: str) -> Case:
+    return Case(name, "", requirements or ("VD-PS-01",), Kind.VALID, "", "", 4, "", __name__, body)
+
+
+def says(word: bytes, *, expect: bool = True) -> Callable[[Bench], None]:
+    """Send the word; ``expect``: and something that is answered at once."""
+
+    def body(bench: Bench) -> None:
+        peer = bench.peer()
+        summary = peer.summary(bench.unknown_id(), 1)
+        peer.send(summary, padding=WORD + word)
+        if expect:
+            bench.check(bench.beacons(1), "a beacon", "none")
+
+    return body
+
+
+def asks(bench: Bench) -> None:
+    bench.check(bench.probe(), "an answer", "none")
+
+
+def runner_of(sut: InProcess, *, upper: bool = False, pics: Pics | None = None, can_restart: bool = True) -> Runner:
+    sut.can_restart = can_restart
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester() if upper else None, pics or Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    return runner
+
+
+def results_of(runner: Runner, *cases: Case) -> dict[str, CaseResult]:
+    """Results of cases as they are at the end of a run."""
+    found: dict[str, CaseResult] = {}
+    for case in cases:
+        found[case.id] = runner.run(case)
+        found.update((each.id, each) for each in runner.take_revised())
+    runner.finish()
+    found.update((each.id, each) for each in runner.take_revised())
+    return found
+
+
+FIRST, SECOND = case_of("TC_DCP_X_BV_01", says(A)), case_of("TC_DCP_X_BV_02", asks)
+
+
+@pytest.mark.parametrize("delay_ms", [120, 400, 1000])
+@pytest.mark.parametrize("more", [1, 3, 6])
+def test_a_slow_death_is_charged_to_its_cause(delay_ms: int, more: int):
+    """However many cases were begun in between, and if the run has come to its end."""
+    sut = Frail()
+    sut.delay_ms = delay_ms
+    runner = runner_of(sut)
+    found = results_of(runner, FIRST, *[SECOND] * more)
+    assert found[SECOND.id].verdict is Verdict.PASS
+    assert not found[SECOND.id].killed
+    first = found[FIRST.id]
+    assert (first.verdict, first.killed) == (Verdict.FAIL, True)
+    failed = [check for check in first.checks if check.verdict is Verdict.FAIL]
+    assert [check.expected for check in failed] == ["the implementation survives"]
+    # It died of a VarDis payload.
+    assert failed[0].requirements == ("VD-ROB-01",)
+    assert "RuntimeError: a word" in failed[0].observed
+    assert any("in TC_DCP_X_BV_01" in note for note in runner.notes)
+
+
+def test_a_passing_case_after_which_nothing_is_heard_is_looked_after():
+    """It expects silence, and gets it from a dead implementation."""
+    runner = runner_of(Frail())
+    silent = case_of("TC_DCP_X_BV_03", says(A, expect=False))
+    body = silent.run
+
+    def expects_silence(bench: Bench) -> None:
+        body(bench)
+        bench.check(not bench.beacons(3, 3), "no beacon", "one")
+
+    found = results_of(runner, dataclasses.replace(silent, run=expects_silence), SECOND)
+    assert found["TC_DCP_X_BV_03"].killed
+    assert found[SECOND.id].verdict is Verdict.PASS
+
+
+def test_two_cases_that_kill_only_together():
+    sut = Frail()
+    sut.needs_both = True
+    second = case_of("TC_DCP_X_BV_04", says(B))
+    found = results_of(runner_of(sut), FIRST, second, SECOND)
+    assert found[FIRST.id].verdict is Verdict.PASS
+    assert found[second.id].killed
+    assert f"(only when it follows {FIRST.id})" in found[second.id].reason
+    assert found[SECOND.id].verdict is Verdict.PASS
+
+
+def test_a_death_that_does_not_come_again_is_no_verdict():
+    sut = Frail()
+    sut.times = 1
+    runner = runner_of(sut)
+    found = results_of(runner, SECOND, FIRST)
+    first = found[FIRST.id]
+    assert (first.verdict, first.killed) == (Verdict.INCONCLUSIVE, False)
+    assert "not reproduced from a fresh start" in first.reason
+    assert any("was not reproduced" in note for note in runner.notes)
+    assert found[SECOND.id].verdict is Verdict.PASS
+
+
+def test_what_fails_while_it_dies_fails_no_requirement():
+    def body(bench: Bench) -> None:
+        says(A, expect=False)(bench)
+        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+
+    result = runner_of(Frail()).run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"))
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed == {"VD-ROB-01"}
+    assert [check.verdict for check in result.checks if "VD-RX-03" in check.requirements] == [Verdict.INCONCLUSIVE]
+
+
+def test_deaths_that_look_alike_are_one_line():
+    sut = Frail()
+    runner = runner_of(sut)
+    cases = [case_of(f"TC_DCP_X_BV_{number}", says(A)) for number in range(10, 20)]
+    for number, case in enumerate(cases):
+        sut.cause = f"RuntimeError: a word at 0x{number:08x}, line {number}"
+        assert runner.run(case).killed
+    assert len({runner.run(case).death for case in cases}) == 1
+    [note] = runner.notes
+    assert note.startswith("the implementation died in 20 cases in the same way (RuntimeError: a word at #")
+    assert "and 14 more" in note
+
+
+@pytest.mark.parametrize("delay_ms", [0, 150])
+def test_without_a_restart_a_death_fails_no_requirement_that_another_case_may_have_violated(delay_ms: int):
+    sut = Frail()
+    sut.delay_ms = delay_ms
+    runner = runner_of(sut, can_restart=False)
+    found = results_of(runner, SECOND, FIRST, dataclasses.replace(SECOND, id="TC_DCP_X_BV_06"), FIRST)
+    dead = [each for each in found.values() if each.killed]
+    assert len(dead) == 1
+    assert "not confirmed: there is no command to start it again (--start, --restart); what ended it" in dead[0].reason
+    assert not any(check.requirements for check in dead[0].checks if check.verdict is Verdict.FAIL)
+    assert "no command to restart it" in runner.dead
+
+
+def test_without_a_restart_the_only_case_is_blamed():
+    result = runner_of(Frail(), can_restart=False).run(FIRST)
+    assert result.killed
+    assert result.checks[0].requirements == ("VD-ROB-01",)
+
+
+class HungUp:
+    """An upper tester that goes down with the implementation."""
+
+    def __init__(self, sut: InProcess) -> None:
+        self._sut = sut
+        self._real = sut.upper_tester()
+        self.name, self.methods, self.about = self._real.name, self._real.methods - {"UT-Reset"}, self._real.about
+
+    def _check(self) -> None:
+        if self._sut.died:
+            raise UpperTesterError("unix:adapter: it has closed the connection")
+
+    def call(self, method: str, params: dict[str, object]) -> Answer:
+        self._check()
+        return self._real.call(method, params)
+
+    def poll(self) -> list[object]:
+        self._check()
+        return self._real.poll()
+
+    def filenos(self) -> tuple[int, ...]:
+        return ()
+
+    def another(self) -> None:
+        return None
+
+    def close(self) -> None:
+        self._real.close()
+
+
+@pytest.mark.parametrize("delay_ms", [0, 20, 150, 400, 900])
+@pytest.mark.parametrize("reset", ["auto", "restart"])
+def test_no_result_is_lost_when_the_upper_tester_goes_down_with_it(delay_ms: int, reset: str):
+    sut = Frail()
+    sut.delay_ms = delay_ms
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), HungUp(sut), Pics(pixit=Testing(reset=reset)))  # type: ignore[arg-type]
+    runner = Runner(session, sut)
+    runner.prepare()
+    found = results_of(runner, SECOND, FIRST, dataclasses.replace(SECOND, id="TC_DCP_X_BV_06"), SECOND)
+    assert set(found) == {FIRST.id, SECOND.id, "TC_DCP_X_BV_06"}
+    assert found["TC_DCP_X_BV_06"].verdict is Verdict.PASS
+    assert found[SECOND.id].verdict is Verdict.PASS
+    if reset == "auto":
+        assert found[FIRST.id].killed
+
+
+def test_a_fault_of_the_tester_between_cases_is_a_result():
+    runner = runner_of(Frail())
+    runner.life.loss = None  # type: ignore[assignment,method-assign]
+    result = runner.run(SECOND)
+    assert result.verdict is Verdict.ERROR
+    assert "TypeError" in result.error_detail
