@@ -150,7 +150,7 @@ class Bench(Listening):
         """Call a service that must answer with this status; a check, which does not stop the case."""
         answer = self.call(method, **params)
         matches = answer.code is None and answer.status.replace("_", "-") == status.replace("_", "-")
-        self.check(matches, f"{method} answers {status}", f"{answer}", *requirements)
+        self.check(matches, f"{method} answers {status}", f"{answer}", *requirements, shown=True)
         return answer
 
     def must(self, method: str, /, **params: Any) -> Answer:

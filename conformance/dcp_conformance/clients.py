@@ -273,7 +273,7 @@ def registered(bench: Bench) -> dict[int, dict[str, Any]]:
     """BP-ListRegisteredProtocols by protocol identifier."""
     found = bench.must(LIST).result.get("protocols")
     if not isinstance(found, list):
-        bench.fail(f"{LIST} returns a list", f"protocols: {found!r}")
+        bench.fail(f"{LIST} returns a list", f"protocols: {found!r}", shown=True)
     return {each["protocolId"]: each for each in found if isinstance(each, dict) and "protocolId" in each}
 
 

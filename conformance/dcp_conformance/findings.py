@@ -32,6 +32,12 @@ from .verdict import Verdict, worst
 MS = 1_000_000
 
 
+def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:
+    """Whether ``found`` is ``whole`` in its order, with some left out or none: what losses can make of it."""
+    rest = iter(whole)
+    return all(any(each == other for other in rest) for each in found)
+
+
 class Findings:
     """The checks of one case, and what they are held against."""
 
@@ -50,6 +56,8 @@ class Findings:
         self.dropped = 0
         self.late_ns = 0
         """The longest that the tester itself was idle in this case when it had to act; see :meth:`acts`."""
+        self._excused = False
+        """Whether a failure of this case had an excuse."""
         self._acted: int | None = None
         """When (ns) the last step of the case ended (a wait, call or transmission); None before the first."""
         self.assumptions: dict[str, str] = {}
@@ -98,11 +106,13 @@ class Findings:
         ``numbers``: the check is about sequence numbers of beacons: a gap between them is the finding and no excuse;
         only frames that the kernel dropped are one.
 
-        A failure that :meth:`excuse` explains is recorded as inconclusive.
+        A failure that :meth:`excuse` explains is recorded as inconclusive. From then on failures of both kinds are, in
+        this case: they may follow from the same loss.
         """
         verdict = Verdict.PASS if holds else Verdict.FAIL
-        if not holds and (excuse := self.excuse(shown=bool(shown), numbers=numbers)):
+        if not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
+            self._excused = True
         self._add(verdict, expected, "" if holds else observed, requirements, frames)
         return bool(holds)
 

@@ -111,6 +111,7 @@ class Listening(Naming):
     ) -> list[Instruction]:
         """Check that exactly so many distinct beacons from a mark on have one record of this kind about a variable.
 
+        Too many are a failure whatever was lost (``shown``): what makes it send them must not be repeated meanwhile.
         ``absent``: the requirement that decides if there is none at all, where that is another one.
         """
         found = self.repeated(kind, var_id, since)
@@ -119,7 +120,14 @@ class Listening(Naming):
         beacons = {id(each.heard) for each in found}
         what = f"exactly {count} beacon{'s' if count != 1 else ''} with one {kind.label} record of variable {var_id}"
         came = f"{len(found)} records in {len(beacons)} beacons"
-        self.check(len(found) == len(beacons) == count, what, came, *requirements, frames=found[:32])
+        self.check(
+            len(found) == len(beacons) == count,
+            what,
+            came,
+            *requirements,
+            frames=found[:32],
+            shown=len(found) > min(count, len(beacons)),
+        )
         return found
 
     def _patience(self, periods: float) -> int:

@@ -56,7 +56,7 @@ def check_time(bench: Bench, found: Instruction, since: int, timeout_ms: int, *r
     # Clocks of whole milliseconds may be one ahead at both ends.
     least, most = (timeout_ms - 2) * MS, latest(bench, timeout_ms)
     what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the last change"
-    bench.check(least <= took <= most, what, f"{took / MS:.0f} ms", *requirements, frames=[found])
+    bench.check(least <= took <= most, what, f"{took / MS:.0f} ms", *requirements, frames=[found], shown=took < least)
 
 
 def learn(bench: Bench, peer: Peer, name: int, timeout_ms: int, rep_cnt: int = 1) -> int:

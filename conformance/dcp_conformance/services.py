@@ -65,7 +65,7 @@ def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *require
     """As :meth:`Bench.expect_status` where the specification leaves more than one status."""
     answer = bench.call(method, **params)
     matches = any(same_status(answer, status) for status in statuses)
-    bench.check(matches, f"{method} answers {' or '.join(statuses)}", f"{answer}", *requirements)
+    bench.check(matches, f"{method} answers {' or '.join(statuses)}", f"{answer}", *requirements, shown=True)
     return answer
 
 
@@ -113,7 +113,7 @@ def check_apart(bench: Bench, what: str, apart: int, first: Moment, second: Mome
     slack = bench.period + nanoseconds(bench, 1)
     low, high = second.before - first.after - slack, second.after - first.before + slack
     expected = f"the second {what} is {low / MS:.0f} to {high / MS:.0f} ms after the first"
-    bench.check(low <= apart <= high, expected, f"{apart / MS:.0f} ms")
+    bench.check(low <= apart <= high, expected, f"{apart / MS:.0f} ms", shown=True)
 
 
 def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
@@ -121,7 +121,8 @@ def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
     slack = round(bench.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
     near = request.before - slack <= stamp <= request.after + slack
     off = (stamp - request.before) / MS
-    bench.check(near, f"{what} is the time of the request, give or take {slack / MS:.0f} ms", f"{off:.0f} ms off")
+    expected = f"{what} is the time of the request, give or take {slack / MS:.0f} ms"
+    bench.check(near, expected, f"{off:.0f} ms off", shown=True)
 
 
 # -- VarDis ------------------------------------------------------------------------------------------------------------
@@ -201,7 +202,7 @@ def registration(bench: Bench, prot_id: int, name: str, *requirements: str) -> d
     found = rows(bench.must("BP-ListRegisteredProtocols"), "protocols")
     shown = next((row for row in found if row.get("protocolId") == prot_id), None)
     if shown is None:
-        bench.fail(f"{name} is registered under protocol identifier {prot_id}", "it is not", *requirements)
+        bench.fail(f"{name} is registered under protocol identifier {prot_id}", "it is not", *requirements, shown=True)
     return shown
 
 
@@ -209,7 +210,7 @@ def check_registered_name(bench: Bench, shown: object, title: str) -> None:
     """Check the name under which a protocol is registered: ``title`` and a version there is, which is reported."""
     match = re.fullmatch(re.escape(title) + r" V(\d+\.\d+)", str(shown))
     known = match is not None and "1.0" <= match[1] <= "2.0"
-    bench.check(known, f"the name '{title} Vx.y', V1.0 to V2.0", repr(str(shown)))
+    bench.check(known, f"the name '{title} Vx.y', V1.0 to V2.0", repr(str(shown)), shown=True)
     if match is not None:
         bench.info("X31: the version in the name", f"V{match[1]}")
 

@@ -151,22 +151,24 @@ def ignored(situation: Situation, since: int) -> None:
         bench.require_alive("what it must ignore")
         bench.beacons(1, 1.5)
         found = traces(bench, var_id, since)
-        bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found)
+        bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found, shown=True)
     elif gone:
         bench.require_alive("what it must ignore")
         found = traces(bench, var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
-        bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found)
+        bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found, shown=True)
         return
     held = ask(bench, var_id)
-    bench.check(held.state == situation.state, f"the variable is {situation.state} as before", str(held))
+    bench.check(
+        held.state == situation.state, f"the variable is {situation.state} as before", str(held), shown=held.shown
+    )
     if situation.state == "unknown":
         return
     # Whatever it had caused would stand in the beacon with the answer at the latest.
     answers = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)
     found = [each for each in traces(bench, var_id, since) if each not in answers[-1:]]
-    bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found)
+    bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found, shown=True)
     if situation.state == "alive":
-        bench.check(held.record == situation.stored, "what is stored has not changed", str(held))
+        bench.check(held.record == situation.stored, "what is stored has not changed", str(held), shown=True)
 
 
 def only(situation: Situation, since: int, kind: ICType, record: VardisRecord) -> None:
@@ -175,9 +177,11 @@ def only(situation: Situation, since: int, kind: ICType, record: VardisRecord) -
     requested = kind in (ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
     found = bench.check_repeated(kind, var_id, 1 if requested else situation.rep_cnt, since)
     wrong = [each for each in found if each.record != record]
-    bench.check(not wrong, f"the {kind.label} record is {record}", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    observed = f"{wrong[0].record}" if wrong else ""
+    bench.check(not wrong, f"the {kind.label} record is {record}", observed, frames=wrong, shown=True)
     others = traces(bench, var_id, since, [each for each in INSTRUCTIONS if each is not kind])
-    bench.check(not others, f"nothing but {kind.label} records is sent", f"{named(others)} came", frames=others)
+    what = f"nothing but {kind.label} records is sent"
+    bench.check(not others, what, f"{named(others)} came", frames=others, shown=True)
 
 
 def requests_variable(situation: Situation, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
@@ -210,7 +214,7 @@ def stores(situation: Situation, since: int, sent: VardisRecord) -> None:
     only(situation, since, ICType.CREATE_VARIABLES if creates else ICType.UPDATES, sent)
     held = ask(bench, situation.var_id)
     record = held.record if creates or held.record is None else held.record.upd
-    bench.check(record == sent, "what came is stored", str(held))
+    bench.check(record == sent, "what came is stored", str(held), shown=held.record is not None)
 
 
 def deletes(situation: Situation, since: int, sent: VardisRecord) -> None:
@@ -221,11 +225,11 @@ def deletes(situation: Situation, since: int, sent: VardisRecord) -> None:
         (index for index, heard in enumerate(bench.heard) if heard.instructions(ICType.DELETE_VARIABLES, var_id)), since
     )
     summaries = bench.instructions(ICType.SUMMARIES, var_id, first)
-    bench.check(not summaries, "no summary follows", "it is still summarised", frames=summaries)
+    bench.check(not summaries, "no summary follows", "it is still summarised", frames=summaries, shown=True)
     held = ask(bench, var_id)
     # Up to 1.3 it leaves the database with the last repetition.
     after = "unknown" if bench.features.removed_after_deletion else "deleted"
-    bench.check(held.state == after, f"the variable is {after}", str(held))
+    bench.check(held.state == after, f"the variable is {after}", str(held), shown=held.shown)
 
 
 def taken_over(situation: Situation, since: int, sent: VardisRecord) -> None:

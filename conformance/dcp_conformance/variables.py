@@ -29,6 +29,11 @@ class Held(NamedTuple):
     record: VarCreate | None
     """Specification, value and sequence number as stored, for a variable that is alive."""
 
+    @property
+    def shown(self) -> bool:
+        """Whether a record shows the state: that a variable is deleted is concluded from silence."""
+        return self.state != "deleted"
+
     def __str__(self) -> str:
         if self.record is None:
             return f"it is {self.state}"

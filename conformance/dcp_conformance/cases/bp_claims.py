@@ -88,11 +88,11 @@ def losses(bench: Bench) -> None:
 def settable(bench: Bench) -> None:
     before = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
     if not isinstance(before, int | float):
-        bench.fail(f"BP-GetParameters tells {_PERIOD}", str(before))
+        bench.fail(f"BP-GetParameters tells {_PERIOD}", str(before), shown=True)
     try:
         bench.expect_status("BP-STATUS-OK", "BP-SetParameter", name=_PERIOD, value=before * 2)
         after = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
-        bench.check(after == before * 2, f"{_PERIOD} is {before * 2}", str(after))
+        bench.check(after == before * 2, f"{_PERIOD} is {before * 2}", str(after), shown=True)
     finally:
         bench.expect_status("BP-STATUS-OK", "BP-SetParameter", name=_PERIOD, value=before)
 
@@ -114,6 +114,6 @@ def settable(bench: Bench) -> None:
 def reported(bench: Bench) -> None:
     before = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
     answer = bench.call("BP-SetParameter", name=_PERIOD, value=0)
-    bench.check(not answer.ok, "an answer other than OK", str(answer))
+    bench.check(not answer.ok, "an answer other than OK", str(answer), shown=True)
     after = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
-    bench.check(after == before, f"{_PERIOD} is still {before}", str(after), "BP-PAR-07")
+    bench.check(after == before, f"{_PERIOD} is still {before}", str(after), "BP-PAR-07", shown=True)

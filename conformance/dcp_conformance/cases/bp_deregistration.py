@@ -45,7 +45,7 @@ def deregister(bench: Bench) -> None:
     bench.must(REGISTER, **client.registration)
     client.transmit(client.payload())
     bench.expect_status(OK, DEREGISTER, protId=client.prot_id)
-    bench.check(client.entry() is None, "the client is not listed", "it still is")
+    bench.check(client.entry() is None, "the client is not listed", "it still is", shown=True)
     bench.expect_status(UNKNOWN_PROTOCOL, QUERY, protId=client.prot_id)
 
 
@@ -87,7 +87,9 @@ def silent_after_deregistration(bench: Bench, mode: QueueingMode) -> None:
     quiet_from = bench.now() + bench.period // 5
     bench.wait(4)
     frames = client.frames(after=quiet_from)
-    bench.check(not frames, "silence of the client", f"{len(frames)} beacons have its payloads", frames=frames[:8])
+    bench.check(
+        not frames, "silence of the client", f"{len(frames)} beacons have its payloads", frames=frames[:8], shown=True
+    )
 
 
 @case(
@@ -107,10 +109,12 @@ def registers_again(bench: Bench, mode: QueueingMode) -> None:
     quiet_from = bench.now() + bench.period // 5
     with client:
         number = client.number()
-        bench.check(number == 0, "no payloads wait", f"{number} do")
+        bench.check(number == 0, "no payloads wait", f"{number} do", shown=True)
         bench.wait(3)
         frames = client.frames(after=quiet_from)
-        bench.check(not frames, "nothing is sent", f"{len(frames)} beacons have old payloads", frames=frames[:8])
+        bench.check(
+            not frames, "nothing is sent", f"{len(frames)} beacons have old payloads", frames=frames[:8], shown=True
+        )
 
 
 @case(
@@ -132,10 +136,12 @@ def list_clients(bench: Bench) -> None:
         listed = [each.get("protocolId") for each in answer.result.get("protocols") or [] if isinstance(each, dict)]
         for client in clients:
             count = listed.count(client.prot_id)
-            bench.check(count == 1, f"client {client.prot_id:#x} is listed once", f"{count} times", "BP-LST-01")
+            bench.check(
+                count == 1, f"client {client.prot_id:#x} is listed once", f"{count} times", "BP-LST-01", shown=True
+            )
         text = str(answer.result).lower()
         shown = [payload.hex() for payload in payloads if payload.hex() in text]
-        bench.check(not shown, "what is buffered is not reported", f"it is: {shown}", "BP-LST-02")
+        bench.check(not shown, "what is buffered is not reported", f"it is: {shown}", "BP-LST-02", shown=True)
 
 
 @case(

@@ -76,14 +76,22 @@ def fitting(bench: Bench, octets: int, *, together: bool) -> None:
         two.transmit(payloads[1])
         bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.reaction)
         sent = [*one.sent(start), *two.sent(start)]
-        bench.check(sorted(sent) == sorted(payloads), "both payloads once", listed(sent, payloads), "BP-TX-04")
+        bench.check(
+            sorted(sent) == sorted(payloads),
+            "both payloads once",
+            listed(sent, payloads),
+            "BP-TX-04",
+            shown=len(sent) > len(payloads),
+        )
         shared = [heard for heard in one.frames(start) if two.in_frame(heard)]
         if together:
             bench.info("Do payloads share a beacon that just has room for them?", "yes" if shared else "no", "BP-TX-03")
         elif shared and octets - room(bench) <= header_octets(bench):
             bench.reading("X04", "blocks-only")
         else:
-            bench.check(not shared, "they come in different beacons", "they share one", "BP-TX-04", frames=shared)
+            bench.check(
+                not shared, "they come in different beacons", "they share one", "BP-TX-04", frames=shared, shown=True
+            )
         check_sizes(bench, start)
 
 
@@ -93,7 +101,7 @@ def check_sizes(bench: Bench, since: int) -> None:
     margin = header_octets(bench) if bench.readings.get("X04") == "blocks-only" else 0
     large = [heard for heard in bench.heard[since:] if len(heard.octets) > limit + margin]
     found = f"{max(len(heard.octets) for heard in large)} octets" if large else ""
-    bench.check(not large, f"no beacon of more than {limit} octets", found, "BP-FMT-02", frames=large)
+    bench.check(not large, f"no beacon of more than {limit} octets", found, "BP-FMT-02", frames=large, shown=True)
 
 
 @case(
@@ -122,13 +130,23 @@ def head_of_line(bench: Bench) -> None:
         sent = client.sent(start)
         overtaken = tail in sent and (head not in sent or sent.index(tail) < sent.index(head))
         bench.check(
-            not overtaken, "the small payload waits", "it is sent first", "BP-TX-06", frames=client.frames(start)
+            not overtaken,
+            "the small payload waits",
+            "it is sent first",
+            "BP-TX-06",
+            frames=client.frames(start),
+            shown=head in sent,
         )
         shared = [
             heard for heard in client.frames(start) if head in client.in_frame(heard) and constant.in_frame(heard)
         ]
         bench.check(
-            not shared, "the large payload is not sent together with the first", "it is", "BP-TX-04", frames=shared
+            not shared,
+            "the large payload is not sent together with the first",
+            "it is",
+            "BP-TX-04",
+            frames=shared,
+            shown=True,
         )
         if head not in sent:
             bench.info("Does a payload that always fits keep back a larger one?", "for 8 periods", "BP-TX-03")
@@ -153,7 +171,13 @@ def several_clients(bench: Bench) -> None:
         bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
         for client, payload in zip(clients, payloads, strict=True):
             sent = set(client.sent(start))
-            bench.check(sent == {payload}, "the payload as it was submitted", f"{sorted(sent)!r}", "BP-FMT-01")
+            bench.check(
+                sent == {payload},
+                "the payload as it was submitted",
+                f"{sorted(sent)!r}",
+                "BP-FMT-01",
+                shown=sent - {payload},
+            )
         first = next(
             (heard for heard in bench.heard[start:] if any(client.in_frame(heard) for client in clients)), None
         )
@@ -202,6 +226,8 @@ def most_blocks(bench: Bench) -> None:
 
     bench.until(complete, 2 * bench.reaction)
     broken = [heard for heard in bench.heard[start:] if heard.beacon is None]
-    bench.check(not broken, "beacons that can be read", f"{broken[0].problem if broken else ''}", frames=broken)
+    bench.check(
+        not broken, "beacons that can be read", f"{broken[0].problem if broken else ''}", frames=broken, shown=True
+    )
     lost = len(ids - seen.keys())
     bench.check(not lost, "all 260 payloads", f"{lost} are missing")

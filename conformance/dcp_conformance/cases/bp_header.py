@@ -78,7 +78,7 @@ def check_field(bench: Bench, wires: Sequence[Wire], name: str, right: object, *
     show = (lambda value: f"{value:#x}") if isinstance(right, int) else repr
     said = "" if not wrong else f"it is {show(wrong[0].fields.get(name) or 0)} in {len(wrong)} of {len(wires)} beacons"
     frames = [each.heard for each in wrong[:8]]
-    bench.check(not wrong, f"{name} is {show(right)} in every beacon", said, *requirements, frames=frames)
+    bench.check(not wrong, f"{name} is {show(right)} in every beacon", said, *requirements, frames=frames, shown=True)
 
 
 def _fields(*names: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
@@ -120,9 +120,11 @@ def order_of_fields(bench: Bench) -> None:
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
     frames = [each.heard for each in strange[:8]]
     expected = "blocks of protocols that are registered, as long as they say"
-    bench.check(not strange, expected, f"protocols {sorted(ids)} in {len(strange)} beacons", frames=frames)
+    bench.check(not strange, expected, f"protocols {sorted(ids)} in {len(strange)} beacons", frames=frames, shown=True)
     bare = [each.heard for each in wires if not each.counted]
-    bench.check(not bare, "numPayloads counts at least one block", f"none in {len(bare)} beacons", frames=bare[:8])
+    bench.check(
+        not bare, "numPayloads counts at least one block", f"none in {len(bare)} beacons", frames=bare[:8], shown=True
+    )
 
 
 @case(
@@ -145,7 +147,9 @@ def predefined_identifiers(bench: Bench) -> None:
         wires = [read(bench, heard) for heard in some_beacons(bench, 4)]
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
     width = bench.profile.types.protocol_id.width
-    bench.check(width == 2, "the identifier has two octets", f"it has {width} in the profile {bench.profile.name}")
+    bench.check(
+        width == 2, "the identifier has two octets", f"it has {width} in the profile {bench.profile.name}", shown=True
+    )
     bench.check(BP_PROTID_VARDIS in ids, "blocks of protocol 2 (VarDis)", f"there are {sorted(ids)}")
     if reports:
         bench.check(BP_PROTID_SRP in ids, "a block of protocol 1 (SRP)", f"there are {sorted(ids)}")
@@ -167,13 +171,13 @@ def sender(bench: Bench) -> None:
         for _ in range(3):
             bench.probe()
     ids = {each.fields.get("senderId") for each in wires} | {heard.sender for heard in bench.heard}
-    bench.check(len(ids - {None}) == 1, "one senderId", f"{len(ids)} different ones")
+    bench.check(len(ids - {None}) == 1, "one senderId", f"{len(ids)} different ones", shown=len(ids - {None}) > 1)
     upper = bench.session.upper
     told = str(upper.about.get("nodeId", "")).replace(":", "").lower() if upper is not None else ""
     if told:
         heard = wires[0].fields.get("senderId")
         said = heard.hex() if isinstance(heard, bytes) else f"{heard}"
-        bench.check(said == told, f"senderId {told}", said, "BP-HDR-03", frames=[wires[0].heard])
+        bench.check(said == told, f"senderId {told}", said, "BP-HDR-03", frames=[wires[0].heard], shown=True)
     # A frame from the same address with another identifier: not recognised as the implementation's.
     sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers_made}
     other = [heard for heard in bench.others if heard.source in sources]
@@ -192,7 +196,7 @@ def _named_by_another(bench: Bench) -> None:
     answers = [each for each in bench.others[others:] if each.about(ICType.REQUEST_VARCREATES, unknown)]
     if not bench.heard[start:] and answers and not known & {each.sender for each in answers}:
         said = f"the request that a summary brought came from {(answers[0].sender or b'').hex(':')}"
-        bench.fail(f"senderId {bench.sut_id.hex(':')}", said, "BP-HDR-03", frames=answers[:4])
+        bench.fail(f"senderId {bench.sut_id.hex(':')}", said, "BP-HDR-03", frames=answers[:4], shown=True)
 
 
 @case(
@@ -208,7 +212,7 @@ def network(bench: Bench) -> None:
     wires = beacons_read(bench)
     check_field(bench, wires, "networkId", bench.parameter("BPPAR_NETWORK_ID"), "BP-HDR-04")
     width = bench.profile.types.network_id.width
-    bench.check(width >= 2, "networkId has 16 bits or more", f"it has {8 * width}", "BP-HDR-05")
+    bench.check(width >= 2, "networkId has 16 bits or more", f"it has {8 * width}", "BP-HDR-05", shown=True)
 
 
 @case(
@@ -237,7 +241,7 @@ def length(bench: Bench) -> None:
         if size > _MAY_BE_PADDED:
             right.add(size - start)
         expected = f"length {' or '.join(map(str, sorted(right)))}"
-        if not bench.check(said in right, expected, f"length {said}", frames=[wire.heard]):
+        if not bench.check(said in right, expected, f"length {said}", frames=[wire.heard], shown=True):
             return
 
 
@@ -260,7 +264,7 @@ def number_of_blocks(bench: Bench) -> None:
         number = wire.fields.get("numPayloads")
         said = f"{len(wire.counted)} blocks that end at octet {wire.end} of {size}"
         right = wire.whole and number != 0 and (not ends or wire.end in ends)
-        if not bench.check(right, f"{number} blocks that fill the beacon", said, frames=[wire.heard]):
+        if not bench.check(right, f"{number} blocks that fill the beacon", said, frames=[wire.heard], shown=True):
             return
 
 
@@ -296,7 +300,9 @@ def largest_beacons(bench: Bench) -> None:
         if large and most <= limit + header_octets(bench):
             bench.reading("X04", "blocks-only")
             large = []
-        bench.check(not large, f"beacons of at most {limit} octets", f"one has {most}", "BP-FMT-02", frames=large)
+        bench.check(
+            not large, f"beacons of at most {limit} octets", f"one has {most}", "BP-FMT-02", frames=large, shown=True
+        )
 
 
 @case(
@@ -315,7 +321,7 @@ def silence(bench: Bench) -> None:
         for each in heard
         if len(each.octets) <= header_octets(bench) or read(bench, each).fields.get("numPayloads") == 0
     ]
-    bench.check(not bare, "no beacon without blocks", f"{len(bare)} of them", frames=bare)
+    bench.check(not bare, "no beacon without blocks", f"{len(bare)} of them", frames=bare, shown=True)
     upper = bench.session.upper
     if heard and upper is not None and {"UT-Reset", QUERY} <= upper.methods:
         waiting = [bench.call(QUERY, protId=each).result.get("number") for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)]

@@ -56,7 +56,9 @@ def switched_off(bench: Bench) -> None:
         try:
             bench.wait(5)
             frames = [heard for heard in bench.heard if heard.time >= quiet_from]
-            bench.check(not frames, "silence", f"{len(frames)} beacons", "BP-MGT-02", "BP-TX-07", frames=frames)
+            bench.check(
+                not frames, "silence", f"{len(frames)} beacons", "BP-MGT-02", "BP-TX-07", frames=frames, shown=True
+            )
         finally:
             bench.expect_status(OK, ACTIVATE, "BP-MGT-05")
         bench.check(client.until_sent(payload), "beacons again", "there are none in time", "BP-MGT-05")
@@ -82,9 +84,15 @@ def deaf(bench: Bench) -> None:
         bench.require_alive("an inactive time", "BP-MGT-05")
         received = client.received()
         bench.check(late in received, "what comes after activation is indicated", "it is not", "BP-MGT-05")
-        bench.check(early not in received, "nothing of what came before is indicated", "it is")
+        bench.check(early not in received, "nothing of what came before is indicated", "it is", shown=True)
         asked = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
-        bench.check(not asked, "nothing of what came before reaches VarDis", "its variable is requested", frames=asked)
+        bench.check(
+            not asked,
+            "nothing of what came before reaches VarDis",
+            "its variable is requested",
+            frames=asked,
+            shown=True,
+        )
 
 
 @case(
@@ -102,7 +110,7 @@ def serves_while_inactive(bench: Bench) -> None:
     with bench.deactivated("BP"):
         bench.expect_status(UNKNOWN_PROTOCOL, QUERY, "BP-MGT-04", protId=prot_id)
         bench.expect_status(OK, REGISTER, "BP-MGT-04", **client.registration)
-        bench.check(prot_id in registered(bench), "the client is listed", "it is not", "BP-MGT-04")
+        bench.check(prot_id in registered(bench), "the client is listed", "it is not", "BP-MGT-04", shown=True)
         if bench.pics.transmit_payload_confirm is not False:
             bench.expect_status(EMPTY, TRANSMIT, "BP-MGT-04", protId=prot_id, payload="")
         for number, method, params in (
@@ -115,9 +123,11 @@ def serves_while_inactive(bench: Bench) -> None:
             else:
                 bench.call(method, protId=prot_id, **params)
             said = client.number()
-            bench.check(said == number, f"{number} payloads after {method}", f"{said}", "BP-MGT-04")
+            bench.check(said == number, f"{number} payloads after {method}", f"{said}", "BP-MGT-04", shown=True)
         bench.wait(2)
-        bench.check(not client.sent(), "nothing is sent meanwhile", "the payload is", "BP-MGT-02", "BP-TXP-09")
+        bench.check(
+            not client.sent(), "nothing is sent meanwhile", "the payload is", "BP-MGT-02", "BP-TXP-09", shown=True
+        )
     bench.check(client.until_sent(payload), "the payload is sent after activation", "it is not", "BP-MGT-04")
     bench.expect_status(OK, DEREGISTER, "BP-MGT-04", protId=prot_id)
 
@@ -158,7 +168,7 @@ def no_clients(bench: Bench) -> None:
     bench.must(REGISTER, **client.registration)
     bench.must("UT-Reset")
     ids = set(registered(bench)) - {BP_PROTID_SRP, BP_PROTID_VARDIS}
-    bench.check(not ids, "SRP and VarDis at most", f"also {sorted(ids)}")
+    bench.check(not ids, "SRP and VarDis at most", f"also {sorted(ids)}", shown=True)
 
 
 @case(

@@ -37,7 +37,7 @@ def values(bench: Bench) -> dict[str, Any]:
     """BP-GetParameters."""
     found = bench.must(GET).result.get("parameters")
     if not isinstance(found, dict):
-        bench.fail(f"{GET} returns parameters", f"parameters: {found!r}", "BP-PAR-01")
+        bench.fail(f"{GET} returns parameters", f"parameters: {found!r}", "BP-PAR-01", shown=True)
     return found
 
 
@@ -69,15 +69,17 @@ _EACH = {
 )
 def set_and_get(bench: Bench, name: str) -> None:
     before = values(bench)
-    bench.require(name in before, f"{GET} tells {name}", f"it tells {', '.join(before)}", "BP-PAR-01")
+    bench.require(name in before, f"{GET} tells {name}", f"it tells {', '.join(before)}", "BP-PAR-01", shown=True)
     new = changed(bench, name)
     answer = bench.call(SET, name=name, value=new)
     try:
-        bench.check(answer.ok, f"{name} can be set to {new}", str(answer))
+        bench.check(answer.ok, f"{name} can be set to {new}", str(answer), shown=True)
         after = values(bench)
     finally:
         bench.call(SET, name=name, value=before[name])
-    bench.check(after == {**before, name: new}, f"{name} is {new}, and nothing else has changed", f"{after}")
+    bench.check(
+        after == {**before, name: new}, f"{name} is {new}, and nothing else has changed", f"{after}", shown=True
+    )
 
 
 _WRONG: dict[str, tuple[str, Callable[[Bench], int]]] = {
@@ -127,7 +129,12 @@ def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> N
             after = values(bench)
         finally:
             bench.call(SET, name=name, value=first[name])
-        bench.check(after.get(name) == before.get(name), f"{name} stays {before.get(name)}", f"it is {after.get(name)}")
+        bench.check(
+            after.get(name) == before.get(name),
+            f"{name} stays {before.get(name)}",
+            f"it is {after.get(name)}",
+            shown=True,
+        )
         frames = [bench.until(client.in_frame) for _ in range(3)]
         bench.check(all(frames), "beacons go on", "there are none any more", "BP-PAR-06")
         bench.info("Is the rejection of a parameter told?", "no" if answer.ok else str(answer), "BP-PAR-07")
@@ -145,7 +152,7 @@ def size_bounds(bench: Bench) -> None:
     known = values(bench)
     if UWB_SIZE in known:
         answer = bench.call(SET, name=SIZE, value=known[UWB_SIZE])
-        bench.check(answer.ok, f"{SIZE} can be {UWB_SIZE}, {known[UWB_SIZE]}", str(answer))
+        bench.check(answer.ok, f"{SIZE} can be {UWB_SIZE}, {known[UWB_SIZE]}", str(answer), shown=True)
         same = known.get(SIZE) == known[UWB_SIZE]
         bench.info(f"Is {SIZE} what the bearer carries unless set?", "yes" if same else f"it is {known.get(SIZE)}")
     least = header_octets(bench) + block_header_octets(bench)
@@ -153,7 +160,7 @@ def size_bounds(bench: Bench) -> None:
     bench.reading("X05", "literal-minimum" if answer.ok else "usable-minimum")
     if not answer.ok:
         answer = bench.call(SET, name=SIZE, value=least + 1)
-        bench.check(answer.ok, f"{SIZE} can be {least} or {least + 1}", str(answer))
+        bench.check(answer.ok, f"{SIZE} can be {least} or {least + 1}", str(answer), shown=True)
     bench.call(SET, name=SIZE, value=known.get(SIZE))
 
 
@@ -181,7 +188,7 @@ def smaller_beacons(bench: Bench) -> None:
                 large = []
             bench.require(heard, "beacons afterwards", "there are none in time", "BP-PAR-02")
             said = f"{len(large)} of {len(heard)} are larger"
-            bench.check(not large, f"beacons of at most {size} octets", said, "BP-PAR-02", frames=large)
+            bench.check(not large, f"beacons of at most {size} octets", said, "BP-PAR-02", frames=large, shown=True)
             third = BPClient(bench, ONCE, size=81)
             answer = bench.expect_status(ILLEGAL_SIZE, REGISTER, "BP-REG-04", **third.registration)
             if answer.ok:
@@ -214,10 +221,18 @@ def other_network(bench: Bench) -> None:
                 each.beacon.bp.network_id for each in heard if each.beacon is not None and each.beacon.bp is not None
             }
             said = f"networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
-            bench.check(numbers == {new}, f"beacons of network {new:#x}", said, "BP-HDR-04", "BP-HDR-05", "BP-PAR-02")
+            bench.check(
+                numbers == {new},
+                f"beacons of network {new:#x}",
+                said,
+                "BP-HDR-04",
+                "BP-HDR-05",
+                "BP-PAR-02",
+                shown=numbers - {new},
+            )
             found = bench.instructions(ICType.REQUEST_VARCREATES, stranger)
             expected = "a beacon of the old network is dropped"
-            bench.check(not found, expected, "it is processed", "BP-RX-05", "BP-PAR-05", frames=found)
+            bench.check(not found, expected, "it is processed", "BP-RX-05", "BP-PAR-05", frames=found, shown=True)
 
 
 @case(
@@ -231,7 +246,7 @@ def other_network(bench: Bench) -> None:
 def default_period(bench: Bench) -> None:
     period = values(bench).get(PERIOD)
     near = isinstance(period, int | float) and (80 <= period <= 120 or period == bench.pixit.beacon_period_ms)
-    bench.check(near, f"{PERIOD} is about 100 ms", f"it is {period}")
+    bench.check(near, f"{PERIOD} is about 100 ms", f"it is {period}", shown=True)
 
 
 @case(
@@ -252,4 +267,4 @@ def fixed_values(bench: Bench) -> None:
         other: Any = value - 1 if isinstance(value, int) else "02:00:00:00:00:77"
         bench.call(SET, name=name, value=other)
         after = values(bench).get(name)
-        bench.check(after == value, f"{name} stays {value}", f"it is {after}", "BP-PAR-08", "BP-PAR-09")
+        bench.check(after == value, f"{name} stays {value}", f"it is {after}", "BP-PAR-08", "BP-PAR-09", shown=True)

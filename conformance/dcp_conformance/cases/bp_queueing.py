@@ -23,6 +23,7 @@ from dcp_conformance.clients import (
     needed,
     no_confirm,
 )
+from dcp_conformance.findings import part_of
 
 V1_1 = SpecVersion.V1_1
 _SENDER = Needs(entities=(), ut=CLIENT)
@@ -71,11 +72,18 @@ def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requiremen
         payloads = client.submit(3, must=False)
         said = [each.text for each in bench.traffic.events[events:] if each.direction == "answer"]
         refused = [text for text in said if not text.endswith("STATUS-OK")]
-        bench.check(not refused, "each submission is answered with OK", f"{refused}", *requirements[1:])
+        bench.check(not refused, "each submission is answered with OK", f"{refused}", *requirements[1:], shown=True)
         sent = [each for each in until_done(client, start) if each in payloads]
         right = [payloads[place] for place in kept]
         expected = f"payloads {listed(right, payloads)} on the air"
-        bench.check(sent == right, expected, f"{listed(sent, payloads)}", *requirements, frames=client.frames(start))
+        bench.check(
+            sent == right,
+            expected,
+            f"{listed(sent, payloads)}",
+            *requirements,
+            frames=client.frames(start),
+            shown=not part_of(sent, right),
+        )
 
 
 @case(
@@ -93,7 +101,13 @@ def fifo(bench: Bench, mode: QueueingMode) -> None:
         payloads = client.submit(5, at_once=False)
         sent = [each for each in until_done(client, start) if each in payloads]
         expected = f"payloads {listed(payloads, payloads)}"
-        bench.check(sent == payloads, expected, f"{listed(sent, payloads)}", frames=client.frames(start))
+        bench.check(
+            sent == payloads,
+            expected,
+            f"{listed(sent, payloads)}",
+            frames=client.frames(start),
+            shown=not part_of(sent, payloads),
+        )
 
 
 @case(
@@ -118,8 +132,10 @@ def queue_length(bench: Bench, mode: QueueingMode) -> None:
             # A beacon in between has taken one out.
             if attempt < 3 and any(each.time <= asked for each in client.frames(start)):
                 continue
-        bench.check(numbers[0] == 0, "a new queue is empty", f"{numbers[0]} payloads are in it", "BP-REG-06")
-        bench.check(numbers[1:] == [1, 2, 3, 3], "lengths 1, 2, 3, 3", f"{numbers[1:]}", "BP-QRY-02")
+        bench.check(
+            numbers[0] == 0, "a new queue is empty", f"{numbers[0]} payloads are in it", "BP-REG-06", shown=True
+        )
+        bench.check(numbers[1:] == [1, 2, 3, 3], "lengths 1, 2, 3, 3", f"{numbers[1:]}", "BP-QRY-02", shown=True)
         return
 
 
@@ -141,7 +157,7 @@ def one_per_beacon(bench: Bench, mode: QueueingMode) -> None:
         frames = client.frames(start)
         needed(bench, frames, "beacons with the payloads")
         counts = [len(client.in_frame(each)) for each in frames]
-        bench.check(max(counts) == 1, "one payload per beacon", f"{counts}", frames=frames)
+        bench.check(max(counts) == 1, "one payload per beacon", f"{counts}", frames=frames, shown=True)
 
 
 @case(
@@ -158,7 +174,13 @@ def several_per_beacon(bench: Bench) -> None:
         start = bench.mark()
         payloads = client.submit(4, at_once=False)
         sent = [each for each in until_done(client, start) if each in payloads]
-        bench.check(sent == payloads, "all of them once, in order", listed(sent, payloads), "BP-QM-03")
+        bench.check(
+            sent == payloads,
+            "all of them once, in order",
+            listed(sent, payloads),
+            "BP-QM-03",
+            shown=not part_of(sent, payloads),
+        )
         counts = [len(client.in_frame(each)) for each in client.frames(start)]
         bench.info("How many payloads of one client share a beacon?", ", ".join(map(str, counts)))
         if bench.pics.multiple_payloads:
@@ -183,7 +205,13 @@ def once(bench: Bench) -> None:
         start = bench.mark()
         payloads = client.submit(2)
         sent = [each for each in until_done(client, start) if each in payloads]
-        bench.check(sent == payloads[1:], "payload B once", listed(sent, payloads), frames=client.frames(start))
+        bench.check(
+            sent == payloads[1:],
+            "payload B once",
+            listed(sent, payloads),
+            frames=client.frames(start),
+            shown=not part_of(sent, payloads[1:]),
+        )
 
 
 @case(
@@ -229,7 +257,7 @@ def repeat_in_every_beacon(bench: Bench) -> None:
         frames = bench.beacons(6)
         bare = [heard for heard in frames if not client.in_frame(heard)]
         bench.check(len(frames) == 6, "six beacons", f"{len(frames)} in {2 * 6 + bench.reaction:g} periods")
-        bench.check(not bare, "each has the payload", f"{len(bare)} do not", frames=bare)
+        bench.check(not bare, "each has the payload", f"{len(bare)} do not", frames=bare, shown=True)
 
 
 @case(
@@ -253,12 +281,14 @@ def buffer_count(bench: Bench, mode: QueueingMode) -> None:
             bench.wait_ns(0)
             if attempt < 3 and mode is ONCE and any(each.time <= asked for each in client.frames(start)):
                 continue
-            bench.check(numbers == [0, 1, 1], "0, then 1, then 1", f"{numbers}", "BP-QRY-03", "BP-TXP-06")
+            bench.check(numbers == [0, 1, 1], "0, then 1, then 1", f"{numbers}", "BP-QRY-03", "BP-TXP-06", shown=True)
             if not client.frames(start):
                 client.until_sent()
             needed(bench, client.frames(start), "a beacon with the payload")
             right, number = 1 if mode is REPEAT else 0, client.number()
-            bench.check(number == right, f"{right} after transmission", f"{number}", "BP-QRY-03", "BP-TX-05")
+            bench.check(
+                number == right, f"{right} after transmission", f"{number}", "BP-QRY-03", "BP-TX-05", shown=True
+            )
         return
 
 
@@ -278,4 +308,4 @@ def clear_repeated(bench: Bench) -> None:
         quiet_from = bench.now() + bench.period // 5
         bench.wait(4)
         frames = client.frames(after=quiet_from)
-        bench.check(not frames, "no beacon with it", f"{len(frames)} beacons", frames=frames)
+        bench.check(not frames, "no beacon with it", f"{len(frames)} beacons", frames=frames, shown=True)

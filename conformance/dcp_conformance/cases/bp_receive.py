@@ -32,7 +32,14 @@ def check_dropped(bench: Bench, send: Send, what: str, *requirements: str) -> No
 def check_unknown(bench: Bench, var_id: int, what: str, *requirements: str) -> None:
     """Check that nobody has asked for the variable so far."""
     found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
-    bench.check(not found, f"nothing of {what} is processed", "its variable is requested", *requirements, frames=found)
+    bench.check(
+        not found,
+        f"nothing of {what} is processed",
+        "its variable is requested",
+        *requirements,
+        frames=found,
+        shown=True,
+    )
 
 
 def check_processed(bench: Bench, var_ids: Sequence[int], since: int, what: str, *requirements: str) -> None:

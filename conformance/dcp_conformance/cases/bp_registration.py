@@ -64,7 +64,10 @@ def register(bench: Bench, mode: QueueingMode) -> None:
         return
     entry = client.entry()
     bench.call(DEREGISTER, protId=client.prot_id)
-    if not bench.check(entry is not None, "the client is listed", "it is not", "BP-REG-06") or entry is None:
+    if (
+        not bench.check(entry is not None, "the client is listed", "it is not", "BP-REG-06", shown=True)
+        or entry is None
+    ):
         return
     names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
     if bench.features.allow_multiple_payloads:
@@ -73,10 +76,24 @@ def register(bench: Bench, mode: QueueingMode) -> None:
         names |= {"maxEntries": "maxEntries"} if mode.is_queue else {}
     for listed, given in names.items():
         right, said = client.registration[given], entry.get(listed)
-        bench.check(said == right, f"{listed} is {right!r} as registered", f"it is {said!r}", "BP-LST-01", "BP-REG-01")
+        bench.check(
+            said == right,
+            f"{listed} is {right!r} as registered",
+            f"it is {said!r}",
+            "BP-LST-01",
+            "BP-REG-01",
+            shown=True,
+        )
     stamp, margin = entry.get("timeStampRegistration"), round(bench.pixit.clock_tolerance_ms * MS)
     near = isinstance(stamp, int) and before - margin <= stamp <= after + margin
-    bench.check(near, "timeStampRegistration is the time of the request", f"it is {stamp!r}", "BP-REG-06", "BP-LST-01")
+    bench.check(
+        near,
+        "timeStampRegistration is the time of the request",
+        f"it is {stamp!r}",
+        "BP-REG-06",
+        "BP-LST-01",
+        shown=True,
+    )
 
 
 @case(
@@ -96,7 +113,11 @@ def own_identifier(bench: Bench) -> None:
             bench.inconclusive("a beacon with the payload", "there is none in time")
         same = told.replace(":", "").lower() == heard.sender.hex()
         bench.check(
-            same, f"ownNodeIdentifier is {heard.sender.hex(':')}, as on the air", f"it is {told}", frames=[heard]
+            same,
+            f"ownNodeIdentifier is {heard.sender.hex(':')}, as on the air",
+            f"it is {told}",
+            frames=[heard],
+            shown=True,
         )
 
 
@@ -206,9 +227,9 @@ def already_registered(bench: Bench) -> None:
         changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
         bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
         after = client.entry()
-        bench.check(after == before, "the registration is unchanged", f"it was {before}, and is {after}")
+        bench.check(after == before, "the registration is unchanged", f"it was {before}, and is {after}", shown=True)
         number = client.number()
-        bench.check(number == 1, "the payload still waits", f"{number} payloads do")
+        bench.check(number == 1, "the payload still waits", f"{number} payloads do", shown=True)
         start = bench.mark()
         client.until_sent()
         bench.beacons(1)

@@ -73,7 +73,9 @@ def foreign_layout(bench: Bench, name: str) -> None:
     for var_id, octets, what in sent:
         found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
         if rule := broken_rule(bench, octets):
-            bench.check(not found, f"{what} is dropped ({rule})", "its variable is requested", rule, frames=found)
+            bench.check(
+                not found, f"{what} is dropped ({rule})", "its variable is requested", rule, frames=found, shown=True
+            )
         else:
             bench.info(f"What becomes of {what}?", "processed" if found else "not processed")
 
@@ -143,7 +145,7 @@ def cut_headers(bench: Bench) -> None:
         peer.send(peer.summary(var_id, 1), cut=octets)
     bench.require_alive("beacons that are cut off within their headers")
     found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
-    bench.check(not found, "nothing of them is processed", "a variable is requested", frames=found)
+    bench.check(not found, "nothing of them is processed", "a variable is requested", frames=found, shown=True)
 
 
 @case(

@@ -61,7 +61,9 @@ def transmit_unregistered(bench: Bench, registered_before: bool) -> None:
     bench.expect_status(UNKNOWN_PROTOCOL, TRANSMIT, protId=client.prot_id, payload=payload.hex())
     with client:
         bench.wait(2)
-    bench.check(not client.sent(), "the payload is not sent, not after a registration either", "it is", "BP-REG-10")
+    bench.check(
+        not client.sent(), "the payload is not sent, not after a registration either", "it is", "BP-REG-10", shown=True
+    )
 
 
 @case(
@@ -83,7 +85,7 @@ def full_size(bench: Bench, size: int | None) -> None:
         bench.expect_status(OK, TRANSMIT, "BP-TXP-02", protId=client.prot_id, payload=payload.hex())
         heard = client.until_sent()
         bench.require(heard, "a beacon with the payload", "there is none in time", "BP-TXP-02")
-        bench.check(client.sent() == [payload], "the payload unchanged", "it is another", "BP-FMT-01")
+        bench.check(client.sent() == [payload], "the payload unchanged", "it is another", "BP-FMT-01", shown=True)
 
 
 @case(
@@ -100,9 +102,9 @@ def too_large(bench: Bench, more: int) -> None:
         octets = client.payload(20 + more)
         bench.expect_status(TOO_LARGE, TRANSMIT, protId=client.prot_id, payload=octets.hex())
         number = client.number()
-        bench.check(number == 0, "nothing is buffered", f"{number} payloads are")
+        bench.check(number == 0, "nothing is buffered", f"{number} payloads are", shown=True)
         bench.wait(2)
-        bench.check(not client.sent(), "nothing is sent", "something is", frames=client.frames())
+        bench.check(not client.sent(), "nothing is sent", "something is", frames=client.frames(), shown=True)
 
 
 @case(
@@ -128,8 +130,8 @@ def empty_payload(bench: Bench, mode: QueueingMode) -> None:
                 break
             bench.until_quiet(client.in_frame)
         right = answer.code is None and answer.status == EMPTY
-        bench.check(right, f"{TRANSMIT} answers {EMPTY}", str(answer))
-        bench.check(after == before, f"{before} payloads are buffered as before", f"{after} are")
+        bench.check(right, f"{TRANSMIT} answers {EMPTY}", str(answer), shown=True)
+        bench.check(after == before, f"{before} payloads are buffered as before", f"{after} are", shown=True)
         if mode is REPEAT:
             start = bench.mark()
             bench.check(client.until_sent(), "the payload is still repeated", "it is not", frames=bench.heard[start:])
@@ -149,7 +151,7 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
         client.transmit(client.payload())
         bench.expect_status(OK, TRANSMIT, protId=client.prot_id, payload="")
         number = client.number()
-        bench.check(number == 0, "the buffer is empty", f"{number} payloads are in it")
+        bench.check(number == 0, "the buffer is empty", f"{number} payloads are in it", shown=True)
 
 
 @case(
@@ -204,15 +206,17 @@ def clear(bench: Bench, mode: QueueingMode) -> None:
         bench.expect_status(OK, CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
         number = client.number()
-        bench.check(number == 0, "nothing is buffered", f"{number} payloads are")
+        bench.check(number == 0, "nothing is buffered", f"{number} payloads are", shown=True)
         bench.wait(3)
         frames = client.frames(after=quiet_from)
-        bench.check(not frames, "nothing is sent", f"{len(frames)} beacons have payloads", frames=frames[:8])
+        bench.check(
+            not frames, "nothing is sent", f"{len(frames)} beacons have payloads", frames=frames[:8], shown=True
+        )
         payload, start = client.payload(), bench.mark()
         client.transmit(payload)
         bench.check(client.until_sent(payload), "a payload submitted afterwards is sent", "it is not")
         others = [each for each in client.sent(start) if each != payload]
-        bench.check(not others, "and nothing else is", f"{len(others)} older payloads are")
+        bench.check(not others, "and nothing else is", f"{len(others)} older payloads are", shown=True)
 
 
 @case(

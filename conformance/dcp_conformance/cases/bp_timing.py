@@ -204,7 +204,7 @@ def epoch_of_next_beacon(bench: Bench) -> None:
         bench.require(told, "indications", "there are none", "BP-PTI-01")
         epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
         numbers = [each - offset for each in epochs if isinstance(each, int)]
-        bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}")
+        bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}", shown=True)
         walls = [heard.wall for heard in frames]
         pairs = list(zip(numbers, walls[1:], strict=False))
         if len(pairs) < 8 or abs(len(told) - len(frames)) > 1:

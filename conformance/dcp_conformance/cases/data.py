@@ -64,13 +64,17 @@ def byte_order(bench: Bench) -> None:
         for path, width, right in checks:
             value = says.get(path)
             if value is not None and value != right and swapped(value, width) == right:
-                bench.fail(f"{path} is {right:#x}", f"it is {value:#x}: the octets are swapped", frames=[heard])
+                bench.fail(
+                    f"{path} is {right:#x}", f"it is {value:#x}: the octets are swapped", frames=[heard], shown=True
+                )
         ids = [value for path, value in says.items() if path.endswith(".protocolId")]
         odd = [value for value in ids if value > 0xFF and swapped(value, 2) in (1, 2)]
-        bench.require(not odd, "protocolId 1 or 2", f"{odd}: the octets are swapped", frames=[heard])
+        bench.require(not odd, "protocolId 1 or 2", f"{odd}: the octets are swapped", frames=[heard], shown=True)
     numbers = [heard.seqno for heard in frames if heard.seqno is not None]
     steps = {(after - before) % BP_SEQNO_MODULUS for before, after in itertools.pairwise(numbers)}
-    bench.check(1 << 24 not in steps, "seqno counts in its last octet", "it counts in its first", frames=frames[:2])
+    bench.check(
+        1 << 24 not in steps, "seqno counts in its last octet", "it counts in its first", frames=frames[:2], shown=True
+    )
     fields = [name for name, field in _integers(bench) if field != "big"]
     if fields:
         bench.info("Which integers does the profile send least significant octet first?", ", ".join(fields))
@@ -118,7 +122,13 @@ def order_of_creation_times(bench: Bench) -> None:
     passed = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
     expected = f"the variable created at {first + 1:#x} replaces that of {first:#x}"
-    bench.check(passed is not None and passed.upd.value == b"second", expected, "it does not", frames=found)
+    bench.check(
+        passed is not None and passed.upd.value == b"second",
+        expected,
+        "it does not",
+        frames=found,
+        shown=passed is not None,
+    )
 
 
 @case(
@@ -136,7 +146,7 @@ def own_creation_time(bench: Bench) -> None:
     record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.require(record is not None, "a VarCreate", "there is none in time", "VD-CRE-12")
     assert record is not None
-    bench.check(record.spec.timeout == 0x1234, "timeout 0x1234", f"{record.spec.timeout:#x}", "DATA-01")
+    bench.check(record.spec.timeout == 0x1234, "timeout 0x1234", f"{record.spec.timeout:#x}", "DATA-01", shown=True)
     check_time(bench, record.spec.creation_time, wall, "creationTime")
 
 
@@ -168,13 +178,15 @@ def check_time(bench: Bench, stamp: int, wall: int, name: str) -> None:
     day = 86_400 * 10**9
     if abs(told - wall) > day:
         what = "only the swapped octets are a time of today" if abs(turned - wall) <= day else "no time of today"
-        bench.check(False, f"{name} is a time of today", f"it is {stamp:#x}, {what}", "DATA-01", "DATA-05")
+        bench.check(False, f"{name} is a time of today", f"it is {stamp:#x}, {what}", "DATA-01", "DATA-05", shown=True)
         return
     bench.check(True, f"{name} is a time of today", "", "DATA-01")
     off, limit = (told - wall) / MS, bench.pixit.clock_tolerance_ms
     # It may have been taken at any time while the request was on its way.
     near = -limit <= off <= limit
-    bench.check(near, f"{name} is within {limit:g} ms of the tester's clock", f"it is {off:.1f} ms off", "DATA-05")
+    bench.check(
+        near, f"{name} is within {limit:g} ms of the tester's clock", f"it is {off:.1f} ms off", "DATA-05", shown=True
+    )
 
 
 # -- records -----------------------------------------------------------------------------------------------------------
@@ -202,10 +214,14 @@ def packed(bench: Bench) -> None:
         frames = some_beacons(bench, 10)
     broken = [heard for heard in frames if heard.beacon is None]
     said = f"{len(broken)} beacons cannot: {broken[0].problem}" if broken else ""
-    bench.check(not broken, "beacons that the profile can read", said, "DATA-02", "DATA-03", frames=broken[:4])
+    bench.check(
+        not broken, "beacons that the profile can read", said, "DATA-02", "DATA-03", frames=broken[:4], shown=True
+    )
     behind = [heard for heard in frames if heard.beacon is not None and _trailing(bench, heard)]
     octets = _trailing(bench, behind[0]).hex() if behind else ""
-    bench.check(not behind, "nothing behind the last block", f"{octets}", "UWB-04", "DATA-02", frames=behind[:4])
+    bench.check(
+        not behind, "nothing behind the last block", f"{octets}", "UWB-04", "DATA-02", frames=behind[:4], shown=True
+    )
     if any(isinstance(each, Opaque) for each in bench.profile.srp.record):
         what = "its state reports are images of a structure in memory: octets between the fields"
         bench.info("Where does the profile itself leave packed records?", what, "DATA-02")
@@ -255,7 +271,7 @@ def check_passed_on(bench: Bench, value: bytes, descr: bytes, *requirements: str
     assert record is not None
     same = record.upd.value == value and record.spec.descr == descr
     said = f"value {record.upd.value.hex()}, description {record.spec.descr.hex()}"
-    bench.check(same, f"value {value.hex()} and description {descr.hex()} as received", said, *requirements)
+    bench.check(same, f"value {value.hex()} and description {descr.hex()} as received", said, *requirements, shown=True)
 
 
 @case(
@@ -313,7 +329,14 @@ def length_of_text(bench: Bench) -> None:
     record: Any = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.require(record is not None, "a VarCreate of it", "there is none in time", "DATA-08")
     descr = record.spec.descr
-    bench.check(descr == text.encode(), f"{len(text.encode())} octets of UTF-8", f"{descr.hex()}", "DATA-07", "DATA-08")
+    bench.check(
+        descr == text.encode(),
+        f"{len(text.encode())} octets of UTF-8",
+        f"{descr.hex()}",
+        "DATA-07",
+        "DATA-08",
+        shown=True,
+    )
     # Fewer characters than the limit, but more octets.
     longer = "\u00e9" * (longest // 2 + 1)
     bench.expect_status(DESCRIPTION_TOO_LONG, CREATE, "DATA-08", **create_request(bench, other, descr=longer))
@@ -352,11 +375,11 @@ def broadcast(bench: Bench) -> None:
     if not frames:
         bench.inconclusive("Ethernet frames", "the link does not show them")
     other = [frame[:6].hex(":") for _, frame in frames if frame[:6] != b"\xff" * 6]
-    bench.check(not other, "frames to ff:ff:ff:ff:ff:ff", f"to {', '.join(sorted(set(other)))}", "UWB-01")
+    bench.check(not other, "frames to ff:ff:ff:ff:ff:ff", f"to {', '.join(sorted(set(other)))}", "UWB-01", shown=True)
     types = {int.from_bytes(frame[12:14], "big") for _, frame in frames}
     said = ", ".join(f"{each:#06x}" for each in sorted(types))
-    bench.check(len(types) == 1, "one type for all beacons", said, "UWB-02")
-    bench.check(min(types) >= ETHERTYPE_MIN, f"a type of at least {ETHERTYPE_MIN:#06x}", said, "BP-PAR-10")
+    bench.check(len(types) == 1, "one type for all beacons", said, "UWB-02", shown=True)
+    bench.check(min(types) >= ETHERTYPE_MIN, f"a type of at least {ETHERTYPE_MIN:#06x}", said, "BP-PAR-10", shown=True)
 
 
 @case(
@@ -397,5 +420,5 @@ def packet_size(bench: Bench) -> None:
     if not isinstance(told, int):
         bench.info("Does the implementation say how much the bearer carries?", "no", "UWB-03")
         told = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
-    bench.check(told >= UWB_MIN_MTU, f"{UWB_MIN_MTU} octets or more", f"{told}", "UWB-03")
-    bench.check(sizes[-1] <= told, f"beacons of at most {told} octets", f"one has {sizes[-1]}", "UWB-03")
+    bench.check(told >= UWB_MIN_MTU, f"{UWB_MIN_MTU} octets or more", f"{told}", "UWB-03", shown=True)
+    bench.check(sizes[-1] <= told, f"beacons of at most {told} octets", f"one has {sizes[-1]}", "UWB-03", shown=True)

@@ -44,9 +44,11 @@ def many_variables(bench: Bench) -> None:
     missing = sorted(everything - set(passed))
     bench.check(not missing, f"all {len(everything)} variables are passed on", f"not {missing[:8]}", "VD-PC-09")
     twice = sorted({each for each in passed if passed.count(each) > 1})
-    bench.check(not twice, "each in exactly one beacon", f"more of {twice[:8]}", "VD-SCP-02")
+    bench.check(not twice, "each in exactly one beacon", f"more of {twice[:8]}", "VD-SCP-02", shown=True)
     wrong = [each for each in found if each.record.upd.value != b"%d" % each.var_id]
-    bench.check(not wrong, "each with its own value", f"{len(wrong)} with another", "VD-PC-09", frames=wrong[:4])
+    bench.check(
+        not wrong, "each with its own value", f"{len(wrong)} with another", "VD-PC-09", frames=wrong[:4], shown=True
+    )
     if summarises(bench):
         return
     start = bench.mark()
@@ -89,8 +91,8 @@ def many_updates(bench: Bench) -> None:
         if len(numbers) != len(set(numbers)):
             twice.append(name)
     bench.check(not behind, "the last VarUpdate of each variable", f"not of {behind[:8]}", "VD-PU-07")
-    bench.check(not back, "numbers that never go back", f"they do for {back[:8]}", "VD-PU-07")
-    bench.check(not twice, "each number in one beacon (repCnt 1)", f"more for {twice[:8]}", "VD-SCP-02")
+    bench.check(not back, "numbers that never go back", f"they do for {back[:8]}", "VD-PU-07", shown=True)
+    bench.check(not twice, "each number in one beacon (repCnt 1)", f"more for {twice[:8]}", "VD-SCP-02", shown=True)
 
 
 def _ask_create(peer: Peer, name: int) -> VardisRecord:
@@ -136,7 +138,7 @@ def storm(bench: Bench, variant: tuple[Callable[[Peer, int], VardisRecord], ICTy
     text = f"{len(found)}"
     bench.check(count <= len(found) <= count + 1, f"{count} answers", text, rule, frames=found[:16])
     beacons = {id(each.heard) for each in found}
-    bench.check(len(beacons) == len(found), "each in a beacon of its own", f"{len(beacons)} beacons", rule)
+    bench.check(len(beacons) == len(found), "each in a beacon of its own", f"{len(beacons)} beacons", rule, shown=True)
 
 
 @case(
@@ -172,7 +174,9 @@ def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
     if what == "request" and not bench.features.rerequest_unknown:
         bench.require_alive("requests for an unknown variable", rule)
         found = bench.instructions(kind, name, mark)
-        bench.check(not found, "no request: 1.0 ignores requests for unknown variables", f"{len(found)} came", rule)
+        bench.check(
+            not found, "no request: 1.0 ignores requests for unknown variables", f"{len(found)} came", rule, shown=True
+        )
         return
     bench.require(bench.until_instruction(kind, name), "a request", "none", rule)
     found = bench.repeated(kind, name, mark)

@@ -32,7 +32,7 @@ def mutual_requests(bench: Bench) -> None:
     if not bench.features.rerequest_unknown:
         bench.require_alive("a request for an unknown variable")
         found = bench.instructions(_ASK_CREATE, name, mark)
-        bench.check(not found, "no request: 1.0 ignores it", f"{len(found)} came", frames=found[:4])
+        bench.check(not found, "no request: 1.0 ignores it", f"{len(found)} came", frames=found[:4], shown=True)
         bench.reading("X29", "nothing")
         bench.reading("H1", "does not arise in 1.0")
         return
@@ -67,7 +67,9 @@ def forgotten_variable(bench: Bench) -> None:
     bench.check(rounds == 3, "a request for each summary", f"{rounds} of 3", "VD-PS-01")
     bench.require_alive("a VarCreate with its own identifier", "VD-PC-03")
     found = bench.instructions(_CREATE, name, mark)
-    bench.check(not found, "a VarCreate with the own identifier is ignored", f"{len(found)} passed on", "VD-PC-03")
+    bench.check(
+        not found, "a VarCreate with the own identifier is ignored", f"{len(found)} passed on", "VD-PC-03", shown=True
+    )
     again = "again with each summary" if rounds == 3 else f"{rounds} times"
     bench.reading("H2", f"a forgotten variable is requested {again}, and what comes is ignored")
 
@@ -101,7 +103,9 @@ def split(bench: Bench) -> None:
     source.send(source.summary(name, 2))
     bench.require_alive("a summary of a deleted variable", "VD-PS-02")
     trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, name)]
-    bench.check(not trace, "no reaction to what the producer says", f"{len(trace)} records", frames=trace[:4])
+    bench.check(
+        not trace, "no reaction to what the producer says", f"{len(trace)} records", frames=trace[:4], shown=True
+    )
     source.send(create)
     check_deleted(bench, name, "VD-PC-01")
     source.send(source.create(name, rep_cnt=count))
@@ -157,7 +161,9 @@ def clock_ahead(bench: Bench) -> None:
     bench.require_alive("a VarCreate with an older creationTime")
     record = held(bench, name)
     state = None if record is None else record.upd.value
-    bench.check(record == ahead, "the creation with the time in the future stays", f"{state!r}")
+    bench.check(
+        record == ahead, "the creation with the time in the future stays", f"{state!r}", shown=record is not None
+    )
     bench.reading("H5", "later creations with the right time are ignored")
     wrong.send(wrong.delete(name))
 
@@ -179,12 +185,14 @@ def starts_again(bench: Bench) -> None:
     bench.require_alive("a second VarCreate", "VD-SCP-03")
     found = bench.instructions(_CREATE, name, mark)
     what = "the VarCreate of a known variable is ignored"
-    bench.check(not found, what, f"{len(found)} came", "VD-SCP-03", frames=found)
+    bench.check(not found, what, f"{len(found)} came", "VD-SCP-03", frames=found, shown=True)
     mark = bench.mark()
     source.send(source.update(name, 1, b"again"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-06")
     numbers = {each.record.seqno for each in found}
-    bench.check(numbers == {50}, "the stored value with number 50", f"{numbers}", "VD-PU-06", frames=found)
+    bench.check(
+        numbers == {50}, "the stored value with number 50", f"{numbers}", "VD-PU-06", frames=found, shown=numbers - {50}
+    )
     bench.reading("H6", "the producer's values are ignored until its number passes 50")
 
 
@@ -207,7 +215,7 @@ def missed_creation(bench: Bench) -> None:
     other.send(other.summary(name, 3))
     bench.require_alive("a summary with the number that it has", "VD-PS-02")
     found = bench.instructions(_UPDATE, name, quiet)
-    bench.check(not found, "nothing in answer to the number that it has", f"{len(found)} came", "VD-PS-02")
+    bench.check(not found, "nothing in answer to the number that it has", f"{len(found)} came", "VD-PS-02", shown=True)
     asked = bench.instructions(_ASK_CREATE, name, mark)
     bench.reading("H7", "asks for the VarCreate" if asked else "keeps the first creation and does not ask")
 
@@ -256,5 +264,7 @@ def far_behind(bench: Bench) -> None:
         source.send(record)
         found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
         values = {each.record.value for each in found}
-        bench.check(values == {b"stale"}, "the stored value", f"{values}", requirement, frames=found)
+        bench.check(
+            values == {b"stale"}, "the stored value", f"{values}", requirement, frames=found, shown=values - {b"stale"}
+        )
     bench.reading("H9", "sends its stale value and stays behind")

@@ -48,7 +48,7 @@ def learns(bench: Bench, by: ICType) -> None:
 
 def _check_content(bench: Bench, records: list[VarCreate], create: VarCreate) -> None:
     other = next((each for each in records if each != create), None)
-    bench.check(other is None, f"the VarCreate as it was sent: {create}", f"{other}", "VD-PC-07")
+    bench.check(other is None, f"the VarCreate as it was sent: {create}", f"{other}", "VD-PC-07", shown=True)
 
 
 def _check_summarised(bench: Bench, name: int, number: int) -> None:
@@ -57,7 +57,7 @@ def _check_summarised(bench: Bench, name: int, number: int) -> None:
     found = bench.until_instruction(_SUMMARY, name, 12)
     bench.check(found is not None, f"summaries of variable {name}", "none in 12 periods", "VD-PC-09")
     if found is not None:
-        bench.check(found.seqno == number, f"a summary with number {number}", f"{found.seqno}", "VD-PC-07")
+        bench.check(found.seqno == number, f"a summary with number {number}", f"{found.seqno}", "VD-PC-07", shown=True)
 
 
 @case(
@@ -76,12 +76,12 @@ def catches_up(bench: Bench) -> None:
     asked = bench.until_instruction(_ASK_UPDATE, name)
     if asked is None:
         bench.fail("a request for the newer value", "none", "VD-PS-04")
-    bench.check(asked.seqno == 2, "the number that it has, 2", f"{asked.seqno}", "VD-CMP-11")
+    bench.check(asked.seqno == 2, "the number that it has, 2", f"{asked.seqno}", "VD-CMP-11", shown=True)
     peer.send(peer.update(name, 7, b"seven"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
     wrong = [each for each in found if each.record != VarUpdate(name, 7, b"seven")]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the VarUpdate as it was sent", text, "VD-PU-07", frames=wrong)
+    bench.check(not wrong, "the VarUpdate as it was sent", text, "VD-PU-07", frames=wrong, shown=True)
     bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
 
 
@@ -128,7 +128,7 @@ def teaches_update(bench: Bench) -> None:
     found = bench.check_repeated(_UPDATE, name, count, mark)
     wrong = [each for each in found if each.record != VarUpdate(name, 5, b"five")]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the value that it has, with number 5", text, frames=wrong)
+    bench.check(not wrong, "the value that it has, with number 5", text, frames=wrong, shown=True)
 
 
 @case(
@@ -150,12 +150,14 @@ def teaches_stale(bench: Bench, by: ICType) -> None:
     found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
     wrong = [each for each in found if each.record != VarUpdate(name, 9, b"nine")]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the newer value with number 9", text, requirement, frames=wrong)
+    bench.check(not wrong, "the newer value with number 9", text, requirement, frames=wrong, shown=True)
     mark = bench.mark()
     stale.send(stale.summary(name, 9))
     bench.require_alive("a summary with the stored number", requirement)
     late = bench.instructions(_UPDATE, name, mark)
-    bench.check(not late, "silence once the peer has caught up", f"{len(late)} VarUpdates", requirement, frames=late)
+    bench.check(
+        not late, "silence once the peer has caught up", f"{len(late)} VarUpdates", requirement, frames=late, shown=True
+    )
 
 
 class _Joiner:
@@ -259,7 +261,7 @@ def taught_by_producer(bench: Bench) -> None:
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, b"\x01\x02")]
     text = f"{wrong[0].record.upd}" if wrong else ""
-    bench.check(not wrong, "the current value with number 1", text, "VD-CMP-07", frames=wrong)
+    bench.check(not wrong, "the current value with number 1", text, "VD-CMP-07", frames=wrong, shown=True)
     mark = bench.mark()
     stale.send(stale.request_update(name, 0))
     bench.check_repeated(_UPDATE, name, count, mark, "VD-RU-04")

@@ -38,13 +38,13 @@ def never_forwarded(bench: Bench) -> None:
     bench.beacons(4, bench.reaction)
     for heard in bench.heard[mark:]:
         if any(octets in heard.octets for octets in foreign):
-            bench.fail("no beacon contains a received record", "one does", frames=[heard])
+            bench.fail("no beacon contains a received record", "one does", frames=[heard], shown=True)
         own = heard.sender or bench.sut_id
         senders = [
             bench.codec.decode_report(block).node_id for block in srp_blocks(bench, heard) if _whole(bench, block)
         ]
         if any(node_id != own for node_id in senders):
-            bench.fail("no record of another node", f"nodeId is {senders[0].hex(':')}", frames=[heard])
+            bench.fail("no record of another node", f"nodeId is {senders[0].hex(':')}", frames=[heard], shown=True)
     heard_any = len(bench.heard) > mark
     if not heard_any:
         bench.info("beacons after the records", "none came: the implementation has nothing to say")

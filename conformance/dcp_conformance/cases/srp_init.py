@@ -48,7 +48,9 @@ def name(bench: Bench) -> None:
 )
 def size(bench: Bench) -> None:
     octets, shown = report_octets(bench), _registration(bench).get("maxPayloadSize")
-    bench.check(isinstance(shown, int) and shown >= octets, f"maxPayloadSize is at least {octets}", f"it is {shown}")
+    bench.check(
+        isinstance(shown, int) and shown >= octets, f"maxPayloadSize is at least {octets}", f"it is {shown}", shown=True
+    )
 
 
 @case(
@@ -61,7 +63,7 @@ def size(bench: Bench) -> None:
 )
 def mode(bench: Bench) -> None:
     expected, shown = bench.features.srp_queueing_mode, str(_registration(bench).get("queueMode"))
-    bench.check(shown.replace("-", "_") == expected, f"queueMode is {expected}", f"it is {shown}")
+    bench.check(shown.replace("-", "_") == expected, f"queueMode is {expected}", f"it is {shown}", shown=True)
 
 
 def _fresh_start(bench: Bench, restart: bool) -> None:
@@ -76,7 +78,9 @@ def _fresh_start(bench: Bench, restart: bool) -> None:
     else:
         bench.must("UT-Reset")
     gone = peer.node_id not in neighbours(bench)
-    bench.check(gone, "the neighbour table does not have those from before", f"{peer.node_id.hex(':')} is in it")
+    bench.check(
+        gone, "the neighbour table does not have those from before", f"{peer.node_id.hex(':')} is in it", shown=True
+    )
     values = safety_data(bench, 3)
     bench.must("SRP-UpdateSafetyData", sData=values)
     heard = bench.until(lambda heard: heard.report and told(bench, heard.report) == values and heard)
@@ -89,6 +93,7 @@ def _fresh_start(bench: Bench, restart: bool) -> None:
         "SRP-INI-05",
         "SRP-SEQ-01",
         frames=[heard],
+        shown=True,
     )
 
 
@@ -154,14 +159,16 @@ def not_registered(bench: Bench) -> None:
             return
         if answer.code is not None:
             bench.reading("X10", "no-response")
-            bench.check(answer.code == NO_RESPONSE, "SRP-STATUS-INACTIVE, or -32002 for no response", str(answer))
+            bench.check(
+                answer.code == NO_RESPONSE, "SRP-STATUS-INACTIVE, or -32002 for no response", str(answer), shown=True
+            )
         else:
             bench.reading("X10", "confirm-inactive")
             inactive = answer.status.replace("_", "-") == "SRP-STATUS-INACTIVE"
-            bench.check(inactive, "SRP-UpdateSafetyData answers SRP-STATUS-INACTIVE", str(answer))
+            bench.check(inactive, "SRP-UpdateSafetyData answers SRP-STATUS-INACTIVE", str(answer), shown=True)
         bench.beacons(3, 3)
         frames = [heard for heard in bench.heard[mark:] if heard.report is not None]
-        bench.check(not frames, "no state report is sent", f"{len(frames)} are", frames=frames)
+        bench.check(not frames, "no state report is sent", f"{len(frames)} are", frames=frames, shown=True)
     finally:
         if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
             bench.call("UT-Reset")

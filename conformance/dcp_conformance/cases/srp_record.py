@@ -74,13 +74,21 @@ def one_record(bench: Bench) -> None:
                 "SRP-FMT-01",
                 "SRP-TYP-02",
                 frames=[heard],
+                shown=True,
             )
         own = heard.sender or bench.sut_id
         for block in blocks:
             node_id = bench.codec.decode_report(block).node_id
             if node_id != own:
                 observed = f"nodeId is {node_id.hex(':')}, the sender {own.hex(':')}"
-                bench.fail("nodeId is the sender's identifier", observed, "SRP-TYP-04", "SRP-INI-06", frames=[heard])
+                bench.fail(
+                    "nodeId is the sender's identifier",
+                    observed,
+                    "SRP-TYP-04",
+                    "SRP-INI-06",
+                    frames=[heard],
+                    shown=True,
+                )
     if not seen:
         bench.inconclusive(
             "the implementation sends state reports", "none was heard ([pics] srp = false if it has no SRP)"
@@ -109,7 +117,11 @@ def values_arrive(bench: Bench) -> None:
     second = _sent(bench, 2).report
     step = -1 if second is None else (second.seqno - heard.report.seqno) % SRP_SEQNO_MODULUS
     bench.check(
-        0 < step < 1 << 16, "seqno is a number of 32 bits that grows slowly", f"it grows by {step}", "SRP-TYP-01"
+        0 < step < 1 << 16,
+        "seqno is a number of 32 bits that grows slowly",
+        f"it grows by {step}",
+        "SRP-TYP-01",
+        shown=True,
     )
 
 
@@ -190,6 +202,7 @@ def newest_only(bench: Bench) -> None:
         "no older safety data are sent any more",
         f"{len(late)} beacons have older ones",
         frames=late,
+        shown=True,
     )
 
 
@@ -205,9 +218,9 @@ def newest_only(bench: Bench) -> None:
 def sequence_numbers(bench: Bench) -> None:
     frames = [_sent(bench, number) for number in range(5)]
     numbers = [heard.report.seqno for heard in frames if heard.report is not None]
-    bench.check(len(set(numbers)) == 5, "five different numbers", f"{numbers}", "SRP-TYP-06", frames=frames)
+    bench.check(len(set(numbers)) == 5, "five different numbers", f"{numbers}", "SRP-TYP-06", frames=frames, shown=True)
     wanted = [(numbers[0] + step) % SRP_SEQNO_MODULUS for step in range(5)]
-    bench.check(numbers == wanted, f"the numbers {wanted}", f"{numbers}", "SRP-SEQ-01", frames=frames)
+    bench.check(numbers == wanted, f"the numbers {wanted}", f"{numbers}", "SRP-SEQ-01", frames=frames, shown=True)
 
 
 @case(
@@ -236,6 +249,7 @@ def once(bench: Bench) -> None:
             f"the record of hand-down {number} is in one beacon",
             f"it is in {len(frames)}",
             frames=frames,
+            shown=len(frames) > 1,
         )
 
 
@@ -260,6 +274,7 @@ def repeated(bench: Bench) -> None:
             f"four beacons repeat the record of hand-down {number}, its tStamp and seqno too",
             f"{len(other)} of them do not",
             frames=other,
+            shown=True,
         )
 
 
@@ -279,5 +294,9 @@ def repeated_time_stamp(bench: Bench) -> None:
     frames = [heard for heard in _reports(bench, mark) if told(bench, heard.report) == values]
     stamps = {(heard.report.t_stamp, heard.report.seqno) for heard in frames if heard.report is not None}
     bench.check(
-        len(stamps) == 1, "one pair of tStamp and seqno in all repetitions", f"{len(stamps)} of them", frames=frames
+        len(stamps) == 1,
+        "one pair of tStamp and seqno in all repetitions",
+        f"{len(stamps)} of them",
+        frames=frames,
+        shown=True,
     )

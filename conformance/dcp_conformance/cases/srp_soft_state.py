@@ -119,6 +119,6 @@ def default_timeout(bench: Bench) -> None:
     values = bench.must("SRP-GetParameters").result.get("parameters", {})
     value = values.get(_TIMEOUT)
     if value == 3000 or value is None:
-        bench.check(value is not None, f"{_TIMEOUT} is told in ms", "it is not there")
+        bench.check(value is not None, f"{_TIMEOUT} is told in ms", "it is not there", shown=True)
     else:
         bench.info(f"{_TIMEOUT}, by default 3000 ms", f"{value} ms")

@@ -52,15 +52,21 @@ def stored(bench: Bench) -> None:
         bench.fail("the table has an entry of the record's node", "it has none")
     came = bench.lower.wall()
     observed = {name: entry.get("sData", {}).get(name) for name in values}
-    bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03")
-    bench.check(entry.get("seqno") == 77, "seqno 77", f"{entry.get('seqno')}", "SRP-RX-03")
+    bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
+    bench.check(entry.get("seqno") == 77, "seqno 77", f"{entry.get('seqno')}", "SRP-RX-03", shown=True)
     bench.check(
-        entry.get("tStamp") == report.t_stamp, f"tStamp {report.t_stamp}", f"{entry.get('tStamp')}", "SRP-RX-03"
+        entry.get("tStamp") == report.t_stamp,
+        f"tStamp {report.t_stamp}",
+        f"{entry.get('tStamp')}",
+        "SRP-RX-03",
+        shown=True,
     )
     time, slack = entry.get("receptionTime"), bench.pixit.clock_tolerance_ms * MS
     near = isinstance(time, int) and sent - slack <= time <= came + slack
-    bench.check(near, f"receptionTime within {slack / 1e6:.0f} ms of the tester's clock", f"{time}", "SRP-RX-03")
-    bench.check(len(neighbours(bench)[peer.node_id]) == 1, "one entry of the node", "several", "SRP-NT-01")
+    bench.check(
+        near, f"receptionTime within {slack / 1e6:.0f} ms of the tester's clock", f"{time}", "SRP-RX-03", shown=True
+    )
+    bench.check(len(neighbours(bench)[peer.node_id]) == 1, "one entry of the node", "several", "SRP-NT-01", shown=True)
 
 
 @case(
@@ -84,11 +90,13 @@ def replaced(bench: Bench) -> None:
     if second is None:
         bench.fail("the entry is that of the second record", "it is still the first", "SRP-RX-03")
     observed = {name: second.get("sData", {}).get(name) for name in values}
-    bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03")
+    bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
     later = second.get("receptionTime", 0) - first.get("receptionTime", 0)
-    bench.check(later >= bench.period, "receptionTime is renewed", f"it is {later / 1e6:.0f} ms later", "SRP-RX-03")
+    bench.check(
+        later >= bench.period, "receptionTime is renewed", f"it is {later / 1e6:.0f} ms later", "SRP-RX-03", shown=True
+    )
     same = neighbours(bench).get(peer.node_id, [])
-    bench.check(len(same) == 1, "one entry of the node", f"{len(same)}", "SRP-NT-01")
+    bench.check(len(same) == 1, "one entry of the node", f"{len(same)}", "SRP-NT-01", shown=True)
 
 
 @case(
@@ -115,7 +123,10 @@ def not_newer(bench: Bench, seqno: int) -> None:
     claimed = bench.pics.srp_seqno_filter
     if claimed is not None and (seqno < 100 or taken):
         bench.check(
-            claimed != taken, f"the PICS says srp_seqno_filter = {str(claimed).lower()}", "it behaves otherwise"
+            claimed != taken,
+            f"the PICS says srp_seqno_filter = {str(claimed).lower()}",
+            "it behaves otherwise",
+            shown=taken,
         )
 
 
@@ -131,7 +142,7 @@ def key(bench: Bench) -> None:
     peer, other = bench.peer(), bench.node_id()
     peer.send(bench.report(other, 1))
     bench.check(until_neighbour(bench, other) is not None, "an entry of the record's node", "there is none")
-    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "there is one")
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "there is one", shown=True)
 
 
 @case(
@@ -148,7 +159,12 @@ def wide_numbers(bench: Bench) -> None:
         peer.send(bench.report(peer.node_id, number))
         entry = until_neighbour(bench, peer.node_id)
         observed = "no entry" if entry is None else f"seqno {entry.get('seqno')}"
-        bench.check(entry is not None and entry.get("seqno") == number, f"an entry with seqno {number}", observed)
+        bench.check(
+            entry is not None and entry.get("seqno") == number,
+            f"an entry with seqno {number}",
+            observed,
+            shown=entry is not None,
+        )
 
 
 def _block(bench: Bench, peer: Peer, name: str) -> Block:
@@ -179,11 +195,13 @@ def wrong_length(bench: Bench, name: str) -> None:
     peer.send(_block(bench, peer, name))
     _require_working(bench, "a payload of a wrong length")
     table = set(neighbours(bench))
-    bench.check(peer.node_id not in table, "no entry of the payload's node", "there is one")
+    bench.check(peer.node_id not in table, "no entry of the payload's node", "there is one", shown=True)
     # Nobody else was there to speak: anything else was read out of the payload.
     others = table - before - {each.node_id for each in bench.peers_made}
     if not any(event.direction == "other" for event in bench.traffic.events):
-        bench.check(not others, "no entry of a node that nobody is", f"{[each.hex(':') for each in others]}")
+        bench.check(
+            not others, "no entry of a node that nobody is", f"{[each.hex(':') for each in others]}", shown=True
+        )
 
 
 @case(
@@ -198,7 +216,7 @@ def wrong_protocol(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(Block(3, bench.forge.srp(bench.report(peer.node_id, 1)).octets))
     _require_working(bench, "a record in a block of another protocol")
-    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "there is one")
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "there is one", shown=True)
 
 
 @case(
@@ -213,7 +231,9 @@ def own_identifier(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(bench.report(bench.sut_id, 1))
     _require_working(bench, "a record with its own identifier")
-    bench.check(neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does")
+    bench.check(
+        neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does", shown=True
+    )
 
 
 @case(
@@ -239,6 +259,7 @@ def list_and_look_up(bench: Bench) -> None:
             f"looking up {node_id.hex(':')} gives {len(expected)} entries",
             f"{len(found)}: {[row.get('nodeId') for row in found]}",
             "SRP-NT-01",
+            shown=numbers,
         )
 
 
@@ -253,7 +274,9 @@ def list_and_look_up(bench: Bench) -> None:
 def own_data(bench: Bench) -> None:
     bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
     _require_working(bench, "a hand-down of safety data")
-    bench.check(neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does")
+    bench.check(
+        neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does", shown=True
+    )
 
 
 @case(
@@ -274,4 +297,6 @@ def extra_fields(bench: Bench) -> None:
     bench.info("fields of the neighbour table beside those of the specification", ", ".join(extra) or "none")
     claimed = bench.pics.neighbour_statistics
     if claimed is not None:
-        bench.check(bool(extra) == claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}", f"{extra}")
+        bench.check(
+            bool(extra) == claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}", f"{extra}", shown=True
+        )

@@ -66,12 +66,23 @@ def announced(bench: Bench) -> None:
         ("descr", b"speed of wind", spec.descr.removesuffix(b"\0"), "VD-CRE-10"),
         ("varId of the update", var_id, upd.var_id, "VD-CRE-10"),
     ):
-        bench.check(observed == expected, f"{name} is {expected!r}", f"{observed!r}", requirement, frames=frames[:1])
+        bench.check(
+            observed == expected, f"{name} is {expected!r}", f"{observed!r}", requirement, frames=frames[:1], shown=True
+        )
     if spec.timeout is not None:
-        bench.check(spec.timeout == timeout, f"timeout is {timeout}", f"{spec.timeout}", "VD-CRE-10", frames=frames[:1])
+        bench.check(
+            spec.timeout == timeout,
+            f"timeout is {timeout}",
+            f"{spec.timeout}",
+            "VD-CRE-10",
+            frames=frames[:1],
+            shown=True,
+        )
     own = record_sender(bench)
     named = ("VD-CRE-08", "VD-INI-05") if bench.features.producer_set_by_vardis else ("VD-INI-05",)
-    bench.check(spec.prod_id == own, f"prodId is {own.hex(':')}", spec.prod_id.hex(":"), *named, frames=frames[:1])
+    bench.check(
+        spec.prod_id == own, f"prodId is {own.hex(':')}", spec.prod_id.hex(":"), *named, frames=frames[:1], shown=True
+    )
 
 
 def record_sender(bench: Bench) -> bytes:
@@ -117,9 +128,15 @@ def repetitions(bench: Bench, name: str) -> None:
     count = count_of(bench, name)
     var_id = produced(bench, rep_cnt=count)
     frames = bench.until_quiet(lambda heard: heard.instructions(_V, var_id))
-    bench.check(len(frames) == count, f"{count} beacons carry the VarCreate", f"{len(frames)} do", frames=frames)
+    bench.check(
+        len(frames) == count,
+        f"{count} beacons carry the VarCreate",
+        f"{len(frames)} do",
+        frames=frames,
+        shown=len(frames) > count,
+    )
     twice = [heard for heard in frames if len(heard.instructions(_V, var_id)) > 1]
-    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice)
+    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice, shown=True)
 
 
 @case(
@@ -138,7 +155,7 @@ def summarized(bench: Bench) -> None:
     record = bench.until_instruction(ICType.SUMMARIES, var_id, 2 * bench.reaction)
     if record is None:
         bench.fail("a summary of the variable is sent", "none is")
-    bench.check(record.seqno == 0, "its seqno is 0", f"{record.seqno}")
+    bench.check(record.seqno == 0, "its seqno is 0", f"{record.seqno}", shown=True)
 
 
 @case(
@@ -154,7 +171,7 @@ def entry(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count)
     found = entry_of(bench, var_id)
     if found is None:
-        bench.fail("the variable is there when the request is confirmed", "it is not", "VD-CRE-14")
+        bench.fail("the variable is there when the request is confirmed", "it is not", "VD-CRE-14", shown=True)
     bench.check(True, "the variable is there when the request is confirmed", "", "VD-CRE-14")
     for name, values in (
         ("seqno", (0,)),
@@ -166,10 +183,12 @@ def entry(bench: Bench) -> None:
         if name in found:
             observed = found[name]
             expected = f"from {values[0]} to {values[-1]}" if len(values) > 1 else f"{values[0]}"
-            bench.check(observed in values, f"{name} is {expected}", f"it is {observed}", "VD-CRE-10")
+            bench.check(observed in values, f"{name} is {expected}", f"it is {observed}", "VD-CRE-10", shown=True)
     stamp, slack = found.get("tStamp"), bench.pixit.clock_tolerance_ms * MS
     near = stamp is None or before - slack <= stamp <= bench.lower.wall() + slack
-    bench.check(near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}", "VD-CRE-10")
+    bench.check(
+        near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}", "VD-CRE-10", shown=True
+    )
 
 
 @case(
@@ -186,12 +205,14 @@ def producer(bench: Bench) -> None:
     if answer.code is not None:
         bench.info("prodId as a parameter of RTDB-Create", f"refused: {answer}")
         return
-    bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer))
+    bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer), shown=True)
     record = bench.until_instruction(_V, var_id)
     if record is None:
         bench.fail("a VarCreate of the variable is sent", "none is")
     shown, own = record.spec.prod_id, record_sender(bench)
-    bench.check(shown == own, f"prodId is {own.hex(':')}", shown.hex(":"), frames=bench.instructions(_V, var_id)[:1])
+    bench.check(
+        shown == own, f"prodId is {own.hex(':')}", shown.hex(":"), frames=bench.instructions(_V, var_id)[:1], shown=True
+    )
 
 
 # -- limits ------------------------------------------------------------------------------------------------------------
@@ -205,7 +226,7 @@ def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None
         # Beyond what the field can hold there is nothing that VarDis could be asked.
         bench.info(f"a request that the profile cannot express, in place of {status}", str(answer), requirement)
     else:
-        bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer), requirement)
+        bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer), requirement, shown=True)
     bench.expect_status(UNKNOWN, "RTDB-Read", requirement, varId=var_id)
 
 
@@ -322,7 +343,7 @@ def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]])
     if answer.code == NOT_EXPRESSIBLE:
         bench.info("a request that the profile cannot express", str(answer))
         return
-    bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer))
+    bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer), shown=True)
 
 
 @case(
@@ -341,7 +362,7 @@ def empty_description(bench: Bench) -> None:
     claimed = bench.pics.empty_description
     if claimed is not None:
         said = f"the PICS says empty_description = {str(claimed).lower()}"
-        bench.check(claimed == answer.ok, said, f"RTDB-Create answers {answer}")
+        bench.check(claimed == answer.ok, said, f"RTDB-Create answers {answer}", shown=True)
     if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
         # Neighbours that hear its summaries would request it for ever.
         bench.call("RTDB-Delete", varId=var_id)

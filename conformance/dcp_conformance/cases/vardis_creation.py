@@ -80,7 +80,7 @@ def unchanged(bench: Bench, make: _Make) -> None:
     came = bench.until(lambda heard: heard.instructions(CREATES, var_id)) or []
     bench.require(came, "the VarCreate is passed on", "it is not")
     same = octets in came[0].heard.octets
-    bench.check(same, f"with the octets {octets.hex()}", f"{came[0].record}", frames=came)
+    bench.check(same, f"with the octets {octets.hex()}", f"{came[0].record}", frames=came, shown=True)
 
 
 # -- creations and creationTime ----------------------------------------------------------------------------------------
@@ -107,12 +107,16 @@ def replaced(bench: Bench) -> None:
     other.send(second)
     found = bench.check_repeated(CREATES, var_id, count, since)
     wrong = [each for each in found if each.record != second]
-    bench.check(not wrong, "it is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    bench.check(not wrong, "it is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
     _held(bench, var_id, second, "it is stored with all of its contents", "VD-PC-07")
     summary = bench.until_instruction(ICType.SUMMARIES, var_id)
     if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
         bench.check(
-            summary is not None and summary.seqno == 3, "summaries carry its number 3", f"{summary}", "VD-PC-07"
+            summary is not None and summary.seqno == 3,
+            "summaries carry its number 3",
+            f"{summary}",
+            "VD-PC-07",
+            shown=summary is not None,
         )
 
 
@@ -143,7 +147,7 @@ def not_replaced(bench: Bench, offset: _Offset) -> None:
     bench.require_alive("the VarCreate")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since)
-    bench.check(not found, "nothing is repeated", f"{named(found)} came", frames=found)
+    bench.check(not found, "nothing is repeated", f"{named(found)} came", frames=found, shown=True)
     _held(bench, var_id, first, "the first one stays stored")
 
 
@@ -197,7 +201,9 @@ def together(bench: Bench, descending: bool) -> None:
     since = bench.mark()
     peer.send(*(reversed(records) if descending else records))
     found = bench.check_repeated(CREATES, var_id, 1, since)
-    bench.check(all(each.record == later for each in found), "the later one is repeated", "the other", frames=found)
+    bench.check(
+        all(each.record == later for each in found), "the later one is repeated", "the other", frames=found, shown=True
+    )
     _held(bench, var_id, later, "the later one is stored")
 
 
@@ -226,10 +232,15 @@ def revived(bench: Bench) -> None:
         peer.send(what)
         found = bench.check_repeated(kind, var_id, 1, since)
         wrong = [each for each in found if each.record != what]
-        bench.check(not wrong, f"the {kind.label} record is repeated as it came", f"{what}", frames=wrong)
+        bench.check(not wrong, f"the {kind.label} record is repeated as it came", f"{what}", frames=wrong, shown=True)
         if kind is CREATES and bench.parameter("VARDISPAR_MAX_SUMMARIES"):
             summary = bench.until_instruction(ICType.SUMMARIES, var_id)
-            bench.check(summary is not None and summary.seqno == 0, "it is summarised with number 0", f"{summary}")
+            bench.check(
+                summary is not None and summary.seqno == 0,
+                "it is summarised with number 0",
+                f"{summary}",
+                shown=summary is not None,
+            )
 
 
 # -- records that are not taken ----------------------------------------------------------------------------------------
@@ -253,7 +264,7 @@ def own_producer(bench: Bench) -> None:
     bench.require_alive("the VarCreate")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since, set(ICType) - {ICType.REQUEST_VARCREATES})
-    bench.check(not found, "the VarCreate is ignored", f"{named(found)} came", frames=found)
+    bench.check(not found, "the VarCreate is ignored", f"{named(found)} came", frames=found, shown=True)
     peer.send(peer.summary(var_id, 1))
     again = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
     bench.check(again, "the variable is still unknown, and requested again", "it is not requested")
@@ -278,7 +289,9 @@ def two_identifiers(bench: Bench) -> None:
     taken = bench.instructions(CREATES, spec, since)
     bench.reading("X14", "ignore-update-id" if taken else "drop-mismatch")
     wrong = traces(bench, upd, since, set(ICType) - {ICType.REQUEST_VARCREATES})
-    bench.check(not wrong, "the variable of the update does not become known", f"{named(wrong)} came", frames=wrong)
+    bench.check(
+        not wrong, "the variable of the update does not become known", f"{named(wrong)} came", frames=wrong, shown=True
+    )
 
 
 @case(
@@ -299,5 +312,5 @@ def known_in_1_x(bench: Bench) -> None:
     bench.require_alive("the VarCreates")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since)
-    bench.check(not found, "nothing is repeated", f"{named(found)} came", frames=found)
+    bench.check(not found, "nothing is repeated", f"{named(found)} came", frames=found, shown=True)
     _held(bench, var_id, first, "the first one stays stored")

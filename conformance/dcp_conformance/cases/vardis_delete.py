@@ -51,9 +51,15 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     bench.expect_status(OK, "RTDB-Delete", varId=var_id)
     done = bench.mark()
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
-    bench.check(len(frames) == count, f"{count} beacons carry the VarDelete", f"{len(frames)} do", frames=frames)
+    bench.check(
+        len(frames) == count,
+        f"{count} beacons carry the VarDelete",
+        f"{len(frames)} do",
+        frames=frames,
+        shown=len(frames) > count,
+    )
     twice = [heard for heard in frames if len(heard.instructions(_D, var_id)) > 1]
-    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice)
+    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice, shown=True)
     # What was prepared before the request may still leave.
     for kind in _OTHERS:
         others = bench.frames_with(kind, var_id, done)
@@ -63,6 +69,7 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
             f"no {kind.label} record of the variable but in a beacon prepared before",
             f"{len(others)} beacons, {len(late)} of them with or after the first VarDelete",
             frames=others,
+            shown=True,
         )
 
 
@@ -100,7 +107,7 @@ def entry(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     found = entry_of(bench, var_id)
     if found is None:
-        bench.fail("the variable is still described", "it is not")
+        bench.fail("the variable is still described", "it is not", shown=True)
     for name, low, high in (
         ("isDeleted", True, True),
         ("countDelete", count - 2, count),
@@ -108,7 +115,9 @@ def entry(bench: Bench) -> None:
         ("countUpdate", 0, 0),
     ):
         if name in found:
-            bench.check(low <= found[name] <= high, f"{name} is from {low} to {high}", f"it is {found[name]}")
+            bench.check(
+                low <= found[name] <= high, f"{name} is from {low} to {high}", f"it is {found[name]}", shown=True
+            )
 
 
 @case(
@@ -126,7 +135,7 @@ def stays(bench: Bench) -> None:
     bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
     answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
     found = described(answer)
-    bench.check(found.get("isDeleted", True) is True, "isDeleted is true", f"{found.get('isDeleted')}")
+    bench.check(found.get("isDeleted", True) is True, "isDeleted is true", f"{found.get('isDeleted')}", shown=True)
 
 
 @case(
@@ -162,7 +171,7 @@ def unknown(bench: Bench) -> None:
     bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
     bench.require_alive("the deletion of an unknown variable")
     frames = bench.frames_with(_D, var_id)
-    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames)
+    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames, shown=True)
 
 
 @case(
@@ -178,9 +187,14 @@ def foreign(bench: Bench) -> None:
     bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=var_id)
     bench.require_alive("the deletion of another node's variable")
     answer = bench.call("RTDB-Read", varId=var_id)
-    bench.check(answer.ok and answer.result.get("value") == b"theirs".hex(), "the variable is still there", str(answer))
+    bench.check(
+        answer.ok and answer.result.get("value") == b"theirs".hex(),
+        "the variable is still there",
+        str(answer),
+        shown=True,
+    )
     frames = bench.frames_with(_D, var_id)
-    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames)
+    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames, shown=True)
 
 
 @case(
@@ -216,6 +230,12 @@ def twice(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     expect_any(bench, statuses_after_deletion(bench), "RTDB-Delete", varId=var_id)
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
-    bench.check(len(frames) == count, f"{count} beacons carry the VarDelete", f"{len(frames)} do", frames=frames)
+    bench.check(
+        len(frames) == count,
+        f"{count} beacons carry the VarDelete",
+        f"{len(frames)} do",
+        frames=frames,
+        shown=len(frames) > count,
+    )
     status = UNKNOWN if bench.features.removed_after_deletion else deleted_status(bench)
     bench.expect_status(status, "RTDB-Delete", varId=var_id)

@@ -47,7 +47,7 @@ def _taught(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
 
 def _nothing_else(bench: Bench, var_id: int, since: int, *kinds: ICType) -> None:
     found = traces(bench, var_id, since, [each for each in INSTRUCTIONS if each not in kinds])
-    bench.check(not found, "nothing else is sent about the variable", f"{named(found)} came", frames=found)
+    bench.check(not found, "nothing else is sent about the variable", f"{named(found)} came", frames=found, shown=True)
 
 
 # -- exactly r ---------------------------------------------------------------------------------------------------------
@@ -68,14 +68,18 @@ def creation(bench: Bench, count: Count) -> None:
     peer.send(record)
     found = bench.check_repeated(CREATES, var_id, count(bench), since)
     wrong = [each for each in found if each.record != record]
-    bench.check(not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    bench.check(
+        not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
+    )
     _nothing_else(bench, var_id, since, CREATES)
     if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
         bench.until_instruction(ICType.SUMMARIES, var_id)
         summaries = bench.instructions(ICType.SUMMARIES, var_id, since)
         bench.check(summaries, "summaries of the variable follow", "there are none", "VD-PC-09")
         numbers = {each.record.seqno for each in summaries} or {9}
-        bench.check(numbers == {9}, "they carry its number 9", f"{sorted(numbers)}", "VD-PC-09", frames=summaries)
+        bench.check(
+            numbers == {9}, "they carry its number 9", f"{sorted(numbers)}", "VD-PC-09", frames=summaries, shown=True
+        )
 
 
 @case(
@@ -94,7 +98,9 @@ def update(bench: Bench, count: Count) -> None:
     peer.send(record)
     found = bench.check_repeated(UPDATES, var_id, count(bench), since)
     wrong = [each for each in found if each.record != record]
-    bench.check(not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    bench.check(
+        not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
+    )
     _nothing_else(bench, var_id, since, UPDATES, CREATES)
 
 
@@ -116,7 +122,9 @@ def deletion(bench: Bench, count: Count) -> None:
     # A summary that was composed before the deletion may still go out.
     first = bench.heard.index(found[0].heard) if found else since
     others = traces(bench, var_id, first, set(ICType) - {DELETES})
-    bench.check(not others, "nothing else is sent from then on", f"{named(others)} came", "VD-PD-04", frames=others)
+    bench.check(
+        not others, "nothing else is sent from then on", f"{named(others)} came", "VD-PD-04", frames=others, shown=found
+    )
 
 
 _Trigger = Callable[[Bench, Peer, int], VardisRecord]
@@ -178,7 +186,9 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
     bench.peer().send(trigger(bench, peer, var_id))
     found = bench.check_repeated(kind, var_id, count(bench), since)
     numbers = {each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found} or {5}
-    bench.check(numbers == {5}, "the answer carries the stored number 5", f"{sorted(numbers)}", frames=found)
+    bench.check(
+        numbers == {5}, "the answer carries the stored number 5", f"{sorted(numbers)}", frames=found, shown=True
+    )
     _nothing_else(bench, var_id, since, kind, CREATES)
 
 
@@ -204,14 +214,23 @@ def update_again(bench: Bench) -> None:
     found = bench.repeated(UPDATES, var_id, since)
     beacons = {id(each.heard) for each in found}
     bench.check(
-        len(found) == len(beacons), "one VarUpdate of a variable in a beacon", f"{len(found)} in {len(beacons)}"
+        len(found) == len(beacons),
+        "one VarUpdate of a variable in a beacon",
+        f"{len(found)} in {len(beacons)}",
+        shown=True,
     )
     second = [each for each in found if each.record.seqno == 2]
     bench.check(
-        len(second) == count, f"{count} beacons with the second update", f"{len(second)} beacons", frames=second
+        len(second) == count,
+        f"{count} beacons with the second update",
+        f"{len(second)} beacons",
+        frames=second,
+        shown=len(second) > count,
     )
     after = [each for each in found if each.record.seqno == 1 and second and each.heard.number > second[0].heard.number]
-    bench.check(not after, "the first update does not come again", "it comes behind the second one", frames=after)
+    bench.check(
+        not after, "the first update does not come again", "it comes behind the second one", frames=after, shown=True
+    )
 
 
 @case(
@@ -296,8 +315,19 @@ def nothing_new(bench: Bench) -> None:
         bench.require_alive(f"a {kind.label} record that is not new")
         bench.beacons(1, 1.5)
         found = traces(bench, var_id, start, (CREATES, UPDATES, DELETES))
-        bench.check(not found, f"the same {kind.label} record leads to nothing", f"{named(found)} came", frames=found)
-    bench.check(len(bench.instructions(CREATES, var_id, since)) == 1, "one VarCreate in all", "there are more")
+        bench.check(
+            not found,
+            f"the same {kind.label} record leads to nothing",
+            f"{named(found)} came",
+            frames=found,
+            shown=True,
+        )
+    bench.check(
+        len(bench.instructions(CREATES, var_id, since)) == 1,
+        "one VarCreate in all",
+        "there are more",
+        shown=len(bench.instructions(CREATES, var_id, since)) > 1,
+    )
 
 
 @case(
@@ -330,12 +360,12 @@ def newest_value(bench: Bench) -> None:
     create = peer.create(var_id, value=b"first")
     bench.learn(peer, create)
     peer.send(peer.update(var_id, 1, b"newer"))
-    bench.until_instruction(UPDATES, var_id)
+    updated = bench.until_instruction(UPDATES, var_id)
     for what in ("after the update", "after its VarCreate came again"):
         held = ask(bench, var_id)
         upd = held.record.upd if held.record is not None else None
         right = upd is not None and (upd.seqno, upd.value) == (1, b"newer")
-        bench.check(right, f"{what}, number and value of the update", str(held))
+        bench.check(right, f"{what}, number and value of the update", str(held), shown=updated and held.record)
         specs = held.record is None or held.record.spec == create.spec
-        bench.check(specs, "the specification as it was sent", f"{held.record.spec if held.record else ''}")
+        bench.check(specs, "the specification as it was sent", f"{held.record.spec if held.record else ''}", shown=True)
         peer.send(create)

@@ -42,11 +42,11 @@ def registered(bench: Bench) -> None:
     found, size = _registration(bench), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
     bench.check(found.get("maxPayloadSize") == size, f"maxPayloadSize is {size}", f"{found.get('maxPayloadSize')}")
     expected, shown = bench.features.vardis_queueing_mode, str(found.get("queueMode"))
-    bench.check(shown.replace("-", "_") == expected, f"queueMode is {expected}", shown)
+    bench.check(shown.replace("-", "_") == expected, f"queueMode is {expected}", shown, shown=True)
     if bench.features.allow_multiple_payloads:
         entries, several = found.get("maxEntries"), found.get("allowMultiplePayloads")
-        bench.check(isinstance(entries, int) and entries > 0, "maxEntries is positive", f"{entries}")
-        bench.check(several is False, "allowMultiplePayloads is false", f"{several}")
+        bench.check(isinstance(entries, int) and entries > 0, "maxEntries is positive", f"{entries}", shown=True)
+        bench.check(several is False, "allowMultiplePayloads is false", f"{several}", shown=True)
 
 
 @case(
@@ -67,14 +67,16 @@ def after_reset(bench: Bench) -> None:
     bench.must("UT-Reset")
     mark, reset = bench.mark(), bench.now()
     known = sorted(listed(bench))
-    bench.check(not known, "no variable is in the database", f"{known} are")
+    bench.check(not known, "no variable is in the database", f"{known} are", shown=True)
     bench.wait(3)
     frames = [heard for heard in bench.heard[mark:] if heard.instructions(var_id=mine)]
-    bench.check(len(frames) <= 1, "nothing of the old variable is sent", f"{len(frames)} beacons", frames=frames)
+    bench.check(
+        len(frames) <= 1, "nothing of the old variable is sent", f"{len(frames)} beacons", frames=frames, shown=True
+    )
     # What was on its way to the tester is there soon; a payload that is composed now needs a beacon of its own.
     asked = bench.instructions(ICType.REQUEST_VARCREATES, wanted, mark)
     late = [each for each in asked if each.heard.time > reset + bench.period // 2]
-    bench.check(not late, "no request from before is sent", f"{len(late)} are", frames=late)
+    bench.check(not late, "no request from before is sent", f"{len(late)} are", frames=late, shown=True)
     peer.send(peer.summary(theirs, 1))
     requested = bench.until_instruction(ICType.REQUEST_VARCREATES, theirs)
     bench.check(requested is not None, "the learnt variable is requested again", "it is not")
@@ -97,7 +99,7 @@ def after_restart(bench: Bench) -> None:
     mark = bench.mark()
     bench.beacons(2, 2.5)
     frames = [heard for heard in bench.heard[mark:] if heard.instructions(var_id=var_id)]
-    bench.check(not frames, "nothing of the variable is sent", f"{len(frames)} beacons", frames=frames)
+    bench.check(not frames, "nothing of the variable is sent", f"{len(frames)} beacons", frames=frames, shown=True)
     peer.send(peer.summary(var_id, 1))
     requested = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
     bench.check(requested is not None, "the variable is unknown and requested", "it is not requested")

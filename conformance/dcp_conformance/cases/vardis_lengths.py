@@ -84,7 +84,9 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
     peer.send(record)
     if allowed:
         came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-        bench.check(came == record, "the VarCreate is accepted and repeated as it came", f"{came}")
+        bench.check(
+            came == record, "the VarCreate is accepted and repeated as it came", f"{came}", shown=came is not None
+        )
         return
     bench.require_alive("the VarCreate")
     bench.beacons(2, 2.5)
@@ -92,9 +94,15 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
     if bench.profile.spec_version < refused:
         bench.info(f"what a VarCreate with a {field} of {number} leads to, which no rule forbids", named(found))
         return
-    bench.check(not found, f"a VarCreate with a {field} of {number} is ignored", f"{named(found)} came", frames=found)
+    bench.check(
+        not found,
+        f"a VarCreate with a {field} of {number} is ignored",
+        f"{named(found)} came",
+        frames=found,
+        shown=True,
+    )
     held = ask(bench, var_id)
-    bench.check(held.state == "unknown", "the variable is unknown", str(held))
+    bench.check(held.state == "unknown", "the variable is unknown", str(held), shown=held.shown)
 
 
 def _expressible(bench: Bench, number: int, most: int, widest: int, *, allowed: bool) -> bool:
@@ -142,7 +150,9 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     peer.send(record)
     if allowed:
         came = bench.until_instruction(ICType.UPDATES, var_id)
-        bench.check(came == record, "the VarUpdate is accepted and repeated as it came", f"{came}")
+        bench.check(
+            came == record, "the VarUpdate is accepted and repeated as it came", f"{came}", shown=came is not None
+        )
         return
     bench.require_alive("the VarUpdate")
     bench.beacons(1, 1.5)
@@ -150,10 +160,12 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     if bench.profile.spec_version < refused:
         bench.info(f"what a VarUpdate with a value of {number} octets leads to, which no rule forbids", named(found))
         return
-    bench.check(not found, f"a VarUpdate with a value of {number} octets is ignored", named(found), frames=found)
+    bench.check(
+        not found, f"a VarUpdate with a value of {number} octets is ignored", named(found), frames=found, shown=True
+    )
     held = ask(bench, var_id)
     stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, b"value")
-    bench.check(stored, "the old value and number are stored", str(held))
+    bench.check(stored, "the old value and number are stored", str(held), shown=held.record is not None)
 
 
 @case(
@@ -173,15 +185,17 @@ def among_others(bench: Bench) -> None:
     since = bench.mark()
     peer.send(peer.create(one, value=b""), peer.create(three, rep_cnt=0), record, peer.create(two, value=b""))
     came = bench.until_instruction(ICType.CREATE_VARIABLES, good)
-    bench.check(came == record, "the good VarCreate is repeated", f"{came}", "VD-PC-04")
+    bench.check(came == record, "the good VarCreate is repeated", f"{came}", "VD-PC-04", shown=came is not None)
     newer = peer.update(good, 2, b"good")
     peer.send(peer.update(good, 1, b""), newer, peer.update(good, 3, b""))
     came = bench.until_instruction(ICType.UPDATES, good)
-    bench.check(came == newer, "the good VarUpdate is repeated", f"{came}", "VD-PU-04")
+    bench.check(came == newer, "the good VarUpdate is repeated", f"{came}", "VD-PU-04", shown=came is not None)
     bench.require_alive("the containers")
     for var_id, requirement in ((one, "VD-PC-04"), (two, "VD-PC-04"), (three, "VD-PC-06")):
         found = traces(bench, var_id, since, INSTRUCTIONS)
-        bench.check(not found, "the others leave no trace", f"{named(found)} came", requirement, frames=found)
+        bench.check(
+            not found, "the others leave no trace", f"{named(found)} came", requirement, frames=found, shown=True
+        )
 
 
 @case(
@@ -202,7 +216,7 @@ def longest(bench: Bench) -> None:
     )
     peer.send(record)
     came: VardisRecord | None = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
-    bench.check(came == record, "the VarCreate is repeated as it came", f"{came}")
+    bench.check(came == record, "the VarCreate is repeated as it came", f"{came}", shown=came is not None)
 
 
 @case(
@@ -241,4 +255,6 @@ def length_of_received_text(bench: Bench) -> None:
     bench.require_alive("the VarCreate")
     bench.beacons(1, 1.5)
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)
-    bench.check(not found, f"a description of {len(descr)} octets is ignored", "it is passed on", frames=found)
+    bench.check(
+        not found, f"a description of {len(descr)} octets is ignored", "it is passed on", frames=found, shown=True
+    )

@@ -64,7 +64,12 @@ def no_payloads(bench: Bench) -> None:
         frames = [heard for heard in bench.heard[mark:] if heard.has_vardis]
         observed = f"{len(frames)} beacons have VarDis blocks"
         bench.check(
-            len(frames) <= 1, "no VarDis payload but one that BP had already", observed, "VD-MGT-02", frames=frames
+            len(frames) <= 1,
+            "no VarDis payload but one that BP had already",
+            observed,
+            "VD-MGT-02",
+            frames=frames,
+            shown=True,
         )
     again = bench.until(lambda heard: heard.has_vardis and heard)
     # All repetitions may have gone, and summaries may be switched off.
@@ -94,14 +99,16 @@ def discards(bench: Bench) -> None:
     bench.require_alive("being inactive")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
     value = bench.call("RTDB-Read", varId=known).result.get("value")
-    bench.check(value == b"before".hex(), "the known variable is unchanged", f"its value is {value}")
+    bench.check(value == b"before".hex(), "the known variable is unchanged", f"its value is {value}", shown=True)
     for kind, var_id in (
         (ICType.CREATE_VARIABLES, created),
         (ICType.UPDATES, known),
         (ICType.REQUEST_VARCREATES, summarized),
     ):
         frames = bench.frames_with(kind, var_id, mark)
-        bench.check(not frames, f"no {kind.label} record follows from it", f"{len(frames)} beacons", frames=frames)
+        bench.check(
+            not frames, f"no {kind.label} record follows from it", f"{len(frames)} beacons", frames=frames, shown=True
+        )
 
 
 @case(
@@ -122,7 +129,7 @@ def database_kept(bench: Bench) -> None:
     for var_id, value in ((mine, b"mine"), (theirs, b"theirs")):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
         shown = answer.result.get("value")
-        bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}")
+        bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}", shown=True)
     if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
         wanted = {mine, theirs}
         bench.until(lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}, 12)
@@ -138,7 +145,7 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
     with bench.deactivated("VD"):
         answer = bench.call(method, **params)
         holds = same_status(answer, INACTIVE)
-        bench.check(holds, f"{method} answers {INACTIVE}", str(answer), requirement, "VD-MGT-04")
+        bench.check(holds, f"{method} answers {INACTIVE}", str(answer), requirement, "VD-MGT-04", shown=True)
     return answer.result
 
 
@@ -158,7 +165,7 @@ def create(bench: Bench) -> None:
     bench.require_alive("being inactive")
     bench.expect_status(UNKNOWN, "RTDB-Read", "VD-MGT-04", varId=good)
     frames = bench.frames_with(ICType.CREATE_VARIABLES, good, mark)
-    bench.check(not frames, "no VarCreate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames)
+    bench.check(not frames, "no VarCreate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames, shown=True)
 
 
 @case(
@@ -175,9 +182,9 @@ def update(bench: Bench) -> None:
     _inactive(bench, "RTDB-Update", "VD-UPD-01", varId=var_id, value=b"while".hex())
     bench.require_alive("being inactive")
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == b"before".hex(), "the value is unchanged", f"it is {value}", "VD-MGT-04")
+    bench.check(value == b"before".hex(), "the value is unchanged", f"it is {value}", "VD-MGT-04", shown=True)
     frames = bench.frames_with(ICType.UPDATES, var_id, mark)
-    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames)
+    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames, shown=True)
 
 
 @case(
@@ -195,7 +202,7 @@ def delete(bench: Bench) -> None:
     bench.require_alive("being inactive")
     bench.expect_status(OK, "RTDB-Read", "VD-MGT-04", varId=var_id)
     frames = bench.frames_with(ICType.DELETE_VARIABLES, var_id, mark)
-    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames)
+    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames, shown=True)
 
 
 @case(
@@ -209,7 +216,7 @@ def delete(bench: Bench) -> None:
 def read(bench: Bench) -> None:
     for var_id in (produced(bench), bench.var_id()):
         result = _inactive(bench, "RTDB-Read", "VD-REA-01", varId=var_id)
-        bench.check("value" not in result, "no value", f"{result.get('value')}", "VD-REA-01")
+        bench.check("value" not in result, "no value", f"{result.get('value')}", "VD-REA-01", shown=True)
 
 
 @case(
@@ -223,7 +230,9 @@ def read(bench: Bench) -> None:
 def describe_database(bench: Bench) -> None:
     produced(bench)
     result = _inactive(bench, "RTDB-DescribeDatabase", "VD-DDB-01")
-    bench.check(not result.get("variables"), "no data", f"{len(result.get('variables', []))} variables", "VD-DDB-01")
+    bench.check(
+        not result.get("variables"), "no data", f"{len(result.get('variables', []))} variables", "VD-DDB-01", shown=True
+    )
 
 
 @case(
@@ -237,4 +246,4 @@ def describe_database(bench: Bench) -> None:
 def describe_variable(bench: Bench) -> None:
     for var_id in (produced(bench), bench.var_id()):
         result = _inactive(bench, "RTDB-DescribeVariable", "VD-DVA-01", varId=var_id)
-        bench.check("variable" not in result, "no entry", f"{result.get('variable')}", "VD-DVA-01")
+        bench.check("variable" not in result, "no entry", f"{result.get('variable')}", "VD-DVA-01", shown=True)

@@ -54,7 +54,7 @@ def _check_taken(bench: Bench, name: str, *values: int) -> None:
     for value in values:
         answer = bench.call(_SET, name=name, value=value)
         shown = _in_force(bench, name)
-        bench.check(shown == value, f"{name} = {value} is taken", f"{answer}; it is {shown}")
+        bench.check(shown == value, f"{name} = {value} is taken", f"{answer}; it is {shown}", shown=True)
 
 
 def _check_refused(bench: Bench, name: str, *values: float) -> None:
@@ -62,7 +62,9 @@ def _check_refused(bench: Bench, name: str, *values: float) -> None:
         before = _in_force(bench, name)
         answer = bench.call(_SET, name=name, value=value)
         shown = _in_force(bench, name)
-        bench.check(shown == before, f"{name} = {value} is not taken", f"{answer}; it is {shown}, was {before}")
+        bench.check(
+            shown == before, f"{name} = {value} is not taken", f"{answer}; it is {shown}, was {before}", shown=True
+        )
 
 
 def _ic_header(bench: Bench) -> int:
@@ -92,7 +94,7 @@ def defaults(bench: Bench) -> None:
     for name, requirement in ((_VALUE, "VD-PAR-02"), (_DESCR, "VD-PAR-03")):
         shown = _in_force(bench, name)
         if shown in (None, 32):
-            bench.check(shown == 32, f"{name} is 32", "it is not told", requirement)
+            bench.check(shown == 32, f"{name} is 32", "it is not told", requirement, shown=True)
         else:
             bench.info(f"{name}, by default 32", f"{shown}", requirement)
 
@@ -132,7 +134,9 @@ def value_length_and_payload(bench: Bench) -> None:
     with parameters_set(bench, "VD", **{_PAYLOAD: payload}), _kept(bench, _VALUE):
         answer = bench.call(_SET, name=_VALUE, value=bound)
         taken = _in_force(bench, _VALUE) == bound
-        bench.check(taken == answer.ok, f"{_VALUE} = {bound} is taken exactly if the confirm says so", str(answer))
+        bench.check(
+            taken == answer.ok, f"{_VALUE} = {bound} is taken exactly if the confirm says so", str(answer), shown=True
+        )
         bench.reading("X23", "literal-bound" if taken else "record-bound")
         _check_refused(bench, _VALUE, bound + 1)
 
@@ -268,7 +272,7 @@ def description_effect(bench: Bench) -> None:
         bench.expect_status(OK, "RTDB-Create", **request)
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=old)
         shown = described(answer).get("descr")
-        bench.check(shown == "d" * longest, "the old variable has its description", f"{shown}")
+        bench.check(shown == "d" * longest, "the old variable has its description", f"{shown}", shown=True)
 
 
 @case(
@@ -285,7 +289,7 @@ def value_effect(bench: Bench) -> None:
     with parameters_set(bench, "VD", **{_VALUE: longest - 1}):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
         shown = answer.result.get("value")
-        bench.check(shown == (b"v" * longest).hex(), "the old value is kept", f"{shown}")
+        bench.check(shown == (b"v" * longest).hex(), "the old value is kept", f"{shown}", shown=True)
         bench.expect_status(VALUE_TOO_LONG, "RTDB-Update", varId=var_id, value=(b"w" * longest).hex())
         bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"w" * (longest - 1)).hex())
 
@@ -309,7 +313,13 @@ def repetitions_effect(bench: Bench) -> None:
         bench.must("RTDB-Update", varId=old, value=b"newer".hex())
         frames = bench.until_quiet(lambda heard: heard.instructions(ICType.UPDATES, old), since=mark)
         # That the parameter bounds what goes into beacons can also be read as a limit of 2 from now on.
-        bench.check(len(frames) in (2, 3), "3 beacons carry its VarUpdate (or 2)", f"{len(frames)}", frames=frames)
+        bench.check(
+            len(frames) in (2, 3),
+            "3 beacons carry its VarUpdate (or 2)",
+            f"{len(frames)}",
+            frames=frames,
+            shown=len(frames) > 3,
+        )
         bench.info("repetitions of a variable with more than the new maximum", f"{len(frames)} of 3")
 
 
@@ -336,7 +346,9 @@ def summaries_effect(bench: Bench, most: int) -> None:
         bench.wait(5)
         frames = bench.heard[mark:]
         over = [heard for heard in frames if len(heard.instructions(ICType.SUMMARIES)) > most]
-        bench.check(not over, f"at most {most} summaries in a beacon", f"{len(over)} beacons have more", frames=over)
+        bench.check(
+            not over, f"at most {most} summaries in a beacon", f"{len(over)} beacons have more", frames=over, shown=True
+        )
         if most:
             some = any(heard.instructions(ICType.SUMMARIES) for heard in frames)
             bench.check(some, "there are summaries", f"none in {len(frames)} beacons")

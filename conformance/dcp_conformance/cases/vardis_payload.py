@@ -13,6 +13,7 @@ from dcp_spec.constants import IC_MAX_RECORDS, ICType
 from dcp_codec.values import VarCreate
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.findings import part_of
 from dcp_conformance.heard import Heard
 from dcp_conformance.peers import Peer
 
@@ -95,6 +96,7 @@ def check_order_of_queue(bench: Bench, kind: ICType, var_ids: Sequence[int], sin
         text or f"{len(came)} records",
         *requirements,
         frames=found[wrong : wrong + 1] if wrong is not None else (),
+        shown=not part_of(came, var_ids),
     )
 
 
@@ -142,10 +144,16 @@ def order_of_containers(bench: Bench) -> None:
             ", ".join(_kind(bench, each).label for each in numbers),
             "VD-PAY-01",
             frames=[heard],
+            shown=True,
         )
     without = [each for each in bench.heard[known:] if each.instructions() and not each.instructions(ICType.SUMMARIES)]
     bench.check(
-        not without, "summaries beside everything else", f"none in {len(without)}", "VD-PAY-01", frames=without[:4]
+        not without,
+        "summaries beside everything else",
+        f"none in {len(without)}",
+        "VD-PAY-01",
+        frames=without[:4],
+        shown=True,
     )
     if full is None:
         bench.inconclusive("a payload with all six kinds of containers", "none in three attempts", "VD-PAY-02")
@@ -179,7 +187,12 @@ def filled(bench: Bench, kind: ICType) -> None:
     limit = bench.parameter(PAYLOAD_SIZE)
     text = f"{_size(bench, largest)} octets"
     bench.check(
-        _size(bench, largest) <= limit, f"payloads of at most {limit} octets", text, "VD-IC-05", frames=[largest]
+        _size(bench, largest) <= limit,
+        f"payloads of at most {limit} octets",
+        text,
+        "VD-IC-05",
+        frames=[largest],
+        shown=True,
     )
 
 
@@ -241,7 +254,7 @@ def no_variable_twice(bench: Bench) -> None:
             twice = [each for each in records if named.count(each.var_id) > 1]
             if twice:
                 what = f"variable {twice[0].var_id} stands {named.count(twice[0].var_id)} times in it"
-                bench.fail("every container names a variable once", what, frames=twice)
+                bench.fail("every container names a variable once", what, frames=twice, shown=True)
     bench.check(len(kinds) >= 4, "every container names a variable once", f"only {len(kinds)} kinds of containers came")
 
 
@@ -262,16 +275,18 @@ def nothing_to_say(bench: Bench) -> None:
     quiet = bench.mark()
     bench.wait(5)
     empty = [each for each in bench.heard if each.has_vardis and not each.containers]
-    bench.check(not empty, "every VarDis block has a container", f"{len(empty)} have none", frames=empty[:4])
+    bench.check(
+        not empty, "every VarDis block has a container", f"{len(empty)} have none", frames=empty[:4], shown=True
+    )
     broken = [each for each in bench.heard if each.problem is not None and each.problem.requirement == "VD-IC-03"]
     text = str(broken[0].problem) if broken else ""
-    bench.check(not broken, "every container has a record", text, "VD-IC-03", frames=broken[:4])
+    bench.check(not broken, "every container has a record", text, "VD-IC-03", frames=broken[:4], shown=True)
     later = [each for each in bench.heard[quiet:] if each.has_vardis]
     if any(each.instructions(ICType.SUMMARIES) for each in later):
         bench.info("whether there is a VarDis block without anything to say", "it still summarises other variables")
         return
     text = f"{len(later)} of {len(bench.heard) - quiet} beacons have one"
-    bench.check(not later, "no VarDis block when nothing is pending", text, "VD-PAY-04", frames=later[:4])
+    bench.check(not later, "no VarDis block when nothing is pending", text, "VD-PAY-04", frames=later[:4], shown=True)
 
 
 def _room_for_256(bench: Bench) -> str | None:
@@ -302,7 +317,13 @@ def more_than_255(bench: Bench) -> None:
         bench.beacons(1, 4)
         requested = {each.var_id for each in bench.instructions(ICType.REQUEST_VARCREATES)}
     broken = [each for each in bench.heard if each.beacon is None]
-    bench.check(not broken, "every beacon can be decoded", str(broken[0].problem) if broken else "", frames=broken[:4])
+    bench.check(
+        not broken,
+        "every beacon can be decoded",
+        str(broken[0].problem) if broken else "",
+        frames=broken[:4],
+        shown=True,
+    )
     came = f"requests for {len(requested)}"
     bench.check(requested == wanted, "requests for all 256 variables", came, frames=bench.heard[-4:])
 
@@ -362,9 +383,12 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
         f"{counts}",
         "VD-PAY-02",
         frames=frames,
+        shown=max(counts) > share,
     )
     largest = max(_size(bench, each) for each in frames)
-    bench.check(largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames)
+    bench.check(
+        largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames, shown=True
+    )
 
 
 @case(
@@ -383,9 +407,11 @@ def several_containers(bench: Bench) -> None:
     several = [each for each in bench.heard if _repeats_a_type(each)]
     text = f"{len(several)} payloads with more"
     if not bench.features.several_containers_per_type:
-        bench.check(not several, "one container of a type in a payload (1.0)", text, frames=several[:2])
+        bench.check(not several, "one container of a type in a payload (1.0)", text, frames=several[:2], shown=True)
     elif bench.pics.several_containers is False:
-        bench.check(not several, "one container of a type in a payload, as the PICS says", text, frames=several[:2])
+        bench.check(
+            not several, "one container of a type in a payload, as the PICS says", text, frames=several[:2], shown=True
+        )
     elif bench.pics.several_containers:
         if not several:
             bench.inconclusive("several containers of a type in a payload, as the PICS says", "none was seen")

@@ -36,7 +36,7 @@ def request_dropped(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
 
-    bench.check(_attempts(attempt), "no VarReqUpdate for what is there already", "there is one every time")
+    bench.check(_attempts(attempt), "no VarReqUpdate for what is there already", "there is one every time", shown=True)
 
 
 @case(
@@ -58,7 +58,7 @@ def create_request_dropped(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
 
-    bench.check(_attempts(attempt), "no VarReqCreate for what is there already", "there is one every time")
+    bench.check(_attempts(attempt), "no VarReqCreate for what is there already", "there is one every time", shown=True)
 
 
 @case(
@@ -82,7 +82,7 @@ def pending_dropped(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
 
-    bench.check(_attempts(attempt), "answers and requests are dropped", "they are sent every time")
+    bench.check(_attempts(attempt), "answers and requests are dropped", "they are sent every time", shown=True)
 
 
 def _three_repetitions(bench: Bench) -> str | None:
@@ -108,7 +108,7 @@ def deletion_overtaken(bench: Bench) -> None:
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
     first = bench.heard.index(found[0].heard) if found else since
     late = traces(bench, var_id, first, (ICType.DELETE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
-    bench.check(not late, "no VarDelete from then on", f"{named(late)} came", frames=late)
+    bench.check(not late, "no VarDelete from then on", f"{named(late)} came", frames=late, shown=found)
 
 
 @case(
@@ -131,10 +131,12 @@ def update_overtaken(bench: Bench) -> None:
     peer.send(record)
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
     wrong = [each for each in found if each.record != record]
-    bench.check(not wrong, "the new creation is repeated", f"{wrong[0].record if wrong else ''}", frames=wrong)
+    bench.check(
+        not wrong, "the new creation is repeated", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
+    )
     first = bench.heard.index(found[0].heard) if found else since
     late = traces(bench, var_id, first, (ICType.UPDATES, ICType.DELETE_VARIABLES))
-    bench.check(not late, "no VarUpdate from then on", f"{named(late)} came", frames=late)
+    bench.check(not late, "no VarUpdate from then on", f"{named(late)} came", frames=late, shown=found)
 
 
 @case(
@@ -157,4 +159,4 @@ def request_overtaken(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
 
-    bench.check(_attempts(attempt), "no VarReqUpdate for what is there anew", "there is one every time")
+    bench.check(_attempts(attempt), "no VarReqUpdate for what is there anew", "there is one every time", shown=True)

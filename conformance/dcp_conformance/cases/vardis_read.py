@@ -44,7 +44,7 @@ def own(bench: Bench) -> None:
     first = _read(bench, var_id, b"first")
     slack, stamp = bench.pixit.clock_tolerance_ms * MS, first.get("tStamp")
     near = isinstance(stamp, int) and begun - slack <= stamp <= bench.lower.wall() + slack
-    bench.check(near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}")
+    bench.check(near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}", shown=True)
     bench.wait(3)
     bench.must("RTDB-Update", varId=var_id, value=b"second".hex())
     second = _read(bench, var_id, b"second")
@@ -54,13 +54,15 @@ def own(bench: Bench) -> None:
 def _read(bench: Bench, var_id: int, value: bytes) -> dict[str, Any]:
     answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
     shown = answer.result.get("value")
-    bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}")
+    bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}", shown=True)
     return answer.result
 
 
 def _check_later(bench: Bench, first: dict[str, Any], second: dict[str, Any]) -> None:
     later = (second.get("tStamp") or 0) - (first.get("tStamp") or 0)
-    bench.check(later >= 2 * bench.period, "tStamp is that of the change", f"{later / 1e6:.0f} ms after the first")
+    bench.check(
+        later >= 2 * bench.period, "tStamp is that of the change", f"{later / 1e6:.0f} ms after the first", shown=True
+    )
 
 
 @case(
@@ -94,7 +96,7 @@ def foreign(bench: Bench) -> None:
 )
 def unknown(bench: Bench) -> None:
     answer = bench.expect_status(UNKNOWN, "RTDB-Read", varId=bench.var_id())
-    bench.check("value" not in answer.result, "no value", f"{answer.result.get('value')}")
+    bench.check("value" not in answer.result, "no value", f"{answer.result.get('value')}", shown=True)
 
 
 @case(
@@ -114,7 +116,9 @@ def deleted(bench: Bench) -> None:
     theirs = taught(bench, peer, rep_cnt=max_repetitions(bench))
     untaught(bench, peer, theirs)
     answers.append(expect_any(bench, statuses_after_deletion(bench), "RTDB-Read", varId=theirs))
-    bench.check(not any("value" in answer.result for answer in answers), "no value comes with it", "one does")
+    bench.check(
+        not any("value" in answer.result for answer in answers), "no value comes with it", "one does", shown=True
+    )
 
 
 # -- describing --------------------------------------------------------------------------------------------------------
@@ -142,10 +146,10 @@ def database(bench: Bench) -> None:
     ):
         found = table.get(var_id)
         if found is None:
-            bench.check(False, f"variable {var_id} is listed", "it is not")
+            bench.check(False, f"variable {var_id} is listed", "it is not", shown=True)
             continue
         shown = (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr"))
-        bench.check(shown == (producer.hex(), 1, descr), f"prodId, repCnt, descr of {var_id}", f"{shown}")
+        bench.check(shown == (producer.hex(), 1, descr), f"prodId, repCnt, descr of {var_id}", f"{shown}", shown=True)
 
 
 @case(
@@ -163,7 +167,9 @@ def extra_fields(bench: Bench) -> None:
     extra, claimed = sorted(set(found) - spec), bench.pics.describe_extra_fields
     bench.info("fields of RTDB-DescribeDatabase beside the VarSpec", ", ".join(extra) or "none")
     if claimed is not None:
-        bench.check(bool(extra) == claimed, f"[pics] describe_extra_fields = {str(claimed).lower()}", f"{extra}")
+        bench.check(
+            bool(extra) == claimed, f"[pics] describe_extra_fields = {str(claimed).lower()}", f"{extra}", shown=True
+        )
 
 
 @case(
@@ -180,16 +186,16 @@ def database_with_deleted(bench: Bench) -> None:
     gone, kept = produced(bench, rep_cnt=count), produced(bench)
     bench.must("RTDB-Delete", varId=gone)
     table = listed(bench)
-    bench.check(kept in table, "the live variable is listed", "it is not")
+    bench.check(kept in table, "the live variable is listed", "it is not", shown=True)
     if not bench.features.removed_after_deletion or count > 2:
-        bench.check(gone in table, "the deleted variable is listed", "it is not")
+        bench.check(gone in table, "the deleted variable is listed", "it is not", shown=True)
     bench.until_quiet(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, gone))
     later = listed(bench)
     if bench.features.removed_after_deletion:
-        bench.check(gone not in later, "after its last VarDelete it is not listed", "it still is")
+        bench.check(gone not in later, "after its last VarDelete it is not listed", "it still is", shown=True)
     else:
-        bench.check(gone in later, "after its last VarDelete it is still listed", "it is not")
-    bench.check(kept in later, "the live variable is still listed", "it is not")
+        bench.check(gone in later, "after its last VarDelete it is still listed", "it is not", shown=True)
+    bench.check(kept in later, "the live variable is still listed", "it is not", shown=True)
 
 
 @case(
@@ -202,7 +208,7 @@ def database_with_deleted(bench: Bench) -> None:
 )
 def describe_unknown(bench: Bench) -> None:
     answer = bench.expect_status(UNKNOWN, "RTDB-DescribeVariable", varId=bench.var_id())
-    bench.check("variable" not in answer.result, "no entry", f"{answer.result.get('variable')}")
+    bench.check("variable" not in answer.result, "no entry", f"{answer.result.get('variable')}", shown=True)
 
 
 @case(
@@ -225,10 +231,12 @@ def describe(bench: Bench) -> None:
         found = described(answer)
         wanted = {"varId": var_id, "repCnt": 1, "descr": descr, "value": value.hex(), "seqno": seqno}
         shown = {name: found.get(name) for name in wanted}
-        bench.check(shown == wanted, f"{wanted}", f"{shown}")
+        bench.check(shown == wanted, f"{wanted}", f"{shown}", shown=True)
         shown_producer = str(found.get("prodId")).replace(":", "")
-        bench.check(shown_producer == producer.hex(), f"prodId {producer.hex()}", shown_producer)
-        bench.check(found.get("isDeleted", False) is False, "isDeleted is false", f"{found.get('isDeleted')}")
+        bench.check(shown_producer == producer.hex(), f"prodId {producer.hex()}", shown_producer, shown=True)
+        bench.check(
+            found.get("isDeleted", False) is False, "isDeleted is false", f"{found.get('isDeleted')}", shown=True
+        )
 
 
 @case(
@@ -247,7 +255,7 @@ def describe_deleted(bench: Bench) -> None:
     answer = expect_any(bench, (OK, *gone), "RTDB-DescribeVariable", varId=var_id)
     if answer.ok:
         flag = described(answer).get("isDeleted", True)
-        bench.check(flag is True, "isDeleted is true", f"it is {flag}")
+        bench.check(flag is True, "isDeleted is true", f"it is {flag}", shown=True)
 
 
 # -- applications ------------------------------------------------------------------------------------------------------
@@ -280,21 +288,22 @@ def two_clients(bench: Bench) -> None:
         missing = bench.var_id()
         for client, var_id in zip(clients, mine, strict=True):
             answer = bench.call_on(client, "RTDB-Create", **create_request(bench, var_id, value=b"%d" % var_id))
-            bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer))
+            bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer), shown=True)
         for number in range(3):
             for client, var_id in zip(clients, mine, strict=True):
                 value = b"%d/%d" % (var_id, number)
                 answer = bench.call_on(client, "RTDB-Update", varId=var_id, value=value.hex())
-                bench.check(answer.ok, f"RTDB-Update answers {OK}", str(answer))
+                bench.check(answer.ok, f"RTDB-Update answers {OK}", str(answer), shown=True)
                 other = clients[1] if client is clients[0] else clients[0]
                 answer = bench.call_on(other, "RTDB-Read", varId=missing)
-                bench.check(same_status(answer, UNKNOWN), f"RTDB-Read answers {UNKNOWN}", str(answer))
+                bench.check(same_status(answer, UNKNOWN), f"RTDB-Read answers {UNKNOWN}", str(answer), shown=True)
                 for reader in clients:
                     answer = bench.call_on(reader, "RTDB-Read", varId=var_id)
                     bench.check(
                         answer.ok and answer.result.get("value") == value.hex(),
                         f"RTDB-Read answers {OK} with {value!r}",
                         f"{answer}, {answer.result.get('value')}",
+                        shown=True,
                     )
     finally:
         second.close()
@@ -360,7 +369,7 @@ def _answers(bench: Bench, method: str, params: dict[str, Any]) -> bool:
         bench.check(may_be_silent, f"{method} answers {INACTIVE}", "it is not answered")
     else:
         bench.reading("X30", "answer-inactive")
-        bench.check(same_status(answer, INACTIVE), f"{method} answers {INACTIVE}", str(answer))
+        bench.check(same_status(answer, INACTIVE), f"{method} answers {INACTIVE}", str(answer), shown=True)
     return True
 
 
@@ -384,4 +393,4 @@ def refusals_confirmed(bench: Bench) -> None:
         if method in bench.ut.methods:
             answer = bench.call(method, **params)
             confirmed = answer.code is None and bool(answer.status)
-            bench.check(confirmed and not answer.ok, f"{method} is confirmed with a refusal", str(answer))
+            bench.check(confirmed and not answer.ok, f"{method} is confirmed with a refusal", str(answer), shown=True)

@@ -29,7 +29,14 @@ def _stored(bench: Bench, var_id: int, seqno: int, value: bytes, *requirements: 
 
 def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, ...], *requirements: str) -> None:
     found = traces(bench, var_id, since, kinds)
-    bench.check(not found, f"variable {var_id} is not requested", f"{named(found)} came", *requirements, frames=found)
+    bench.check(
+        not found,
+        f"variable {var_id} is not requested",
+        f"{named(found)} came",
+        *requirements,
+        frames=found,
+        shown=True,
+    )
 
 
 @case(
@@ -79,9 +86,15 @@ def permutations(bench: Bench) -> None:
         newest = [(each.seqno, each.value) for each in found[-1:]]
         shown = f"number {newest[0][0]}, value {newest[0][1]!r}" if newest else "there is no VarCreate"
         right = newest == [(1, b"newer")]
-        applied = bench.check(right, f"{what}: creation and update are applied", shown, "VD-RX-02")
+        applied = bench.check(right, f"{what}: creation and update are applied", shown, "VD-RX-02", shown=newest)
         came = bench.instructions(_RC, other, since)
-        bench.check(len(came) == 1, f"{what}: the unknown variable is requested", f"{len(came)} requests", "VD-RX-02")
+        bench.check(
+            len(came) == 1,
+            f"{what}: the unknown variable is requested",
+            f"{len(came)} requests",
+            "VD-RX-02",
+            shown=len(came) > 1,
+        )
         # Who has lost the creation has reason to ask.
         if applied:
             _not_requested(bench, var_id, since, (_RC, _RU), "VD-RX-08")
@@ -210,7 +223,9 @@ def create_before_delete(bench: Bench, reverse: bool) -> None:
     bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since, "VD-RX-08")
     found = traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.SUMMARIES, _RC))
-    bench.check(not found, "nothing else is sent about it", f"{named(found)} came", "VD-RX-08", frames=found)
+    bench.check(
+        not found, "nothing else is sent about it", f"{named(found)} came", "VD-RX-08", frames=found, shown=True
+    )
 
 
 @case(
@@ -229,12 +244,16 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
     if not deleted:
         return
     found = traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, _RC, _RU))
-    bench.check(not found, "nothing else is sent about it", f"{named(found)} came", "VD-PD-04", frames=found)
+    bench.check(
+        not found, "nothing else is sent about it", f"{named(found)} came", "VD-PD-04", frames=found, shown=True
+    )
     upper = bench.session.upper
     # On the air it looks the same whichever comes first: the database tells.
     if upper is not None and "RTDB-DescribeVariable" in upper.methods and not bench.features.removed_after_deletion:
         entry = entry_of(bench, var_id) or {}
-        bench.check(entry.get("seqno") == 0, "the update is not stored", f"seqno {entry.get('seqno')}", "VD-RX-08")
+        bench.check(
+            entry.get("seqno") == 0, "the update is not stored", f"seqno {entry.get('seqno')}", "VD-RX-08", shown=True
+        )
 
 
 @case(
@@ -250,7 +269,9 @@ def update_before_summary(bench: Bench, reverse: bool) -> None:
     var_id = taught(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 1)), reverse)
     came = bench.until_instruction(ICType.UPDATES, var_id)
-    bench.check(came is not None and came.seqno == 1, "the update is stored and repeated", f"{came}")
+    bench.check(
+        came is not None and came.seqno == 1, "the update is stored and repeated", f"{came}", shown=came is not None
+    )
     bench.require_alive("the payload")
     _not_requested(bench, var_id, since, (_RU,))
 
@@ -319,4 +340,9 @@ def creates_in_order(bench: Bench) -> None:
     since = bench.mark()
     peer.send(first, second)
     found: list[VarCreate] = [each.record for each in bench.repeated(ICType.CREATE_VARIABLES, var_id, since)]
-    bench.check(found == [first], "the first VarCreate is stored and repeated", f"{len(found)} records came: {found}")
+    bench.check(
+        found == [first],
+        "the first VarCreate is stored and repeated",
+        f"{len(found)} records came: {found}",
+        shown=found,
+    )

@@ -157,7 +157,13 @@ def _works(bench: Bench) -> None:
             came = bench.until_instruction(kind, var_id)
             if came is not None:
                 break
-        bench.require(came == record, f"a {kind.label} record is processed afterwards", f"{came}", "VD-ROB-01")
+        bench.require(
+            came == record,
+            f"a {kind.label} record is processed afterwards",
+            f"{came}",
+            "VD-ROB-01",
+            shown=came is not None,
+        )
 
 
 @case(
@@ -203,7 +209,11 @@ def cut_off(bench: Bench) -> None:
     bench.reading("X34", "keep-prefix" if kept else "drop-payload")
     held = ask(bench, created)
     bench.check(
-        held.state == "unknown", "a variable of which octets were missing is not stored", str(held), "VD-ROB-01"
+        held.state == "unknown",
+        "a variable of which octets were missing is not stored",
+        str(held),
+        "VD-ROB-01",
+        shown=held.shown,
     )
     _works(bench)
 

@@ -27,9 +27,18 @@ def summaries_stay(bench: Bench) -> None:
     bench.require_alive("the summaries")
     bench.beacons(3)
     wrong = [each for each in bench.instructions(ICType.SUMMARIES, var_id, since) if each.record.seqno != 5]
-    bench.check(not wrong, "summaries carry the stored number 5", "the received number 9", "VD-SCP-01", frames=wrong)
+    bench.check(
+        not wrong, "summaries carry the stored number 5", "the received number 9", "VD-SCP-01", frames=wrong, shown=True
+    )
     wrong = bench.instructions(ICType.SUMMARIES, unknown, since)
-    bench.check(not wrong, "no summary of a variable that it does not have", "there is one", "VD-TYP-08", frames=wrong)
+    bench.check(
+        not wrong,
+        "no summary of a variable that it does not have",
+        "there is one",
+        "VD-TYP-08",
+        frames=wrong,
+        shown=True,
+    )
 
 
 @case(
@@ -51,7 +60,7 @@ def requests_stay(bench: Bench) -> None:
     bench.beacons(2)
     for var_id in ids:
         found = traces(bench, var_id, since, (_RC, _RU))
-        bench.check(not found, f"no request for variable {var_id}", f"{named(found)} came", frames=found)
+        bench.check(not found, f"no request for variable {var_id}", f"{named(found)} came", frames=found, shown=True)
 
 
 @case(
@@ -97,5 +106,10 @@ def asks_too(bench: Bench) -> None:
     bench.check_repeated(_RC, two, 1, since, "VD-RU-01")
     found = traces(bench, two, since, [_RU])
     bench.check(
-        not found, "it does not ask for an update of what it does not know", "it does", "VD-RU-01", frames=found
+        not found,
+        "it does not ask for an update of what it does not know",
+        "it does",
+        "VD-RU-01",
+        frames=found,
+        shown=True,
     )

@@ -107,7 +107,11 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
         found = traces(bench, var_id, since, INSTRUCTIONS)
         others = [each for each in found if each.kind is not kind]
         bench.check(
-            not others, f"{name}: nothing but {kind.label if kind else 'silence'}", named(others), frames=others
+            not others,
+            f"{name}: nothing but {kind.label if kind else 'silence'}",
+            named(others),
+            frames=others,
+            shown=True,
         )
         if kind is None:
             continue
@@ -115,7 +119,11 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
         number = stepped(bench, stored, step) if which == 0 and question.newer_is_stored else stored
         numbers = [each.record.seqno for each in found if each.kind is kind]
         bench.check(
-            numbers == [number], f"{name}: one {kind.label} with {number}", f"{numbers or 'none'}", frames=found
+            numbers == [number],
+            f"{name}: one {kind.label} with {number}",
+            f"{numbers or 'none'}",
+            frames=found,
+            shown=numbers,
         )
 
 
@@ -198,7 +206,7 @@ def counting(bench: Bench) -> None:
     var_id = produced(bench)
     created = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     first = None if created is None else created.upd.seqno
-    bench.check(first == 0, "a new variable has sequence number 0", f"{first}")
+    bench.check(first == 0, "a new variable has sequence number 0", f"{first}", shown=created is not None)
     top, made = modulus(bench), 0
     targets = [1, 2, top - 2, top - 1, top, top + 1] if top == 256 else [1, 2, 20]
     for target in targets:
@@ -218,7 +226,7 @@ def counting(bench: Bench) -> None:
         if each.record.seqno != int.from_bytes(each.record.value, "big") % top
     ]
     number = f"{wrong[0].record.seqno} with value {wrong[0].record.value.hex()}" if wrong else ""
-    bench.check(not wrong, "update n carries sequence number n modulo SEQNO-MODULUS", number, frames=wrong)
+    bench.check(not wrong, "update n carries sequence number n modulo SEQNO-MODULUS", number, frames=wrong, shown=True)
 
 
 @case(
@@ -242,4 +250,4 @@ def counted_each(bench: Bench) -> None:
 
         came = newest(None) or bench.until(newest)
         said = f"{came[0]}" if came else "the last value is not sent"
-        bench.check(came and came[0] == number, f"update {number} carries number {number}", said)
+        bench.check(came and came[0] == number, f"update {number} carries number {number}", said, shown=came)

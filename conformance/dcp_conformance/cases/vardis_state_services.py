@@ -121,7 +121,9 @@ def _only(bench: Bench, where: Place, kind: ICType, since: int) -> Instruction |
     if where.state == "deleted-producer" and kind is ICType.CREATE_VARIABLES:
         wanted.remove(ICType.DELETE_VARIABLES)
     others = traces(bench, where.var_id, since, wanted)
-    bench.check(not others, f"nothing but {kind.label} records is sent", f"{named(others)} came", frames=others)
+    bench.check(
+        not others, f"nothing but {kind.label} records is sent", f"{named(others)} came", frames=others, shown=True
+    )
     return found[-1] if found else None
 
 
@@ -135,11 +137,18 @@ def _created(bench: Bench, where: Place, since: int) -> None:
         "the VarCreate has the own node as producer, sequence number 0 and the given value",
         f"producer {spec.prod_id.hex(':')}, number {upd.seqno}, value {upd.value.hex()}",
         frames=[found],
+        shown=True,
     )
     before = where.stored.spec.creation_time if where.stored is not None else None
     if spec.creation_time is not None and before is not None:
         later = f"{spec.creation_time} after {before}"
-        bench.check(spec.creation_time > before, "its creationTime is later than the one before", later, frames=[found])
+        bench.check(
+            spec.creation_time > before,
+            "its creationTime is later than the one before",
+            later,
+            frames=[found],
+            shown=True,
+        )
 
 
 def _updated(bench: Bench, where: Place, since: int) -> None:
@@ -148,14 +157,14 @@ def _updated(bench: Bench, where: Place, since: int) -> None:
         return
     expected = (stepped(bench, where.stored.upd.seqno, 1), _VALUE)
     came = (found.record.seqno, found.record.value)
-    bench.check(came == expected, f"number and value are {expected}", f"{came}", frames=[found])
+    bench.check(came == expected, f"number and value are {expected}", f"{came}", frames=[found], shown=True)
 
 
 def _deleted(bench: Bench, where: Place, since: int) -> None:
     _only(bench, where, ICType.DELETE_VARIABLES, since)
     after = "unknown" if bench.features.removed_after_deletion else "deleted"
     held = ask(bench, where.var_id)
-    bench.check(held.state == after, f"the variable is {after}", str(held))
+    bench.check(held.state == after, f"the variable is {after}", str(held), shown=held.shown)
 
 
 def _unchanged(bench: Bench, where: Place, since: int) -> None:
@@ -165,12 +174,12 @@ def _unchanged(bench: Bench, where: Place, since: int) -> None:
         return
     bench.require_alive("the request")
     found = traces(bench, where.var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
-    bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found)
+    bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found, shown=True)
     held = ask(bench, where.var_id)
     expected = where.state.partition("-")[0]
-    bench.check(held.state == expected, f"the variable is {expected} as before", str(held))
+    bench.check(held.state == expected, f"the variable is {expected} as before", str(held), shown=held.shown)
     if expected == "alive":
-        bench.check(held.record == where.stored, "what is stored has not changed", str(held))
+        bench.check(held.record == where.stored, "what is stored has not changed", str(held), shown=True)
 
 
 _EFFECTS = {"RTDB-Create": _created, "RTDB-Update": _updated, "RTDB-Delete": _deleted, "RTDB-Read": _unchanged}
@@ -238,7 +247,12 @@ def service(bench: Bench, cell: tuple[str, str]) -> None:
         bench.reading("X20", "by-description" if same_status(answer, disputed) else "by-steps")
     if method == "RTDB-Read" and same_status(answer, OK) and where.stored is not None:
         value = answer.result.get("value")
-        bench.check(value == where.stored.upd.value.hex(), f"the value is {where.stored.upd.value.hex()}", f"{value}")
+        bench.check(
+            value == where.stored.upd.value.hex(),
+            f"the value is {where.stored.upd.value.hex()}",
+            f"{value}",
+            shown=True,
+        )
     if not answer.ok:
         _unchanged(bench, where, since)
     elif not where.fleeting:
@@ -283,20 +297,28 @@ def timeout(bench: Bench, state: str) -> None:
     if state.startswith("deleted"):
         bench.wait(window)
         found = traces(bench, var_id, since)
-        bench.check(not found, "nothing happens to a variable that is deleted", f"{named(found)} came", frames=found)
+        bench.check(
+            not found, "nothing happens to a variable that is deleted", f"{named(found)} came", frames=found, shown=True
+        )
         return
     came = bench.until(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, var_id), window) or []
     if not came and state.endswith("consumer"):
         held = ask(bench, var_id)
-        bench.check(held.state == "alive", "a variable that is not scrubbed is alive", str(held))
+        bench.check(held.state == "alive", "a variable that is not scrubbed is alive", str(held), shown=held.shown)
         bench.reading("X26", "producer-only")
         return
     late = f"within {lapse} ms and a scrubbing period of {scrubbing} ms"
     bench.require(came, f"it is deleted {late}", "there is no VarDelete")
     passed = (came[0].heard.time - begun) // MS if came else 0
-    bench.check(passed >= lapse, f"not before {lapse} ms have passed", f"{passed} ms after its creation", frames=came)
+    bench.check(
+        passed >= lapse,
+        f"not before {lapse} ms have passed",
+        f"{passed} ms after its creation",
+        frames=came,
+        shown=True,
+    )
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
     if state.endswith("consumer"):
         bench.reading("X26", "every-node")
     held = ask(bench, var_id)
-    bench.check(held.state == "deleted", "it is deleted", str(held))
+    bench.check(held.state == "deleted", "it is deleted", str(held), shown=held.shown)

@@ -43,7 +43,7 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     frames = [each for each in bench.beacons(rounds) if each.has_vardis]
     over = [each for each in frames if len(_named(each)) > most]
     text = f"{max(map(len, map(_named, frames)), default=0)}"
-    bench.check(not over, f"at most {most} summaries in a payload", text, "VD-CMP-02", frames=over[:4])
+    bench.check(not over, f"at most {most} summaries in a payload", text, "VD-CMP-02", frames=over[:4], shown=True)
     sequence = [each.var_id for each in bench.instructions(_SUMMARY, since=mark)]
     known = set(sequence)
     missing = sorted(set(names) - known)
@@ -59,7 +59,7 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     short = [each for each in frames if len(_named(each)) < min(most, turn)]
     text = f"{min(map(len, map(_named, frames)), default=0)}"
     what = f"{min(most, turn)} summaries in a payload with room for them"
-    bench.check(not short, what, text, "VD-PAY-02", frames=short[:4])
+    bench.check(not short, what, text, "VD-PAY-02", frames=short[:4], shown=True)
 
 
 @case(
@@ -116,7 +116,7 @@ def no_summaries(bench: Bench) -> None:
     bench.check(asked, "a request for the unknown variable", "none", "VD-CMP-01")
     bench.wait(4)
     found = bench.instructions(_SUMMARY, since=mark)
-    bench.check(not found, "no summaries", f"{len(found)} came", frames=found[:4])
+    bench.check(not found, "no summaries", f"{len(found)} came", frames=found[:4], shown=True)
     passed = bench.instructions(ICType.UPDATES, name, mark)
     bench.check(passed, "the VarUpdate is passed on", "it is not", "VD-CMP-01")
 
@@ -136,7 +136,13 @@ def nothing_to_summarise(bench: Bench) -> None:
     bench.wait(2)
     number = bench.forge.ic_type(_SUMMARY)
     found = [each for each in bench.heard[mark:] if any(one.ic_type == number for one in each.containers)]
-    bench.check(not found, "no SUMMARIES container while no variable is known", f"{len(found)} came", frames=found[:4])
+    bench.check(
+        not found,
+        "no SUMMARIES container while no variable is known",
+        f"{len(found)} came",
+        frames=found[:4],
+        shown=True,
+    )
 
 
 @case(
@@ -166,9 +172,11 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
     heard = bench.frames_with(ICType.CREATE_VARIABLES, create.spec.var_id, mark)[0]
     # 1.0 composes updates and summaries in another order, but creates come first in every version.
     count = len(_named(heard))
-    bench.check(count == 1 - less, f"{1 - less} summaries behind the VarCreate", f"{count}", frames=[heard])
+    bench.check(count == 1 - less, f"{1 - less} summaries behind the VarCreate", f"{count}", frames=[heard], shown=True)
     octets = len(bench.codec.encode_containers(heard.containers))
-    bench.check(octets <= limit, f"a payload of at most {limit} octets", f"{octets}", "VD-IC-05", frames=[heard])
+    bench.check(
+        octets <= limit, f"a payload of at most {limit} octets", f"{octets}", "VD-IC-05", frames=[heard], shown=True
+    )
 
 
 @case(
@@ -198,7 +206,7 @@ def _check_number(bench: Bench, name: int, number: int, since: int) -> None:
     bench.check(found, f"a summary of variable {name}", "none in 12 periods")
     wrong = [each for each in bench.instructions(_SUMMARY, name, since) if each.record.seqno != number]
     text = f"{wrong[0].record.seqno}" if wrong else ""
-    bench.check(not wrong, f"summaries with number {number}", text, frames=wrong[:4])
+    bench.check(not wrong, f"summaries with number {number}", text, frames=wrong[:4], shown=True)
 
 
 @case(
@@ -220,7 +228,7 @@ def deleted_not_summarised(bench: Bench) -> None:
     begun = bench.heard.index(bench.frames_with(ICType.DELETE_VARIABLES, gone[0], mark)[0])
     bench.until(lambda _: set(left) <= {each.var_id for each in bench.instructions(_SUMMARY, since=begun)}, 16)
     late = [each for each in bench.instructions(_SUMMARY, since=begun) if each.var_id in gone]
-    bench.check(not late, "no summary of a deleted variable", f"{len(late)} came", frames=late[:4])
+    bench.check(not late, "no summary of a deleted variable", f"{len(late)} came", frames=late[:4], shown=True)
     still = {each.var_id for each in bench.instructions(_SUMMARY, since=begun)} & set(left)
     bench.check(still == set(left), "summaries of the variables that are left", f"only of {sorted(still)}")
 
@@ -268,4 +276,4 @@ def unknown_not_summarised(bench: Bench) -> None:
     bench.require_alive("names of unknown variables")
     bench.beacons(3)
     found = [each for each in bench.instructions(_SUMMARY, since=mark) if each.var_id in names]
-    bench.check(not found, "no summary of an unknown variable", f"{len(found)} came", frames=found[:4])
+    bench.check(not found, "no summary of an unknown variable", f"{len(found)} came", frames=found[:4], shown=True)

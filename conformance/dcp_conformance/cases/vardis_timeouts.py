@@ -87,7 +87,13 @@ def kept_by_the_application(bench: Bench) -> None:
         since = bench.now()
         bench.wait_ns(timeout_ms * MS // 3)
     early = bench.instructions(_DELETE, name)
-    bench.check(not early, "no VarDelete of a variable that is updated in time", f"{len(early)} came", frames=early[:2])
+    bench.check(
+        not early,
+        "no VarDelete of a variable that is updated in time",
+        f"{len(early)} came",
+        frames=early[:2],
+        shown=True,
+    )
     if early:
         return
     found = deleted(bench, name, since, timeout_ms)
@@ -96,7 +102,7 @@ def kept_by_the_application(bench: Bench) -> None:
     took = found.heard.time - since
     # A request takes a while to arrive: only what is clearly too early is.
     what = f"the VarDelete at least {timeout_ms} ms after the last update"
-    bench.check(took >= timeout_ms * MS * 0.95, what, f"{took / MS:.0f} ms", frames=[found])
+    bench.check(took >= timeout_ms * MS * 0.95, what, f"{took / MS:.0f} ms", frames=[found], shown=True)
 
 
 def _equal(peer: Peer, name: int) -> None:

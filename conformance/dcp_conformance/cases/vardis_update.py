@@ -59,7 +59,9 @@ def updates(bench: Bench) -> None:
         if record is None:
             observed = f"{frames[-1].record}" if frames else "none"
             bench.fail(f"a VarUpdate with the value {value!r}", observed, "VD-UPD-08", frames=frames)
-        bench.check(record.seqno == number, f"its seqno is {number}", f"{record.seqno}", "VD-UPD-07", frames=frames)
+        bench.check(
+            record.seqno == number, f"its seqno is {number}", f"{record.seqno}", "VD-UPD-07", frames=frames, shown=True
+        )
 
 
 def _until_value(bench: Bench, var_id: int, value: bytes) -> Any | None:
@@ -97,7 +99,13 @@ def wrap(bench: Bench) -> None:
         frames = bench.instructions(_U, var_id, mark)
         observed = "not sent" if shown is None else f"sent with seqno {shown.seqno}"
         holds = shown is not None and shown.seqno == number % modulus
-        bench.check(holds, f"update {number} is sent with seqno {number % modulus}", observed, frames=frames)
+        bench.check(
+            holds,
+            f"update {number} is sent with seqno {number % modulus}",
+            observed,
+            frames=frames,
+            shown=shown is not None,
+        )
 
 
 @case(
@@ -118,9 +126,18 @@ def repetitions(bench: Bench, name: str) -> None:
     bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     observed = f"{len(frames)} do"
-    bench.check(len(frames) == count, f"{count} beacons carry the VarUpdate", observed, "VD-UPD-08", frames=frames)
+    bench.check(
+        len(frames) == count,
+        f"{count} beacons carry the VarUpdate",
+        observed,
+        "VD-UPD-08",
+        frames=frames,
+        shown=len(frames) > count,
+    )
     twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
-    bench.check(not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice)
+    bench.check(
+        not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice, shown=True
+    )
 
 
 @case(
@@ -152,9 +169,18 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     newest = [heard for heard in frames if _newest(heard.instructions(_U, var_id)[-1].record, value, seqno)]
     observed = f"{len(newest)} of {len(frames)} with VarUpdates do"
-    bench.check(len(newest) == count, f"{count} beacons carry the newest update", observed, "VD-UPD-08", frames=frames)
+    bench.check(
+        len(newest) == count,
+        f"{count} beacons carry the newest update",
+        observed,
+        "VD-UPD-08",
+        frames=frames,
+        shown=len(newest) > count,
+    )
     twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
-    bench.check(not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice)
+    bench.check(
+        not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice, shown=True
+    )
     old = [heard for heard in bench.frames_with(_U, var_id, done) if heard not in newest]
     late = [heard for heard in old if newest and heard.time >= newest[0].time]
     bench.check(
@@ -163,6 +189,7 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
         f"it is in {len(old)}, {len(late)} of them after the newest",
         "VD-UPD-09",
         frames=old,
+        shown=True,
     )
 
 
@@ -211,7 +238,11 @@ def in_creations(bench: Bench) -> None:
     wrong = [each for each in after if each is None or not _newest(each.upd, b"newer", 1)]
     observed = f"{wrong[0].upd}" if wrong and wrong[0] is not None else f"{len(after)} VarCreates"
     bench.check(
-        bool(after) and not wrong, "the VarCreates after the update carry its value, seqno 1", observed, frames=frames
+        bool(after) and not wrong,
+        "the VarCreates after the update carry its value, seqno 1",
+        observed,
+        frames=frames,
+        shown=wrong,
     )
 
 
@@ -231,7 +262,7 @@ def unknown(bench: Bench) -> None:
     bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=b"value".hex())
     bench.require_alive("the update of an unknown variable")
     frames = bench.frames_with(_U, var_id)
-    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", frames=frames)
+    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", frames=frames, shown=True)
 
 
 @case(
@@ -247,7 +278,7 @@ def foreign(bench: Bench) -> None:
     for value in (b"ours", b""):
         bench.expect_status(NOT_PRODUCER, "RTDB-Update", varId=var_id, value=value.hex())
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == b"theirs".hex(), "the variable keeps its value", f"it is {shown}")
+    bench.check(shown == b"theirs".hex(), "the variable keeps its value", f"it is {shown}", shown=True)
 
 
 @case(
@@ -284,10 +315,12 @@ def deleted(bench: Bench) -> None:
         if answer.code != NOT_EXPRESSIBLE:
             allowed = statuses_after_deletion(bench)
             matches = any(same_status(answer, status) for status in allowed)
-            bench.check(matches, f"RTDB-Update answers {' or '.join(allowed)}", str(answer))
+            bench.check(matches, f"RTDB-Update answers {' or '.join(allowed)}", str(answer), shown=True)
     bench.beacons(2, 2.5)
     frames = bench.frames_with(_U, var_id, mark)
-    bench.check(not frames, "no VarUpdate of the deleted variable is sent", f"{len(frames)} are", frames=frames)
+    bench.check(
+        not frames, "no VarUpdate of the deleted variable is sent", f"{len(frames)} are", frames=frames, shown=True
+    )
 
 
 @case(
@@ -306,7 +339,9 @@ def value(bench: Bench) -> None:
     if answer.code == NOT_EXPRESSIBLE:
         bench.info("a value that the profile cannot express", str(answer))
     else:
-        bench.check(same_status(answer, VALUE_TOO_LONG), f"RTDB-Update answers {VALUE_TOO_LONG}", str(answer))
+        bench.check(
+            same_status(answer, VALUE_TOO_LONG), f"RTDB-Update answers {VALUE_TOO_LONG}", str(answer), shown=True
+        )
     _check_unchanged(bench, var_id, b"v" * longest)
 
 
@@ -327,10 +362,10 @@ def empty_value(bench: Bench) -> None:
 
 def _check_unchanged(bench: Bench, var_id: int, value: bytes) -> None:
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == value.hex(), "a refused update leaves the value", f"it is {shown}")
+    bench.check(shown == value.hex(), "a refused update leaves the value", f"it is {shown}", shown=True)
     record = bench.until_instruction(_U, var_id)
     holds = record is not None and _newest(record, value, 1)
-    bench.check(holds, "the VarUpdate has the first value under seqno 1", f"{record}")
+    bench.check(holds, "the VarUpdate has the first value under seqno 1", f"{record}", shown=record is not None)
 
 
 @case(
@@ -349,9 +384,9 @@ def entry(bench: Bench) -> None:
     bench.wait(3)
     request = timed(bench, "RTDB-Update", varId=var_id, value=b"newer".hex())
     after = entry_of(bench, var_id) or {}
-    bench.check(after.get("value") == b"newer".hex(), "the new value", f"{after.get('value')}")
-    bench.check(after.get("seqno", 1) == 1, "seqno 1", f"{after.get('seqno')}")
+    bench.check(after.get("value") == b"newer".hex(), "the new value", f"{after.get('value')}", shown=True)
+    bench.check(after.get("seqno", 1) == 1, "seqno 1", f"{after.get('seqno')}", shown=True)
     left = after.get("countUpdate", count)
-    bench.check(count - 2 <= left <= count, f"countUpdate from {max(0, count - 2)} to {count}", f"{left}")
+    bench.check(count - 2 <= left <= count, f"countUpdate from {max(0, count - 2)} to {count}", f"{left}", shown=True)
     if "tStamp" in before and "tStamp" in after:
         check_apart(bench, "tStamp", after["tStamp"] - before["tStamp"], created, request)
