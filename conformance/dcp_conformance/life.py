@@ -74,13 +74,11 @@ class Life:
         return self._control is not None and self._control.alive() is False
 
     def await_end(self, bench: Bench) -> bool:
-        """Wait for a process that may be ending; whether it has ended."""
+        """Wait for an implementation that may be ending; whether its process is known to have ended."""
         deadline = bench.now() + round(DEATH_PATIENCE * 1e9)
         real = time.monotonic() + DEATH_PATIENCE
         # Both clocks: time passes on the lower tester's only while the link can be read.
-        while self._control is not None and bench.now() < deadline and time.monotonic() < real:
-            if self._control.alive() is not True:
-                break
+        while not self.ended() and bench.now() < deadline and time.monotonic() < real:
             try:
                 bench.wait_ns(_POLL_NS)
             except UpperTesterError as error:

@@ -24,7 +24,7 @@ from dcp_spec.version import __version__
 from dcp_codec.codec import Codec
 
 from .bench import Session
-from .case import Case, all_cases
+from .case import SANITY, Case, all_cases
 from .errors import ConformanceError, UsageError
 from .mutants import Mutant, all_mutants
 from .pics import Pics
@@ -129,6 +129,10 @@ def _cases() -> tuple[Case, ...]:
     return tuple(ordered(all_cases().values()))
 
 
+def _sanity() -> Case:
+    return next(case for case in _cases() if case.id == SANITY)
+
+
 @cache
 def _mutants() -> dict[str, Mutant]:
     return all_mutants()
@@ -148,11 +152,18 @@ class Suite:
         upper = self._sut.upper_tester()
         self._runner = Runner(Session(codec, self._sut.lower_tester(), upper, Pics()), self._sut)
         self._runner.prepare()
+        self._begun = False
 
     def run(self, cases: Iterable[Case]) -> Iterator[CaseResult]:
-        """The results of ``cases``; a node that died is started again, as with ``--restart``."""
+        """The results of ``cases``, after that of the sanity case, as in a run; a node that died is started again."""
         for case in cases:
+            if not self._begun and case.id != SANITY:
+                yield self._runner.run(_sanity())
+            self._begun = True
             yield self._runner.run(case)
+            yield from self._runner.take_revised()
+        self._runner.finish()
+        yield from self._runner.take_revised()
 
 
 def baseline(profile: str) -> Baseline:
@@ -192,7 +203,7 @@ def trial(mutant: Mutant, *, profile: str | None = None, full: bool = False, eve
         if result.verdict is Verdict.ERROR:
             errors.append(finding)
         elif result.verdict is Verdict.FAIL:
-            hit = set(finding.requirements) & set(mutant.requirements) & set(result.requirements)
+            hit = set(finding.requirements) & set(mutant.requirements)
             (killers if hit else also).append(finding)
             if hit and not full and not every:
                 break
