@@ -106,7 +106,7 @@ def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attr
 def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     """The checks of a case that ended the life of the implementation: first the death, then what it saw.
 
-    Nothing that failed while the implementation was dying stays a fail.
+    If the death violates a requirement, nothing that failed while the implementation was dying stays a fail.
     """
     loss = trial.loss
     assert loss is not None
@@ -116,7 +116,11 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
         return (check, *_withheld(trial, "its upper tester was gone"))
     table: Table = "robustness" if trial.case.robustness else "conformance"
     verdict = Verdict.INCONCLUSIVE if loss.doubtful else Verdict.FAIL
-    death = Check(verdict, survival(trial), "the implementation survives", loss.observed + text, table=table)
+    violated = survival(trial)
+    death = Check(verdict, violated, "the implementation survives", loss.observed + text, table=table)
+    if not violated:
+        # A service call, for which no requirement asks for survival: what the case saw is all that can be said.
+        return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
 
 

@@ -1,4 +1,4 @@
-"""Deaths of a real implementation: several processes under one start script, and an adapter that goes down with them."""
+"""Deaths of real processes: several under one start script, and an adapter that goes down with them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ LETHAL, NEXT = "TC_BP_RX_BI_24", "TC_BP_FMT_BV_02"
     [("ends", -0.5), ("ends", 0.0), ("stays", 0.5), ("stays", None), ("detaches", -0.5), ("detaches", 1.0)],
 )
 def test_the_case_that_kills_is_blamed_and_no_other(launcher: str, adapter_after: float | None):
-    with foreign(
-        faults=["dies-of-short-frame"], launcher=launcher, adapter_after=adapter_after, reset=False
-    ) as target:
+    with foreign(faults=["dies-of-short-frame"], launcher=launcher, adapter_after=adapter_after, reset=False) as target:
         run = target.run(LETHAL, NEXT)
         assert run.status == 1, run.text
         assert {each["id"] for each in run.cases} == {SANITY, LETHAL, NEXT}

@@ -48,7 +48,7 @@ def helps() -> Iterator[tuple[str, frozenset[str]]]:
 #: Commands that do something, and what that takes nothing of.
 WORK = {
     "dcp-conformance list": HEAVY | SHOWING | {"dcp_stack.node"},
-    "dcp-conformance run --dry-run": HEAVY - {"pytest"} | {"mcap", "dcp_stack.node"},
+    "dcp-conformance run --dry-run": HEAVY | {"mcap", "dcp_stack.node"},
     "dcp-conformance selftest --list": HEAVY | {"mcap"},
     f"dcp-conformance check {RECORDING} --quiet": HEAVY - {"jinja2"} | {"dcp_stack.node"},
     "dcp-node run --link udp --print-config": HEAVY | SHOWING,

@@ -24,8 +24,8 @@ main = CommandLine(
     },
     about="Test implementations of DCP (BP, SRP, VarDis), live or from recordings.",
     exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "
-    "unexpected, but something inconclusive; 4 the tester's own trouble.",
+    "unexpected, but something inconclusive; 4 the tester's own trouble; 130 interrupted.",
     failures=_FAILURES,
-    extras=dict.fromkeys(("pytest", "jinja2", "scapy"), "conformance"),
+    extras={**dict.fromkeys(("jinja2", "scapy"), "conformance"), "pytest": "pytest"},
     fault_status=4,
 )
