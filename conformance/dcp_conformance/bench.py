@@ -58,11 +58,18 @@ class Bench(Listening):
         self.peers_made.append(peer)
         return peer
 
-    def transmit(self, octets: bytes, source: bytes) -> int:
-        """Put a bearer payload on the air; the number of its frame in the recording."""
+    def transmit(self, octets: bytes, source: bytes, payloads: int = 1) -> int:
+        """Put a bearer payload on the air; the number of its frame in the recording.
+
+        ``payloads``: how many blocks it has that the implementation may take one at a time.
+        """
         self.acts()
         frame = self.lower.send(octets, source)
         self.acts()
+        session = self.session
+        if session.reaction is not None and session.reaction.per_payload:
+            busy = round(payloads * session.reaction.per_payload * self.period)
+            session.busy_until = max(session.busy_until, self.now()) + busy
         self.stimulated()
         return self.traffic.frame("sent", self.lower.wall(), source.hex(":"), frame, len(frame) - len(octets))
 
@@ -119,11 +126,13 @@ class Bench(Listening):
         self.acts()
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
         self.changes.asked(method, params)
+        begun = self.now()
         answer = upper.call(method, params)
         self.changes.answered(method, params, answer)
         # Beacons come while the upper tester takes its time, which is not the tester's delay.
         self.lower.take_in()
         self._acted = self.now()
+        self.session.slowest_call = max(self.session.slowest_call, self._acted - begun)
         self.stimulated()
         data = answer.result if answer.code is None else {"code": answer.code, "message": answer.message}
         self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)

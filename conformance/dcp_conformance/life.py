@@ -87,6 +87,11 @@ class Life:
                 time.sleep(_POLL_NS / 1e9)
         return self.ended()
 
+    @property
+    def has_answered(self) -> bool:
+        """Whether it ever answered a summary of an unknown variable in a case."""
+        return "answer" in self._shown
+
     def learn(self, bench: Bench) -> None:
         """Remember the signs of life that a case has brought."""
         if bench.heard:
@@ -119,7 +124,7 @@ class Life:
     def _asked(self, bench: Bench) -> bool:
         if self._can_ask(bench):
             with contextlib.suppress(StopCase):
-                return bench.probe(5)
+                return bench.probe(max(5, bench.reaction))
         return bool(bench.beacons(1, 5))
 
     @staticmethod

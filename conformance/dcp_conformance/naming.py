@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 from typing import Any, NoReturn
 
@@ -12,7 +13,7 @@ from dcp_codec.values import ExtendedSafetyData, VarCreate, VarSpec, VarUpdate
 
 from .case import Case
 from .findings import Findings
-from .session import Session
+from .session import FLOOR, Session
 
 #: Identifiers that a message names.
 _NAMES = 8
@@ -40,8 +41,21 @@ class Naming(Findings):
 
     @property
     def reaction(self) -> float:
-        """Beacon periods within which a reaction must show (PIXIT)."""
-        return self.pixit.reaction_periods
+        """Beacon periods within which a reaction to what is sent now, or was sent before, must show.
+
+        As the PIXIT says, or else as measured at the start (:mod:`dcp_conformance.reaction`). An implementation that
+        takes received payloads one at a time has more time while some are waiting.
+        """
+        session = self.session
+        waiting = max(0, session.busy_until - self.now()) / self.period
+        if self.pixit.reaction_periods is not None:
+            return self.pixit.reaction_periods + waiting
+        return (FLOOR if session.reaction is None else session.reaction.periods) + waiting
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether it was measured to take received payloads one at a time, so that it may answer in between."""
+        return self.session.reaction is not None and self.session.reaction.per_payload > 0
 
     @property
     def sut_id(self) -> bytes:
@@ -156,10 +170,11 @@ class Naming(Findings):
             )
         return found
 
-    def has_unknown_ids(self) -> bool:
-        """Whether there is an identifier left that the implementation has never shown to know."""
+    def has_unknown_ids(self, count: int = 1) -> bool:
+        """Whether so many identifiers are left that the implementation has never shown to know."""
         first, last = self._var_id_range()
-        return any(self._is_unknown(number) for number in range(last, first - 1, -1))
+        unknown = (number for number in range(last, first - 1, -1) if self._is_unknown(number))
+        return len(list(itertools.islice(unknown, count))) == count
 
     def _var_id_range(self) -> tuple[int, int]:
         """The first and the last identifier that may be used."""

@@ -49,7 +49,8 @@ class Peer:
         follows the beacon, ``cut`` keeps so many octets of it all, ``sender`` is another identifier in the header.
         """
         octets = self.beacon(*what, lies=lies, sender=sender, network_id=network_id) + padding
-        return self.send_octets(octets if cut is None else octets[:cut])
+        blocks = max(1, len(self._blocks(what)))
+        return self._bench.transmit(octets if cut is None else octets[:cut], self.address, blocks)
 
     def send_all(self, records: Iterable[VardisRecord]) -> None:
         """Send records in as many beacons as they need: no payload is larger than the implementation's own may be."""

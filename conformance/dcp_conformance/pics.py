@@ -72,8 +72,8 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     network_id: _Count | None = None
     beacon_period_ms: _Positive = 100.0
     """BPPAR_BEACON_PERIOD: the unit of all time windows."""
-    reaction_periods: _Positive = 4.0
-    """How long a reaction may take to appear in a beacon. The public C++ implementation needs 2.5."""
+    reaction_periods: _Positive | None = None
+    """How long a reaction may take to appear in a beacon; None: measured at the start, and 4.0 at least."""
     least_patience_ms: _Positive = 300.0
     """What is waited for is waited for at least so long, however short the period: machines are busy at times."""
     quiet_beacons: Annotated[int, msgspec.Meta(ge=1)] = 3

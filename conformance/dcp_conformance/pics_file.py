@@ -38,7 +38,7 @@ QUESTIONS: Final[dict[str, str]] = {
     "pixit.node_id": "What is its node identifier? Without it, that of the first beacon that is heard.",
     "pixit.network_id": "Which network identifier do its beacons have, where they have one?",
     "pixit.beacon_period_ms": "What is BPPAR_BEACON_PERIOD? All time windows are multiples of it.",
-    "pixit.reaction_periods": "In how many beacon periods does a reaction show on the air?",
+    "pixit.reaction_periods": "In how many beacon periods does a reaction show on the air? Measured if not set.",
     "pixit.least_patience_ms": "How long does it need for anything, however short the beacon period?",
     "pixit.quiet_beacons": "After how many beacons without a record will there be no more of it?",
     "pixit.period_tolerance": "How far may the mean interval be from the period, as a fraction of it?",

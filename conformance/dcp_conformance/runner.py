@@ -20,7 +20,9 @@ from .control import SutControl
 from .errors import LowerTesterError, StopCase, UpperTesterError
 from .life import Life
 from .node_id import node_id_octets
+from .reaction import prepare
 from .results import CaseResult, Check, EventRecord, Sut
+from .session import FLOOR
 from .traffic import Event
 from .verdict import Verdict, worst
 
@@ -62,6 +64,8 @@ class Runner:
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases in this life of the implementation."""
         self._revised: list[CaseResult] = []
+        self._measured = 0
+        """How often the reaction time was measured."""
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
 
@@ -194,6 +198,7 @@ class Runner:
                     Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
                 )
                 return trial
+            self._measure()
             bench.mark()
             bench.heard.clear()
             # What was lost, or looked at late, before the case is no excuse in it.
@@ -222,6 +227,14 @@ class Runner:
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
         return trial
+
+    def _measure(self) -> None:
+        """Find out how fast the implementation reacts; once more if it only began to answer later."""
+        if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
+            self._measured += 1
+            found = prepare(self.session)
+            if found is not None and (found.periods > FLOOR or found.per_payload):
+                self.remarks.append(f"reactions are waited for {found}; pixit.reaction_periods overrides this")
 
     def _refuse(self, case: Case, trial: Trial) -> None:
         """End the run if the sanity case has found that there is nothing to test."""

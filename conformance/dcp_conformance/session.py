@@ -3,13 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 from dcp_codec.codec import Codec
 
 from .lower import LowerTester
 from .pics import Pics
 from .upper import UpperTester
+
+#: Beacon periods that every reaction is granted: what a fast implementation needs, and room for a lost frame.
+FLOOR: Final = 4.0
+
+
+class Reaction(NamedTuple):
+    """What was measured; times in beacon periods."""
+
+    periods: float = FLOOR
+    """Within this time the answer to a single question is to be expected, with a margin."""
+    per_payload: float = 0.0
+    """Additional time for each received payload that waits before the one that is asked about; 0: it takes all."""
+    samples: tuple[float, ...] = ()
+    """From question to answer, one by one; empty if nothing was answered."""
+
+    def __str__(self) -> str:
+        if not self.samples:
+            return f"{self.periods:g} beacon periods (not measured: no answer)"
+        one = f", and {self.per_payload:.2g} for each payload that waits" if self.per_payload else ""
+        return (
+            f"{self.periods:.1f} beacon periods{one} (slowest of {len(self.samples)} answers: {max(self.samples):.2f})"
+        )
 
 
 class Session:
@@ -49,3 +71,9 @@ class Session:
         self.leaving: dict[int, int] = {}
         """Those of them that were deleted and, up to 1.3, leave the database: the time (ns) when they will have."""
         self.creation_time = 0
+        self.reaction: Reaction | None = None
+        """How fast the implementation reacts, once it was measured."""
+        self.busy_until = 0
+        """Time (ns) until which it is busy with what it was sent, if it takes one received payload at a time."""
+        self.slowest_call = 0
+        """ns that the slowest call of the upper tester has taken so far."""

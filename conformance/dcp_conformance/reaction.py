@@ -1,0 +1,114 @@
+"""How fast an implementation reacts: measured at the start of a run, so that slow but legal ones are waited for.
+
+An implementation may look at its buffer every few hundred milliseconds only, compose a payload well before it is sent,
+or take one received payload each time it polls. The specification sets no bound, so the tester measures: it asks a few
+questions one by one, then several at once, and adds a margin to the worst answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from dcp_spec.constants import ICType
+
+from .bench import Bench
+from .case import Case, Kind
+from .heard import Heard
+from .session import FLOOR, Reaction, Session
+
+#: Questions that are asked one by one, and at once.
+_SINGLE, _BURST = 5, 10
+#: How long to wait for an answer that may never come: the greater of beacon periods and ns.
+_PATIENCE = (25, 5_000_000_000)
+#: What the worst sample is multiplied by and what is added to it, in periods.
+_FACTOR, _MARGIN = 1.5, 1.0
+#: Answers to a burst within so many periods came together: a payload was composed while the burst was arriving.
+_TOGETHER = 1.5
+#: Not a case of the suite: a bench needs one.
+_CASE: Final = Case(
+    "measurement",
+    "How fast the implementation reacts",
+    ("VD-PS-01",),
+    Kind.VALID,
+    "",
+    "",
+    0,
+    "",
+    __name__,
+    lambda _: None,
+)
+
+
+def prepare(session: Session) -> Reaction | None:
+    """Measure once in a session, unless the PIXIT says how long reactions take; what was measured now.
+
+    Does nothing (None) if it is known already, or if there is no VarDis to ask. Raises ``LowerTesterError``.
+    """
+    pixit, pics = session.pics.pixit, session.pics.pics
+    if session.reaction is not None or pixit.reaction_periods is not None or pics.vardis is False:
+        return None
+    found = measure(Bench(session, _CASE))
+    if found.samples:
+        session.reaction = found
+    return found
+
+
+def measure(bench: Bench) -> Reaction:
+    """Ask an implementation a few questions (summaries of unknown variables) and time the requests that they bring.
+
+    Takes about eight beacon periods, or up to ``_PATIENCE`` if nothing is answered. Leaves no variables behind. What
+    is heard meanwhile belongs to ``bench``, which should not be that of a case. Raises ``LowerTesterError``.
+    """
+    samples: list[float] = []
+    for number in range(_SINGLE):
+        times = _ask(bench, 1)
+        if not times:
+            break
+        samples += times
+        # Different phases of its timers; the first two questions follow an answer at once.
+        bench.wait(0.2 * number)
+    if not samples:
+        return Reaction()
+    periods = max(FLOOR, _FACTOR * max(*samples, _told(bench)) + _MARGIN)
+    burst = _ask(bench, _BURST)
+    spread = max(burst, default=0.0) - min(burst, default=0.0)
+    each = _FACTOR * spread / (len(burst) - 1) if spread > _TOGETHER else 0.0
+    return Reaction(periods, each, tuple(samples))
+
+
+def _told(bench: Bench) -> float:
+    """The period in which it looks at its buffer, if it has told it, and the beacon after it."""
+    told = bench.session.parameters.get("VARDISPAR_BUFFER_CHECK_PERIOD")
+    return float(told) * 1e6 / bench.period + 1 if isinstance(told, int | float) else 0.0
+
+
+def _ask(bench: Bench, count: int) -> list[float]:
+    """Send so many questions at once, each in a beacon; the times until the first request for each, in periods.
+
+    Fewer questions where fewer identifiers are left.
+    """
+    while count and not bench.has_unknown_ids(count):
+        count //= 2
+    peer, waiting = bench.peer(), set(bench.unknown_ids(count))
+    begun = bench.now()
+    for each in sorted(waiting):
+        peer.send(peer.summary(each, 1))
+    found: list[float] = []
+
+    def answered(heard: Heard) -> bool:
+        new = waiting & set(_requested(heard))
+        found.extend([(heard.time - begun) / bench.period] * len(new))
+        waiting.difference_update(new)
+        return bool(new)
+
+    patience = max(_PATIENCE[0], _PATIENCE[1] / bench.period)
+    # Each answer may take that long, not all of them together.
+    while waiting:
+        if not bench.until(answered, patience):
+            break
+    return found
+
+
+def _requested(heard: Heard) -> Iterable[int]:
+    return (each.var_id for each in heard.instructions(ICType.REQUEST_VARCREATES))
