@@ -7,11 +7,9 @@ from typing import ClassVar, NamedTuple
 
 from dcp_spec.constants import Features, features
 from dcp_spec.profile import Profile
-from dcp_spec.requirements import requirements
 
 from dcp_codec.codec import Codec
 from dcp_codec.dissect import Dissection
-from dcp_codec.errors import Problem
 from dcp_conformance.heard import Heard, Instruction
 from dcp_conformance.pics import Pics
 from dcp_conformance.results import Mark
@@ -188,30 +186,6 @@ class Invariant:
         if isinstance(what, Said):
             return Mark(what.frame, path=f"{what.kind.label} {what.var_id}")
         return Mark(what.heard.number, path=f"{what.kind.label} {what.var_id}")
-
-
-#: The dissector cites what a receiver has to do about octets; what their sender has done wrong is another requirement.
-_OF_THE_SENDER = {
-    "BP-RX-01": "BP-HDR-01",
-    "BP-RX-02": "BP-HDR-02",
-    "BP-RX-03": "BP-HDR-06",
-    "BP-RX-04": "BP-HDR-07",
-    "BP-RX-08": "BP-HDR-11",
-    "BP-RX-09": "BP-FMT-01",
-    "BP-RX-15": "BP-HDR-06",
-    "SRP-RX-01": "SRP-FMT-01",
-    "VD-RX-05": "VD-IC-02",
-    "VD-RX-06": "VD-IC-03",
-    "VD-RX-07": "VD-IC-01",
-    "VD-PC-06": "VD-CRE-07",
-}
-
-
-def broken_by(problem: Problem) -> tuple[str, ...]:
-    """The requirement that the sender of such octets has broken; empty if the catalogue has none."""
-    cited = problem.requirement or ""
-    found = _OF_THE_SENDER.get(cited, cited)
-    return (found,) if found in requirements() else ()
 
 
 def name(node_id: bytes) -> str:

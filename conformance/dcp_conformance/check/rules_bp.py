@@ -8,10 +8,12 @@ from collections import deque
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
+from dcp_conformance.broken import broken_by
+from dcp_conformance.header_rules import judge
 from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
-from .base import MOST_SENDERS, Context, Invariant, Seen, Trace, broken_by, name
+from .base import MOST_SENDERS, Context, Invariant, Seen, Trace, name
 
 MS = 1_000_000
 BROADCAST = b"\xff" * 6
@@ -39,15 +41,14 @@ class BeaconFormat(Invariant):
     expect = "a beacon as the profile lays it out"
 
     def feed(self, seen: Seen) -> None:
-        """Report what the dissector says, by requirement."""
+        """Report what the octets break, by requirement."""
         self.exercised()
-        for problem in seen.dissection.errors:
-            mark = Mark(seen.number, problem.offset, 1, problem.path)
+        if seen.heard.problem is None:
+            return
+        for each in judge(seen.heard.octets, self.context.codec):
+            mark = Mark(seen.number, seen.start + each.offset, each.length, each.path)
             self.violated(
-                f"{name(seen.sender)}: {problem}",
-                [mark],
-                *broken_by(problem),
-                once=(seen.sender, problem.reason),
+                f"{name(seen.sender)}: {each}", [mark], *each.requirements, once=(seen.sender, each.requirements)
             )
 
 
