@@ -11,8 +11,6 @@ import time
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from dcp_spec.constants import ICType
-
 from .bench import Bench
 from .case import Case
 from .control import SutControl
@@ -92,11 +90,11 @@ class Life:
         """Whether it ever answered a summary of an unknown variable in a case."""
         return "answer" in self._shown
 
-    def learn(self, bench: Bench) -> None:
-        """Remember the signs of life that a case has brought."""
+    def learn(self, bench: Bench, *, answered: bool = False) -> None:
+        """Remember the signs of life in a case. ``answered``: a question about an unknown variable was answered."""
         if bench.heard:
             self._shown.add("beacon")
-        if any(heard.instructions(ICType.REQUEST_VARCREATES) for heard in bench.heard):
+        if answered:
             self._shown.add("answer")
 
     def answers(self, bench: Bench) -> bool:
@@ -117,7 +115,7 @@ class Life:
                 self.hung_up = str(error)
                 continue
             if answered or (not strict and len(bench.heard) > before):
-                self.learn(bench)
+                self.learn(bench, answered=answered and self._can_ask(bench))
                 return True
         return not strict and self.serves()
 

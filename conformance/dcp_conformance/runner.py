@@ -238,7 +238,11 @@ class Runner:
 
     def _refuse(self, case: Case, trial: Trial) -> None:
         """End the run if the sanity case has found that there is nothing to test."""
-        if case.id != SANITY or trial.verdict is Verdict.PASS or trial.bench.heard or self.life.serves():
+        if case.id != SANITY:
+            return
+        passed = trial.verdict is Verdict.PASS
+        self.life.learn(trial.bench, answered=passed and trial.bench.pics.vardis is not False)
+        if passed or trial.bench.heard or self.life.serves():
             return
         reason = next((check.observed for check in trial.checks if check.verdict is trial.verdict), "")
         self.dead = f"the implementation does not take part: {reason}"
