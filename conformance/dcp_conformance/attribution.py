@@ -106,7 +106,8 @@ def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attr
 def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     """The checks of a case that ended the life of the implementation: first the death, then what it saw.
 
-    If the death violates a requirement, nothing that failed while the implementation was dying stays a fail.
+    If the death violates a requirement, only failures that were received stay fails: what is missing may be missing
+    because the implementation was dying.
     """
     loss = trial.loss
     assert loss is not None
@@ -125,10 +126,10 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
 
 
 def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
-    """The checks of a trial, without blame for what a dead implementation did not do."""
+    """The checks of a trial, without blame for what a dead implementation did not do; what it did stays."""
     return tuple(
         msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; but {why}")
-        if check.verdict is Verdict.FAIL
+        if check.verdict is Verdict.FAIL and not check.shown
         else check
         for check in trial.checks
     )

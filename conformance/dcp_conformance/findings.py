@@ -113,7 +113,8 @@ class Findings:
         if not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
             self._excused = True
-        self._add(verdict, expected, "" if holds else observed, requirements, frames)
+        proved = bool(shown) and verdict is Verdict.FAIL
+        self._add(verdict, expected, "" if holds else observed, requirements, frames, shown=proved)
         return bool(holds)
 
     def require(
@@ -175,10 +176,13 @@ class Findings:
         observed: str,
         requirements: Sequence[str],
         frames: Iterable[Heard | Instruction | Mark],
+        *,
+        shown: bool = False,
     ) -> None:
         table: Table = "robustness" if self.case.robustness else "conformance"
         marks = tuple(self._mark(each) for each in frames)
-        checked = Check(verdict, tuple(requirements) or self.case.requirements, expected, observed, marks, table)
+        decided = tuple(requirements) or self.case.requirements
+        checked = Check(verdict, decided, expected, observed, marks, table, shown)
         self.checks.append(checked)
         self.traffic.note("note", self.lower.wall(), f"{verdict}: {expected}" + (f": {observed}" if observed else ""))
 

@@ -35,6 +35,8 @@ class Check(msgspec.Struct, frozen=True, omit_defaults=True):
     observed: str = ""
     frames: tuple[Mark, ...] = ()
     table: Table = "conformance"
+    shown: bool = False
+    """A failure that is proved by what was received, which nothing that happened later can explain."""
 
 
 class EventRecord(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -264,3 +264,29 @@ def test_a_fault_of_the_tester_between_cases_is_a_result():
     result = runner.run(SECOND)
     assert result.verdict is Verdict.ERROR
     assert "TypeError" in result.error_detail
+
+
+def test_what_was_received_stays_a_fail_of_its_requirement():
+    def body(bench: Bench) -> None:
+        bench.check(False, "the right octets", "others", "VD-RX-03", shown=True)
+        says(A, expect=False)(bench)
+
+    result = runner_of(Frail()).run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03"))
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed == {"VD-ROB-01", "VD-RX-03"}
+
+
+def test_a_death_by_a_service_leaves_what_the_case_saw():
+    """No requirement asks for surviving a service: what failed in the case is all that can be said."""
+    sut = Frail()
+
+    def body(bench: Bench) -> None:
+        bench.call("UT-Hello")
+        sut.died = "RuntimeError: a service"
+        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+
+    runner = runner_of(sut, upper=True)
+    result = runner.run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"))
+    assert result.killed
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert "VD-RX-04" not in failed

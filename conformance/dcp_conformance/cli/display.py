@@ -220,5 +220,6 @@ def _print_finding(out: Console, case: CaseResult) -> None:
     if len(bad) > _CHECKS:
         out.print(f"            ... and {len(bad) - _CHECKS} more, which the report shows")
     decided = dict.fromkeys(each for check in bad for each in check.requirements)
-    out.print(f"  decides   {', '.join(decided)}", soft_wrap=True)
+    if decided:
+        out.print(f"  decides   {', '.join(decided)}", soft_wrap=True)
     out.print(f"  again     {escape(case.rerun)}", soft_wrap=True)
