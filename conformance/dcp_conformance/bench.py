@@ -11,7 +11,7 @@ hearing), and here what is done to the implementation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -52,8 +52,7 @@ class Bench(Listening):
 
     def peer(self) -> Peer:
         """A virtual station that has not spoken before."""
-        self.session.next_peer += 1
-        number = self.session.next_peer
+        number = self.next_node()
         peer = Peer(self, self._node_id(number), address_of(number))
         self.peers_made.append(peer)
         return peer
@@ -127,8 +126,16 @@ class Bench(Listening):
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
         self.changes.asked(method, params)
         begun = self.now()
-        answer = upper.call(method, params)
+        try:
+            answer = upper.call(method, params)
+        except UpperTesterError:
+            self._carried_out(method, params)
+            raise
         self.changes.answered(method, params, answer)
+        if answer.ok and method == "UT-Reset":
+            self.session.forget()
+        elif answer.ok:
+            self._carried_out(method, params)
         # Beacons come while the upper tester takes its time, which is not the tester's delay.
         self.lower.take_in()
         self._acted = self.now()
@@ -136,10 +143,14 @@ class Bench(Listening):
         self.stimulated()
         data = answer.result if answer.code is None else {"code": answer.code, "message": answer.message}
         self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)
-        if method == "RTDB-Create" and answer.ok:
-            self.produced.add(params["varId"])
         self.take_notifications()
         return answer
+
+    def _carried_out(self, method: str, params: Mapping[str, Any]) -> None:
+        """A call has succeeded, or may have."""
+        if method == "RTDB-Create" and isinstance(params.get("varId"), int):
+            self.produced.add(params["varId"])
+            self.session.identifiers.offered(params["varId"], by_peer=False)
 
     def restart(self) -> None:
         """Start the implementation again and wait until it takes part; for cases whose needs say ``restart``."""
@@ -148,6 +159,7 @@ class Bench(Listening):
         self.traffic.note("note", self.lower.wall(), "restart of the implementation")
         self.session.restart()
         self.changes.forget()
+        self.session.forget()
         self._acted = None
         for _ in range(5):
             if self.probe(self.reaction):
@@ -189,6 +201,11 @@ class Bench(Listening):
 
         Called after each case, however it ended. Does not raise: what cannot be undone is told by :attr:`not_restored`.
         """
+        self._restore()
+        left = (params.get("protId") for method, params in self.changes.due() if method == "BP-DeregisterProtocol")
+        self.session.held_protocols.update(each for each in left if isinstance(each, int))
+
+    def _restore(self) -> None:
         self.not_restored, failures = "", 0
         # The bounds of some parameters depend on others: what is refused first may be accepted later.
         for _ in range(2):

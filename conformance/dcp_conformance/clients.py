@@ -130,11 +130,19 @@ def areas_of_fixed_size(bench: Bench) -> str | None:
 
 
 def unused_protocol_id(bench: Bench) -> int:
-    """A protocol identifier that nobody has registered."""
+    """A protocol identifier that nobody has registered, used least recently by the tester.
+
+    Raises ``NamesUsedUp`` if all that there are may still be registered.
+    """
     width = bench.profile.types.protocol_id.width
-    first, number = (0x7000, 0x0F00) if width > 1 else (0x70, 0x60)
-    bench.session.next_protocol += 1
-    return first + bench.session.next_protocol % number
+    first, size = (0x7000, 0x0F00) if width > 1 else (0x70, 0x60)
+    session = bench.session
+    numbers = (first + (session.next_protocol + 1 + step) % size for step in range(size))
+    number = next((each for each in numbers if each not in session.held_protocols), None)
+    if number is None:
+        bench.used_up("a protocol identifier that is not registered", 0, size)
+    session.next_protocol = number - first
+    return number
 
 
 def blocks_of(codec: Codec, heard: Heard) -> list[tuple[int, bytes]]:

@@ -161,19 +161,16 @@ class Listening(Naming):
                 self.heard.append(heard)
                 if self._stimulus is not None and arrival.time >= self._stimulus:
                     self._stimulus = None
-                self.session.summarised.update(each.var_id for each in heard.instructions(ICType.SUMMARIES))
-                self.session.summarised.difference_update(
-                    each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)
-                )
-                for var_id in heard.known:
-                    self.session.known.add(var_id)
-                    if heard.about(ICType.DELETE_VARIABLES, var_id) is None:
-                        self.session.leaving.pop(var_id, None)
+                gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
+                self.session.identifiers.heard(heard.known - gone, gone, self.departure())
                 # What the case does next it does on account of this frame.
                 self._acted = max(begun, heard.time)
                 yield heard
             else:
                 self.others.append(heard)
+                for var_id in heard.known:
+                    # The implementation learns it from that node, too.
+                    self.session.identifiers.offered(var_id, by_peer=False)
 
     def take_notifications(self) -> None:
         """Note what the implementation has told without being asked, so far."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection
 from typing import Any, NoReturn
 
@@ -12,8 +11,10 @@ from dcp_codec.plan import snake
 from dcp_codec.values import ExtendedSafetyData, VarCreate, VarSpec, VarUpdate
 
 from .case import Case
+from .errors import NamesUsedUp
 from .findings import Findings
 from .session import FLOOR, Session
+from .verdict import Verdict
 
 #: Identifiers that a message names.
 _NAMES = 8
@@ -34,6 +35,7 @@ class Naming(Findings):
     def __init__(self, session: Session, case: Case) -> None:
         super().__init__(session, case)
         self.created: set[int] = set()
+        """Identifiers that this case has chosen for variables, or has made a VarCreate for."""
         self.produced: set[int] = set()
         """Those of the variables that the implementation's application has created."""
 
@@ -114,8 +116,20 @@ class Naming(Findings):
 
     def node_id(self) -> bytes:
         """The identifier of a node that does not exist: a producer far away, or a neighbour of somebody else."""
-        self.session.next_peer += 1
-        return self._node_id(self.session.next_peer)
+        return self._node_id(self.next_node())
+
+    def next_node(self) -> int:
+        """The number of a node that this run has not used, and whose identifier is not the implementation's.
+
+        Raises ``NamesUsedUp`` where identifiers are so short that there are no more.
+        """
+        layout = self.profile.types.node_id
+        while True:
+            self.session.next_peer += 1
+            if layout.representation != "text" and self.session.next_peer >= 1 << (8 * min(layout.width, 3)):
+                self.used_up("an identifier of a node that this run has not used", 0, self.session.next_peer)
+            if self._node_id(self.session.next_peer) != self.session.sut_id:
+                return self.session.next_peer
 
     def _node_id(self, number: int) -> bytes:
         layout = self.profile.types.node_id
@@ -125,21 +139,14 @@ class Naming(Findings):
         return octets[-layout.width :].rjust(layout.width, b"\x02")
 
     def var_id(self) -> int:
-        """A variable identifier that this case has not used, and others least recently."""
-        top = (1 << (8 * self.profile.types.var_id.width)) - 1
-        first, last = self.pixit.var_ids or (0, min(top, 0xFFFF))
-        size = last - first + 1
-        # Since 2.0 nothing is ever forgotten: the upper half is for those that must be unknown.
-        usable = size // 2 if size >= 128 else size
-        number = first
-        for _ in range(usable):
-            number = first + self.session.next_var_id % usable
-            self.session.next_var_id += 1
-            # One that is on its way out of the database cannot be created; nor, up to 1.3, one that is in it.
-            leaving = self.session.leaving.get(number, 0) > self.now()
-            there = number in self.session.summarised and not self.features.creation_time
-            if not leaving and not there and number not in self.created:
-                break
+        """An identifier for a variable of a peer's, which a VarCreate of now creates whatever was there before.
+
+        Since 2.0 it may be one that peers have created in earlier cases: a case that needs an unknown one takes
+        :meth:`unknown_id`. Raises ``NamesUsedUp``.
+        """
+        number = self.session.identifiers.for_peer(self.now(), self.session.creation_time + 1, self.created)
+        if number is None:
+            self._no_variables_left("an identifier that a peer can create a variable with")
         self.created.add(number)
         return number
 
@@ -148,55 +155,51 @@ class Naming(Findings):
         return [self.var_id() for _ in range(count)]
 
     def unknown_ids(self, count: int) -> list[int]:
-        """Identifiers that the implementation has never shown to know, descending from the top of the range.
+        """Identifiers that the implementation's database cannot hold, descending from the top of the range.
 
-        They may have been used before: what is requested and never answered stays unknown. Stops the case as
-        inconclusive when there are not enough of them, which only a reset can bring back.
+        They may have been used before: what is requested and never answered stays unknown. Raises ``NamesUsedUp``.
         """
-        first, last = self._var_id_range()
-        size = last - first + 1
-        found: list[int] = []
-        for _ in range(size):
-            if len(found) == count:
-                return found
-            number = last - self.session.next_unknown % size
-            self.session.next_unknown += 1
-            if self._is_unknown(number):
-                found.append(number)
+        found = self.session.identifiers.unknown(count, self.now(), self.created)
         if len(found) < count:
-            self.inconclusive(
-                f"{count} identifiers of variables that the implementation does not know",
-                f"{len(found)} are left of {size}; it needs a way to be reset (--ut, --restart)",
-            )
+            self._no_variables_left(f"{count} identifiers of variables that the implementation does not know")
         return found
 
     def has_unknown_ids(self, count: int = 1) -> bool:
-        """Whether so many identifiers are left that the implementation has never shown to know."""
-        first, last = self._var_id_range()
-        unknown = (number for number in range(last, first - 1, -1) if self._is_unknown(number))
-        return len(list(itertools.islice(unknown, count))) == count
-
-    def _var_id_range(self) -> tuple[int, int]:
-        """The first and the last identifier that may be used."""
-        top = (1 << (8 * self.profile.types.var_id.width)) - 1
-        return self.pixit.var_ids or (0, min(top, 0xFFFF))
-
-    def _is_unknown(self, number: int) -> bool:
-        gone = self.session.leaving.get(number)
-        if gone is not None and gone <= self.now():
-            del self.session.leaving[number]
-            self.session.known.discard(number)
-        return number not in self.session.known and number not in self.created
+        """Whether so many identifiers are left that the implementation's database cannot hold."""
+        return self.session.identifiers.left(self.now(), self.created) >= count
 
     def unknown_id(self) -> int:
-        """One of them."""
+        """One of :meth:`unknown_ids`."""
         return self.unknown_ids(1)[0]
 
     def own_var_id(self) -> int:
-        """An identifier for a variable of the implementation's application: one that no other node ever had (X20)."""
-        number = self.unknown_id()
+        """An identifier for a variable of the implementation's application: one that nobody ever had (X20).
+
+        Raises ``NamesUsedUp`` when no more are left than the probes of other cases need.
+        """
+        number = self.session.identifiers.for_own(self.now(), self.created)
+        if number is None:
+            self._no_variables_left("an identifier that no variable has had, for one of the implementation's own")
         self.created.add(number)
         return number
+
+    def departure(self) -> int:
+        """The time in ns by which, up to 1.3, a variable that is deleted now has left the database."""
+        return self.now() + (self.parameter("VARDISPAR_MAX_REPETITIONS") + 4) * self.period
+
+    def _no_variables_left(self, expected: str) -> NoReturn:
+        identifiers = self.session.identifiers
+        self.used_up(expected, identifiers.left(self.now(), self.created), identifiers.size)
+
+    def used_up(self, expected: str, left: int, size: int) -> NoReturn:
+        """Stop the case as inconclusive: too many identifiers were used since the last reset."""
+        observed = (
+            f"identifiers used up: {left} of {size} are left that the implementation cannot know from earlier cases. "
+            "A reset frees them: provide UT-Reset, or a command to start it (--start, --restart), or set "
+            'reset = "restart" in [pixit]'
+        )
+        self._add(Verdict.INCONCLUSIVE, expected, observed, (), ())
+        raise NamesUsedUp
 
     # -- values --------------------------------------------------------------------------------------------------------
 
@@ -241,7 +244,35 @@ class Naming(Findings):
         creation_time: int | None = None,
         timeout: int = 0,
     ) -> VarCreate:
-        """A VarCreate record."""
+        """A VarCreate record. From now on the implementation may know the variable."""
+        made = self.sample(
+            var_id,
+            producer,
+            value=value,
+            seqno=seqno,
+            rep_cnt=rep_cnt,
+            descr=descr,
+            creation_time=creation_time,
+            timeout=timeout,
+        )
+        self.created.add(var_id)
+        self.session.identifiers.offered(var_id, made.spec.creation_time)
+        return made
+
+    def sample(
+        self,
+        var_id: int = 0,
+        producer: bytes | None = None,
+        *,
+        value: bytes = b"value",
+        seqno: int = 0,
+        rep_cnt: int = 1,
+        descr: bytes = b"tester",
+        creation_time: int | None = None,
+        timeout: int = 0,
+    ) -> VarCreate:
+        """A VarCreate record that is measured and not sent."""
+        producer = self.node_id() if producer is None else producer
         spec = self.spec(var_id, producer, rep_cnt=rep_cnt, descr=descr, creation_time=creation_time, timeout=timeout)
         return VarCreate(spec, VarUpdate(var_id, seqno, value))
 

@@ -309,7 +309,7 @@ class Runner:
         Returns whether nothing went wrong.
         """
         made = bench.created | bench.produced
-        if self._reset_mode() != "none" or not made or not bench.traffic.frames:
+        if self._reset_mode() != "none" or not made or not (bench.traffic.frames or bench.produced):
             return True
         upper = self.session.upper
         try:
@@ -319,9 +319,8 @@ class Runner:
             peer = bench.peer()
             peer.send_all(peer.delete(var_id) for var_id in sorted(made))
             bench.wait(1)
-            if bench.features.removed_after_deletion:
-                gone = bench.now() + (bench.parameter("VARDISPAR_MAX_REPETITIONS") + 4) * bench.period
-                self.session.leaving.update(dict.fromkeys(made, gone))
+            for var_id in made:
+                self.session.identifiers.deleted(var_id, bench.departure())
         except UpperTesterError as error:
             self.life.hung_up = str(error)
             return False
@@ -347,8 +346,7 @@ class Runner:
 
     def _forget(self) -> None:
         """The implementation is in its initial state again."""
-        self.session.known.clear()
-        self.session.summarised.clear()
+        self.session.forget()
 
     # -- the result ----------------------------------------------------------------------------------------------------
 

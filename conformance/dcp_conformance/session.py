@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
+from dcp_spec.constants import features
+
 from dcp_codec.codec import Codec
 
+from .identifiers import Identifiers
 from .lower import LowerTester
 from .pics import Pics
 from .upper import UpperTester
@@ -61,15 +64,13 @@ class Session:
         self.restart: Callable[[], None] | None = None
         """Starts the implementation again, from its initial state; None where that cannot be done."""
         self.next_peer = 0
-        self.next_var_id = 0
         self.next_protocol = 0
-        self.next_unknown = 0
-        self.known: set[int] = set()
-        """Variables that the implementation has sent something about that only its database can have told it."""
-        self.summarised: set[int] = set()
-        """Variables that the implementation has summarised, and not said to be deleted since."""
-        self.leaving: dict[int, int] = {}
-        """Those of them that were deleted and, up to 1.3, leave the database: the time (ns) when they will have."""
+        self.held_protocols: set[int] = set()
+        """Protocol identifiers of the tester's clients that may still be registered, though their cases are over."""
+        profile = codec.profile
+        known = features(profile.spec_version)
+        first, last = pics.pixit.var_ids or (0, min((1 << (8 * profile.types.var_id.width)) - 1, 0xFFFF))
+        self.identifiers = Identifiers(first, last, leave=known.removed_after_deletion, timed=known.creation_time)
         self.creation_time = 0
         self.reaction: Reaction | None = None
         """How fast the implementation reacts, once it was measured."""
@@ -77,3 +78,8 @@ class Session:
         """Time (ns) until which it is busy with what it was sent, if it takes one received payload at a time."""
         self.slowest_call = 0
         """ns that the slowest call of the upper tester has taken so far."""
+
+    def forget(self) -> None:
+        """The implementation is in its initial state: it knows nothing of what was sent or asked before."""
+        self.identifiers.forget()
+        self.held_protocols.clear()

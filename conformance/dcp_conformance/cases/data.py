@@ -140,7 +140,7 @@ def order_of_creation_times(bench: Bench) -> None:
     needs=Needs(since=V2_0, ut=(CREATE,)),
 )
 def own_creation_time(bench: Bench) -> None:
-    var_id = bench.var_id()
+    var_id = bench.own_var_id()
     wall = bench.lower.wall()
     bench.must(CREATE, **create_request(bench, var_id, timeout=0x1234))
     record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
@@ -324,7 +324,7 @@ def descriptions(bench: Bench, descr: bytes) -> None:
 def length_of_text(bench: Bench) -> None:
     longest = min(longest_description(bench), 254)
     text = "\u00e9" * (longest // 2)
-    var_id, other = bench.var_ids(2)
+    var_id, other = bench.own_var_id(), bench.unknown_id()
     bench.expect_status("VARDIS-STATUS-OK", CREATE, "DATA-08", **create_request(bench, var_id, descr=text))
     record: Any = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.require(record is not None, "a VarCreate of it", "there is none in time", "DATA-08")

@@ -47,7 +47,7 @@ _V = ICType.CREATE_VARIABLES
     smoke=True,
 )
 def announced(bench: Bench) -> None:
-    var_id = bench.var_id()
+    var_id = bench.own_var_id()
     timeout = 60_000 if bench.features.creation_time else 0
     request = create_request(
         bench, var_id, rep_cnt=1, descr="speed of wind", value=b"\x00\x01\xfe\xff", timeout=timeout
@@ -102,7 +102,7 @@ def record_sender(bench: Bench) -> bytes:
 def creation_time(bench: Bench) -> None:
     stamps, requests = [], []
     for _ in range(2):
-        var_id = bench.var_id()
+        var_id = bench.own_var_id()
         requests.append(timed(bench, "RTDB-Create", **create_request(bench, var_id)))
         record = bench.until_instruction(_V, var_id)
         if record is None:
@@ -200,7 +200,7 @@ def entry(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V1_2, ut=("RTDB-Create",)),
 )
 def producer(bench: Bench) -> None:
-    var_id, other = bench.var_id(), bench.node_id()
+    var_id, other = bench.own_var_id(), bench.node_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id), prodId=other.hex(":"))
     if answer.code is not None:
         bench.info("prodId as a parameter of RTDB-Create", f"refused: {answer}")
@@ -220,7 +220,7 @@ def producer(bench: Bench) -> None:
 
 def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None:
     """RTDB-Create must answer with this status and create nothing."""
-    var_id = bench.var_id()
+    var_id = bench.unknown_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, **request))
     if answer.code == NOT_EXPRESSIBLE:
         # Beyond what the field can hold there is nothing that VarDis could be asked.
@@ -232,7 +232,7 @@ def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None
 
 def accepted(bench: Bench, requirement: str, **request: Any) -> None:
     """RTDB-Create must create the variable, and announce it."""
-    var_id = bench.var_id()
+    var_id = bench.own_var_id()
     bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, **request))
     shown = bench.until_instruction(_V, var_id) is not None
     bench.check(shown, "a VarCreate of the variable is sent", "none is", requirement)
@@ -300,7 +300,7 @@ def repetition_count(bench: Bench) -> None:
 
 def _double(bench: Bench, taken: bool = False, **request: Any) -> dict[str, Any]:
     """A request with two mistakes."""
-    var_id = taught(bench, bench.peer()) if taken else bench.var_id()
+    var_id = taught(bench, bench.peer()) if taken else bench.unknown_id()
     return create_request(bench, var_id, **request)
 
 
@@ -355,7 +355,7 @@ def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]])
     needs=_CREATE,
 )
 def empty_description(bench: Bench) -> None:
-    var_id = bench.var_id()
+    var_id = bench.own_var_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, descr=""))
     bench.reading("X21", "accept-locally" if answer.ok else "refuse-locally")
     bench.require_alive("a variable without a description")

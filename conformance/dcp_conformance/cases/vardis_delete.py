@@ -167,7 +167,7 @@ def leaves(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Delete",)),
 )
 def unknown(bench: Bench) -> None:
-    var_id = bench.var_id()
+    var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
     bench.require_alive("the deletion of an unknown variable")
     frames = bench.frames_with(_D, var_id)

@@ -91,7 +91,7 @@ def no_payloads(bench: Bench) -> None:
 def discards(bench: Bench) -> None:
     peer = bench.peer()
     known = taught(bench, peer, value=b"before")
-    created, summarized = bench.var_ids(2)
+    created, summarized = bench.unknown_ids(2)
     with bench.deactivated("VD"):
         mark = bench.mark()
         peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
@@ -158,7 +158,7 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
     needs=_needs("RTDB-Create", "RTDB-Read"),
 )
 def create(bench: Bench) -> None:
-    good, bad = bench.var_ids(2)
+    good, bad = bench.unknown_ids(2)
     mark = bench.mark()
     _inactive(bench, "RTDB-Create", "VD-CRE-01", **create_request(bench, good))
     _inactive(bench, "RTDB-Create", "VD-CRE-13", **create_request(bench, bad, value=b""))
@@ -214,7 +214,7 @@ def delete(bench: Bench) -> None:
     needs=_needs("RTDB-Create", "RTDB-Read"),
 )
 def read(bench: Bench) -> None:
-    for var_id in (produced(bench), bench.var_id()):
+    for var_id in (produced(bench), bench.unknown_id()):
         result = _inactive(bench, "RTDB-Read", "VD-REA-01", varId=var_id)
         bench.check("value" not in result, "no value", f"{result.get('value')}", "VD-REA-01", shown=True)
 
@@ -244,6 +244,6 @@ def describe_database(bench: Bench) -> None:
     needs=_needs("RTDB-Create", "RTDB-DescribeVariable"),
 )
 def describe_variable(bench: Bench) -> None:
-    for var_id in (produced(bench), bench.var_id()):
+    for var_id in (produced(bench), bench.unknown_id()):
         result = _inactive(bench, "RTDB-DescribeVariable", "VD-DVA-01", varId=var_id)
         bench.check("variable" not in result, "no entry", f"{result.get('variable')}", "VD-DVA-01", shown=True)

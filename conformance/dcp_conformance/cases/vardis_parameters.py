@@ -73,7 +73,7 @@ def _ic_header(bench: Bench) -> int:
 
 def _bare_create(bench: Bench) -> int:
     """Octets of a container with a VarCreate without description and value, up to their lengths."""
-    bare = len(bench.forge.container(bench.create(0, bench.node_id(), descr=b"", value=b"")))
+    bare = len(bench.forge.container(bench.sample(descr=b"", value=b"")))
     return bare - (1 if bench.profile.types.string.terminated else 0)
 
 
@@ -266,9 +266,9 @@ def description_effect(bench: Bench) -> None:
     longest = longest_description(bench)
     old = produced(bench, descr="d" * longest)
     with parameters_set(bench, "VD", **{_DESCR: bench.parameter(_DESCR) - 1}):
-        request = create_request(bench, bench.var_id(), descr="d" * longest)
+        request = create_request(bench, bench.unknown_id(), descr="d" * longest)
         bench.expect_status(DESCRIPTION_TOO_LONG, "RTDB-Create", **request)
-        request = create_request(bench, bench.var_id(), descr="d" * (longest - 1))
+        request = create_request(bench, bench.own_var_id(), descr="d" * (longest - 1))
         bench.expect_status(OK, "RTDB-Create", **request)
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=old)
         shown = described(answer).get("descr")
@@ -307,8 +307,8 @@ def repetitions_effect(bench: Bench) -> None:
     old = produced(bench, rep_cnt=3)
     settled(bench, old)
     with parameters_set(bench, "VD", **{_REPETITIONS: 2}):
-        bench.expect_status(ILLEGAL_REPCOUNT, "RTDB-Create", **create_request(bench, bench.var_id(), rep_cnt=3))
-        bench.expect_status(OK, "RTDB-Create", **create_request(bench, bench.var_id(), rep_cnt=2))
+        bench.expect_status(ILLEGAL_REPCOUNT, "RTDB-Create", **create_request(bench, bench.unknown_id(), rep_cnt=3))
+        bench.expect_status(OK, "RTDB-Create", **create_request(bench, bench.own_var_id(), rep_cnt=2))
         mark = bench.mark()
         bench.must("RTDB-Update", varId=old, value=b"newer".hex())
         frames = bench.until_quiet(lambda heard: heard.instructions(ICType.UPDATES, old), since=mark)

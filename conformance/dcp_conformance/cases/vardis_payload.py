@@ -282,8 +282,10 @@ def nothing_to_say(bench: Bench) -> None:
     text = str(broken[0].problem) if broken else ""
     bench.check(not broken, "every container has a record", text, "VD-IC-03", frames=broken[:4], shown=True)
     later = [each for each in bench.heard[quiet:] if each.has_vardis]
-    if any(each.instructions(ICType.SUMMARIES) for each in later):
-        bench.info("whether there is a VarDis block without anything to say", "it still summarises other variables")
+    told = [record for each in later for record in each.instructions()]
+    if any(each.kind is ICType.SUMMARIES or each.var_id != var_id for each in told):
+        # Without a reset those of earlier cases.
+        bench.info("whether there is a VarDis block without anything to say", "it still tells of other variables")
         return
     text = f"{len(later)} of {len(bench.heard) - quiet} beacons have one"
     bench.check(not later, "no VarDis block when nothing is pending", text, "VD-PAY-04", frames=later[:4], shown=True)

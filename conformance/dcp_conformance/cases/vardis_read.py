@@ -95,7 +95,7 @@ def foreign(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Read",)),
 )
 def unknown(bench: Bench) -> None:
-    answer = bench.expect_status(UNKNOWN, "RTDB-Read", varId=bench.var_id())
+    answer = bench.expect_status(UNKNOWN, "RTDB-Read", varId=bench.unknown_id())
     bench.check("value" not in answer.result, "no value", f"{answer.result.get('value')}", shown=True)
 
 
@@ -207,7 +207,7 @@ def database_with_deleted(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-DescribeVariable",)),
 )
 def describe_unknown(bench: Bench) -> None:
-    answer = bench.expect_status(UNKNOWN, "RTDB-DescribeVariable", varId=bench.var_id())
+    answer = bench.expect_status(UNKNOWN, "RTDB-DescribeVariable", varId=bench.unknown_id())
     bench.check("variable" not in answer.result, "no entry", f"{answer.result.get('variable')}", shown=True)
 
 
@@ -284,8 +284,8 @@ def two_clients(bench: Bench) -> None:
         bench.inconclusive("a second connection", "there is none")
     try:
         clients = (bench.ut, second)
-        mine = bench.var_ids(2)
-        missing = bench.var_id()
+        mine = bench.own_var_id(), bench.own_var_id()
+        missing = bench.unknown_id()
         for client, var_id in zip(clients, mine, strict=True):
             answer = bench.call_on(client, "RTDB-Create", **create_request(bench, var_id, value=b"%d" % var_id))
             bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer), shown=True)
@@ -331,7 +331,7 @@ def two_clients(bench: Bench) -> None:
     destructive=True,
 )
 def not_registered(bench: Bench) -> None:
-    var_id, unused = produced(bench), bench.var_id()
+    var_id, unused = produced(bench), bench.own_var_id()
     bench.must("BP-DeregisterProtocol", protId=int(BP_PROTID_VARDIS))
     try:
         # It may only find out when it asks BP for its buffers the next time.

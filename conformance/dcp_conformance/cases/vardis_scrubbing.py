@@ -68,7 +68,7 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
     needs=_OWN,
 )
 def producer(bench: Bench) -> None:
-    name, count, timeout_ms = bench.var_id(), bench.rep_cnt(3), 300
+    name, count, timeout_ms = bench.own_var_id(), bench.rep_cnt(3), 300
     since = create_own(bench, name, timeout_ms, count)
     found = deleted(bench, name, since, timeout_ms)
     if found is None:
@@ -212,7 +212,7 @@ def not_much_longer(bench: Bench) -> None:
     bench.must("VD-SetParameter", name="VARDISPAR_SCRUBBING_PERIOD", value=round(100 * scale))
     # The period that has begun may run to its end.
     bench.wait_ns(first * MS)
-    name, timeout_ms = bench.var_id(), round(1000 * scale)
+    name, timeout_ms = bench.own_var_id(), round(1000 * scale)
     since = create_own(bench, name, timeout_ms)
     tolerance = bench.pixit.timer_tolerance_ms * scale
     most = round((timeout_ms + 100 * scale + tolerance) * MS + bench.reaction * bench.period)

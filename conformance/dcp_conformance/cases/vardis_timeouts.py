@@ -75,7 +75,7 @@ def kept_by_updates(bench: Bench) -> None:
 )
 def kept_by_the_application(bench: Bench) -> None:
     period_ms = hurry(bench)
-    name, timeout_ms = bench.var_id(), round(600 * bench.session.timing_scale)
+    name, timeout_ms = bench.own_var_id(), round(600 * bench.session.timing_scale)
     create_own(bench, name, timeout_ms)
     until = bench.now() + (2 * timeout_ms + period_ms) * MS
     since = bench.now()

@@ -150,7 +150,7 @@ def payload_size(bench: Bench) -> None:
     peer, limit = bench.peer(), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
     value = b"v" * min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
     descr = b"d" * min(longest_description(bench), 200)
-    size = bench.forge.record_size(peer.create(0, value=value, descr=descr))
+    size = bench.forge.record_size(bench.sample(value=value, descr=descr))
     count = min(64, 5 * limit // (2 * size) + 1)
     since = bench.mark()
     creates = taught_all(bench, peer, (peer.create(each, value=value, descr=descr) for each in bench.var_ids(count)))

@@ -258,7 +258,7 @@ def in_creations(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Update",)),
 )
 def unknown(bench: Bench) -> None:
-    var_id = bench.var_id()
+    var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=b"value".hex())
     bench.require_alive("the update of an unknown variable")
     frames = bench.frames_with(_U, var_id)
@@ -378,7 +378,7 @@ def _check_unchanged(bench: Bench, var_id: int, value: bytes) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-DescribeVariable")),
 )
 def entry(bench: Bench) -> None:
-    count, var_id = max_repetitions(bench), bench.var_id()
+    count, var_id = max_repetitions(bench), bench.own_var_id()
     created = timed(bench, "RTDB-Create", **create_request(bench, var_id, rep_cnt=count))
     before = entry_of(bench, var_id) or {}
     bench.wait(3)

@@ -182,9 +182,7 @@ class LiveTarget:
 
     def _forget(self) -> None:
         """What was known of an implementation before it began anew."""
-        self.session.known.clear()
-        self.session.summarised.clear()
-        self.session.leaving.clear()
+        self.session.forget()
         self._number = None
 
     def _require_health(self, bench: Bench) -> None:
