@@ -10,6 +10,7 @@ import click
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
+    from dcp_conformance.generated.campaign import GeneratedResult
     from dcp_conformance.selftest import Baseline, SelftestResult, Trial
 
 EXIT_STATUS = (
@@ -32,6 +33,13 @@ _FEW = 40
     metavar="FILE",
     help="Write the kill matrix (Markdown).",
 )
+@click.option(
+    "--generated",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Try N random changes of the node's source instead; MUTANTS are parts of their text or their keys.",
+)
+@click.option("--seed", type=int, default=1, show_default=True, metavar="S", help="Seed of the draw of --generated.")
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
@@ -40,6 +48,8 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
     MUTANTS are identifiers of mutants or of the requirements that they violate, or globs of them; without any, all.
     """
+    if options["generated"] is not None:
+        return _generated(mutants, options)
     from dcp_conformance.selftest import Trial, chosen, selftest
 
     from .display import progress_bar
@@ -74,17 +84,54 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
     return result.exit_status()
 
 
+def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
+    """Random changes; the exit status."""
+    from dcp_conformance.generated.campaign import draw, run
+
+    from .display import progress_bar
+    from .selftest_display import print_generated
+
+    for name in ("profile", "full", "document"):
+        if options[name]:
+            raise UsageError(f"--{name} does not go with --generated, which tries every case on every version")
+    chosen = draw(options["generated"], options["seed"], patterns=patterns)
+    if not chosen:
+        raise UsageError(f"no change of the node's source contains {' or '.join(map(repr, patterns))}")
+    if options["listing"]:
+        for site in chosen:
+            click.echo(f"{site.key}  {site}")
+        return 0
+    with progress_bar(quiet=options["quiet"]) as progress:
+        task = progress.add_task("changes", total=len(chosen))
+
+        def done(trial: Generated) -> None:
+            progress.update(task, advance=1, description=f"{trial.outcome.fate} {trial.site.module}:{trial.site.line}")
+
+        result = run(chosen, seed=options["seed"], jobs=options["jobs"], on_result=done)
+    if options["report_dir"] is not None:
+        _write_json(result, options["report_dir"], "generated.json")
+    print_generated(result, verbose=options["verbose"])
+    return 1 if result.survivors or result.misplaced else 0
+
+
 def _write(result: SelftestResult, directory: Path | None, document: Path | None) -> None:
+    if directory is not None:
+        _write_json(result, directory, "selftest.json")
+    if document is not None:
+        from dcp_conformance.kill_matrix import markdown
+
+        try:
+            document.write_text(markdown(result), encoding="utf-8")
+        except OSError as error:
+            raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
+
+
+def _write_json(result: SelftestResult | GeneratedResult, directory: Path, name: str) -> None:
     import msgspec
 
+    data = msgspec.json.format(msgspec.json.encode(result), indent=2)
     try:
-        if directory is not None:
-            directory.mkdir(parents=True, exist_ok=True)
-            data = msgspec.json.format(msgspec.json.encode(result), indent=2)
-            (directory / "selftest.json").write_bytes(data + b"\n")
-        if document is not None:
-            from dcp_conformance.kill_matrix import markdown
-
-            document.write_text(markdown(result), encoding="utf-8")
+        directory.mkdir(parents=True, exist_ok=True)
+        (directory / name).write_bytes(data + b"\n")
     except OSError as error:
         raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rich.markup import escape
 from rich.table import Table
 
+from dcp_conformance.generated.campaign import GeneratedResult
 from dcp_conformance.selftest import Baseline, SelftestResult, Trial
 
 from .display import console
@@ -86,3 +87,30 @@ def _mutants(result: SelftestResult, width: int) -> Table:
         cells.append(f"[green]{escape(killers[0])}[/]{more}" if killers else "[bold red]nobody[/]")
         table.add_row(*cells, *([str(len(trial.also)) if trial.also else "."] if result.full else []))
     return table
+
+
+def print_generated(result: GeneratedResult, *, verbose: bool) -> None:
+    """Changes that survived, with file, line and change, and the share that was killed."""
+    out = console()
+    for trial in result.trials:
+        if verbose and trial.killed:
+            by = f"  {trial.outcome.by}" if trial.outcome.by else ""
+            out.print(f"[green]{trial.outcome.fate}[/] {escape(str(trial.site))}{escape(by)}", soft_wrap=True)
+        if verbose and trial.excused:
+            out.print(f"[dim]ledger[/] {escape(str(trial.site))}  {escape(trial.excused)}", soft_wrap=True)
+    for trial in result.misplaced:
+        out.print(f"[bold red]not invisible[/] {trial.site.key} {escape(str(trial.site))}", soft_wrap=True)
+        out.print(f"              the ledger says: {escape(trial.excused)}", soft_wrap=True)
+        out.print(f"              killed by {escape(trial.outcome.by)}", soft_wrap=True)
+    for trial in result.survivors:
+        out.print(f"[bold red]survives[/] {trial.site.key} {escape(str(trial.site))}", soft_wrap=True)
+        if trial.outcome.fate == "noticed":
+            out.print(f"         only noticed by {escape(trial.outcome.by)}", soft_wrap=True)
+    judged, excused = len(result.judged), len(result.trials) - len(result.judged)
+    out.print(
+        f"\n{judged - len(result.survivors)} of {judged} random changes killed ({result.score:.1%}); {excused} more "
+        f"are in the ledger; drawn from {result.sites} with seed {result.seed}, in {result.duration} s",
+        soft_wrap=True,
+    )
+    share = result.ledger / result.sites if result.sites else 0.0
+    out.print(f"the ledger holds {result.ledger} of {result.sites} changes ({share:.1%})", soft_wrap=True)

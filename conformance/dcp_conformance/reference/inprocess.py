@@ -24,6 +24,9 @@ ADDRESS = NODE_ID
 #: 2026-01-01, so that traces are the same every time.
 EPOCH = 1_767_225_600 * 1_000_000_000
 
+#: Timeouts in a row without time passing after which the node counts as dead: it would never come to an end.
+_MOST_TIMEOUTS = 10_000
+
 MakeNode = Callable[[NodeConfig, random.Random, int, int], Any]
 
 

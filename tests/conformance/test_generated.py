@@ -1,0 +1,113 @@
+"""Generated mutants: random changes of the node's source, and which of them the suite notices."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+
+import pytest
+from dcp_conformance.generated.campaign import Trial, draw, run
+from dcp_conformance.generated.ledger import CLASSES, entries, ledger
+from dcp_conformance.generated.sites import Site, mutated, sites
+from dcp_conformance.generated.trial import Outcome
+
+from .command import Command
+
+
+def site(text: str, operator: str) -> Site:
+    """The only change of this kind whose text has these words."""
+    [found] = [each for each in sites() if text in str(each) and each.operator == operator]
+    return found
+
+
+def test_every_change_is_one_and_compiles():
+    chosen = draw(150, 7)
+    for each in chosen:
+        tree = mutated(each)
+        compile(tree, each.module, "exec")
+        assert ast.dump(tree) != ast.dump(ast.parse(ast.unparse(_original(each))))
+
+
+def _original(each: Site) -> ast.Module:
+    from dcp_conformance.generated.sites import _source
+
+    return ast.parse(_source(each.module))
+
+
+def test_keys_tell_changes_apart():
+    assert len({each.key for each in sites()}) == len(sites()) > 1000
+
+
+def test_the_same_seed_draws_the_same():
+    assert draw(50, 3) == draw(50, 3)
+    assert draw(50, 3) != draw(50, 4)
+    assert {each.module for each in draw(40, 1, patterns=["vardis_receive.py"])} == {"vardis_receive"}
+
+
+def test_the_ledger_is_well_formed_and_about_code_that_is_there():
+    known = {each.key for each in sites()}
+    named = [change.split()[0] for entry in entries() for change in entry.changes]
+    assert len(named) == len(set(named))
+    assert {entry.kind for entry in entries()} <= set(CLASSES)
+    gone = [key for key in named if key not in known]
+    assert not gone, "the code of these changes has changed: take them out of data/invisible-changes.toml"
+    assert len(ledger()) == len(named)
+
+
+def test_faults_are_noticed_and_others_survive():
+    """One that breaks a rule, one that ends the node at its start, one that nobody outside can see."""
+    wrong = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
+    broken = site("BeaconingProtocol.__init__: dropped assignment: self._seqno =", "dropped assignment")
+    result = run([wrong, broken], jobs=2)
+    fates = {trial.site.key: trial for trial in result.trials}
+    assert fates[wrong.key].outcome.fate == "killed"
+    assert "TC_" in fates[wrong.key].outcome.by
+    assert fates[broken.key].killed
+    assert result.score == 1.0
+    assert result.survivors == ()
+
+
+def test_what_the_ledger_excuses_does_not_count():
+    one = sites()[0]
+    excused = Trial(one, Outcome(one.key, "survived"), "counter: only dcp-node shows it")
+    wrong = Trial(one, Outcome(one.key, "killed"), "counter: only dcp-node shows it")
+    survivor = Trial(one, Outcome(one.key, "noticed"))
+    from dcp_conformance.generated.campaign import GeneratedResult
+
+    result = GeneratedResult(trials=(excused, wrong, survivor))
+    assert result.judged == (survivor,)
+    assert result.survivors == (survivor,)
+    assert result.misplaced == (wrong,)
+    assert result.score == 0.0
+
+
+def test_a_trial_refuses_a_process_that_knows_the_node():
+    code = "import dcp_stack.bp\nfrom dcp_conformance.generated.trial import try_site\ntry_site(None)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "has been imported already" in done.stderr
+
+
+class TestCommand:
+    def test_the_list(self, dcp_conformance: Command):
+        done = dcp_conformance("selftest", "--generated", "3", "--seed", "5", "--list")
+        assert done.status == 0
+        assert len(done.out.splitlines()) == 3
+        assert all("dcp_stack/" in line for line in done.out.splitlines())
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [(["no such text"], "no change of the node's source contains"), (["--full"], "--full does not go with")],
+    )
+    def test_usage(self, dcp_conformance: Command, words: list[str], message: str):
+        done = dcp_conformance("selftest", "--generated", "3", *words)
+        assert done.status == 2
+        assert message in done.err
+
+    def test_a_survivor_is_shown_with_file_line_and_change(self, dcp_conformance: Command, tmp_path):
+        wrong = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
+        done = dcp_conformance("selftest", "--generated", "1", wrong.key, "-v", "--report-dir", tmp_path)
+        assert done.status == 0, done.out
+        assert "dcp_stack/vardis_db.py:" in done.out
+        assert "1 of 1 random changes killed (100.0%)" in done.out
+        assert (tmp_path / "generated.json").exists()
