@@ -86,6 +86,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
 def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Random changes; the exit status."""
+    from dcp_conformance.generated.campaign import Trial as Generated
     from dcp_conformance.generated.campaign import draw, run
 
     from .display import progress_bar
