@@ -41,6 +41,8 @@ class Trial:
     loss: Loss | None = None
     stimulus: Event | None = None
     """What was done last in the case, apart from questions after its end."""
+    used_up: bool = False
+    """The case stopped because no identifier was left that the implementation cannot know."""
     detail: str = ""
     """Traceback of a fault of the tester."""
 

@@ -17,7 +17,7 @@ from .attribution import Trial, attribute, blamed, likely_stimulus
 from .bench import Bench, Session
 from .case import SANITY, Case
 from .control import SutControl
-from .errors import LowerTesterError, StopCase, UpperTesterError
+from .errors import LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
 from .life import Life
 from .node_id import node_id_octets
 from .reaction import prepare
@@ -66,13 +66,17 @@ class Runner:
         self._revised: list[CaseResult] = []
         self._measured = 0
         """How often the reaction time was measured."""
+        self._renewals = 0
+        """Restarts because identifiers were used up."""
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
 
     @property
     def notes(self) -> list[str]:
         """What the reader of the results should know of the run as a whole."""
-        return [*self.remarks, *(_told(how, cases) for how, cases in self._deaths.items())]
+        renewed = [f"restarted {self._renewals} times, when all identifiers of variables had been used"]
+        deaths = [_told(how, cases) for how, cases in self._deaths.items()]
+        return [*self.remarks, *(renewed if self._renewals else ()), *deaths]
 
     def prepare(self) -> None:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
@@ -142,6 +146,8 @@ class Runner:
 
     def _run(self, case: Case, attempt: int) -> CaseResult:
         trial = self._trial(case)
+        if trial.used_up and self._restartable and self.session.pics.pixit.reset != "none":
+            trial = self._trial_after_restart(trial)
         if trial.loss is None:
             result = self._result(trial, attempt, trial.checks)
             if self._reset_mode() != "restart":
@@ -151,6 +157,16 @@ class Runner:
         result = self._judge_loss(trial, attempt)
         self._revive(case, trial)
         return result
+
+    def _trial_after_restart(self, trial: Trial) -> Trial:
+        """Run a case again that found all identifiers used up, in the initial state of the implementation."""
+        self._recent.clear()
+        if why := self._start_afresh(trial.case):
+            what = "the implementation is there after its restart"
+            trial.checks.append(Check(Verdict.INCONCLUSIVE, trial.case.requirements, what, why))
+            return trial
+        self._renewals += 1
+        return self._trial(trial.case, fresh=True)
 
     def finish(self) -> None:
         """Look after the implementation for the last time: it may be dying of one of the last cases.
@@ -207,6 +223,8 @@ class Runner:
                 case.run(bench)
             finally:
                 bench.restore()
+        except NamesUsedUp:
+            trial.used_up = True
         except StopCase:
             pass
         except UpperTesterError as error:
@@ -224,6 +242,7 @@ class Runner:
         if not self.life.ended() and not self.life.hung_up:
             doubt = not self._clean(bench) or doubt
         # The sanity case has asked already.
+        doubt = doubt and not trial.used_up
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
         return trial

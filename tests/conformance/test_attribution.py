@@ -290,3 +290,24 @@ def test_a_death_by_a_service_leaves_what_the_case_saw():
     assert result.killed
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     assert "VD-RX-04" not in failed
+
+
+def uses_all(bench: Bench) -> None:
+    for _ in range(60):
+        peer = bench.peer()
+        peer.send(peer.create(bench.unknown_id()))
+        bench.wait(1)
+    bench.check(True, "60 variables")
+
+
+@pytest.mark.parametrize(("reset", "verdict"), [("auto", Verdict.PASS), ("none", Verdict.INCONCLUSIVE)])
+def test_it_is_restarted_when_identifiers_are_used_up(reset: str, verdict: Verdict):
+    sut = InProcess(reference_config(codec_of("dcp-2.0")))
+    runner = runner_of(sut, pics=Pics(pixit=Testing(reset=reset)))
+    cases = [case_of(f"TC_DCP_X_BV_{number}", uses_all) for number in range(10, 20)]
+    results = [runner.run(case) for case in cases]
+    assert results[0].verdict is Verdict.PASS
+    assert results[-1].verdict is verdict
+    assert any("when all identifiers of variables had been used" in note for note in runner.notes) == (reset == "auto")
+    if reset == "none":
+        assert "provide UT-Reset" in results[-1].reason
