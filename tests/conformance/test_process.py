@@ -17,15 +17,7 @@ from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.process import ProcessControl, started_at
 from dcp_conformance.upper.channels import split
 
-PATIENCE = 60.0
-
-
-def until(look, what: str) -> None:
-    """Wait until something is so."""
-    deadline = time.monotonic() + PATIENCE
-    while not look():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.01)
+from ..waiting import PATIENCE, eventually
 
 
 def program(tmp_path: Path, code: str, name: str = "sut") -> str:
@@ -41,7 +33,7 @@ FOREVER = "(here / 'pid').write_text(str(os.getpid()))\ntime.sleep(600)"
 def pid_in(tmp_path: Path) -> int:
     """The process that has left its number."""
     path = tmp_path / "pid"
-    until(lambda: path.exists() and path.read_text(), "the program leaves its number")
+    eventually(lambda: path.exists() and path.read_text(), "the program leaves its number")
     return int(path.read_text())
 
 
@@ -87,7 +79,7 @@ def test_a_death_is_noticed_with_its_reason(tmp_path, control, end, why):
     it.start()
     assert it.alive()
     (tmp_path / "end").touch()
-    until(lambda: it.alive() is False, "it dies")
+    eventually(lambda: it.alive() is False, "it dies")
     assert re.search(why, it.why_dead())
     (tmp_path / "end").unlink()
     it.restart()
@@ -99,7 +91,7 @@ def test_last_words_are_bounded(tmp_path, control):
     it = control(start=program(tmp_path, f"while not (here / 'end').exists(): time.sleep(0.01)\n{code}"))
     it.start()
     (tmp_path / "end").touch()
-    until(lambda: it.alive() is False, "it dies")
+    eventually(lambda: it.alive() is False, "it dies")
     assert "line 99999" in it.why_dead()
     assert len(it.why_dead()) < 6000
 
@@ -130,7 +122,7 @@ def test_much_output_does_not_fill_the_disk(tmp_path, control):
         taken.append(os.fstat(it._output.fileno()).st_blocks * 512)
         return sum(later < earlier for earlier, later in itertools.pairwise(taken)) > 2
 
-    until(given_back, "room is given back, again and again")
+    eventually(given_back, "room is given back, again and again")
     assert os.fstat(it._output.fileno()).st_size > 2_000_000
     assert min(taken[1:]) < 1_000_000
 
@@ -154,10 +146,10 @@ def test_a_launcher(tmp_path, control):
     second = pid_in(tmp_path)
     assert second != first
     # The command that stops it does not wait for its end.
-    until(lambda: started_at(first) is None, "the first one ends")
+    eventually(lambda: started_at(first) is None, "the first one ends")
     assert it.alive() is True
     os.kill(second, signal.SIGKILL)
-    until(lambda: it.alive() is False, "it is gone")
+    eventually(lambda: it.alive() is False, "it is gone")
     assert it.why_dead() == f"process {second} is gone"
     # Without a process to look at, nothing is known.
     blind = control(start="true", settle=PATIENCE)
@@ -195,7 +187,7 @@ def test_watching_a_process(control):
         assert (it.alive(), it.can_restart) == (True, False)
         other.kill()
         # Before it is waited for it is still there, and dead.
-        until(lambda: it.alive() is False, "it is dead")
+        eventually(lambda: it.alive() is False, "it is dead")
         assert it.why_dead() == f"process {other.pid} is gone"
     with pytest.raises(UsageError, match=f"--pid {other.pid}: there is no such process"):
         control(pid=other.pid)
@@ -234,7 +226,7 @@ def test_all_that_it_started_ends_with_it(tmp_path, control):
     it.close()
     # It takes no notice of SIGTERM, and its child has never heard of it.
     assert time.monotonic() - begun < PATIENCE
-    until(lambda: started_at(child) is None, "the child ends")
+    eventually(lambda: started_at(child) is None, "the child ends")
 
 
 def test_not_even_sigkill_leaves_it_behind(tmp_path):
@@ -246,7 +238,7 @@ def test_not_even_sigkill_leaves_it_behind(tmp_path):
     with subprocess.Popen(shlex.split(program(tmp_path, outer, "outer"))) as tester:
         pid = pid_in(tmp_path)
         tester.kill()
-    until(lambda: started_at(pid) is None, "it ends with the tester")
+    eventually(lambda: started_at(pid) is None, "it ends with the tester")
 
 
 def test_commands():

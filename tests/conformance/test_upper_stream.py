@@ -19,8 +19,7 @@ from dcp_conformance import upper as uppers
 from dcp_conformance.errors import UpperTesterError, UsageError
 from dcp_conformance.upper.stream import DROPPED, MOST_NOTIFICATIONS
 
-#: Seconds that what must come may take on a busy machine; that of users is for implementations that run already.
-PATIENCE = 60.0
+from ..waiting import PATIENCE
 
 
 def open_upper(spec: str, patience: float = PATIENCE, **keys: bool) -> uppers.Reconnecting:
@@ -271,7 +270,7 @@ def test_notifications_are_kept_in_order_and_bounded(tmp_path):
         f"    for n in range({count}): say(method='M', params={{'n': n}})\n"
         "    say(id=r['id'], result={'status': 'UT-STATUS-OK'})"
     )
-    upper = open_upper(adapter(tmp_path, code), patience=60)
+    upper = open_upper(adapter(tmp_path, code))
     try:
         before = time.monotonic_ns()
         assert upper.call("X", {}).ok
@@ -322,7 +321,7 @@ class Server:
         """Stop serving."""
         self._listening.shutdown(socket.SHUT_RDWR)
         self._listening.close()
-        self._thread.join(10)
+        self._thread.join(PATIENCE)
 
 
 @pytest.fixture

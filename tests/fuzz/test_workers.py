@@ -26,6 +26,8 @@ from dcp_conformance.fuzz.workers import run_in_workers
 
 from dcp_codec import Codec
 
+from ..waiting import PATIENCE
+
 #: Shows three different findings in a few hundred tests.
 SEVERAL = "M-VD-PC-01-earlier"
 #: Shows the same with every test.
@@ -261,10 +263,10 @@ def test_nobody_is_left_behind_however_a_campaign_ends(number, status):
         assert len(children) >= 2
         process.send_signal(number)
         for child in children:
-            readable, _, _ = select.select([child], [], [], 30)
+            readable, _, _ = select.select([child], [], [], PATIENCE)
             assert readable, "a process is left"
             os.close(child)
-        assert process.wait(30) == status
+        assert process.wait(PATIENCE) == status
 
 
 # -- one worker ------------------------------------------------------------------------------------------------
@@ -340,7 +342,7 @@ def test_a_slot_holds_what_a_worker_is_at_unless_it_is_too_long():
 
 def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", "fuzz", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize(
@@ -379,6 +381,6 @@ def test_one_job_starts_no_process():
         "atexit.register(lambda: print('multiprocessing.process' in sys.modules));"
         "main(['fuzz', 'stack', '--max-cases', '3', '--jobs', '1', '-q'])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "False"

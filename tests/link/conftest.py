@@ -20,8 +20,7 @@ from typing import Any
 
 import pytest
 
-#: Seconds that anything here may take on a busy machine.
-PATIENCE = 60.0
+from ..waiting import PATIENCE, eventually
 
 
 class Process:
@@ -107,13 +106,12 @@ class Namespace:
 
     def wait_for_carrier(self, *interfaces: str) -> None:
         """Wait until frames can pass, which is a little later than the kernel says that there is a carrier."""
-        deadline = time.monotonic() + PATIENCE
-        while time.monotonic() < deadline:
+
+        def up() -> bool:
             links = self.links()
-            if all(links.get(each, {}).get("operstate") == "UP" for each in interfaces or ("near", "far")):
-                return
-            time.sleep(0.02)
-        pytest.fail("the virtual cable does not come up")
+            return all(links.get(each, {}).get("operstate") == "UP" for each in interfaces or ("near", "far"))
+
+        eventually(up, "the virtual cable comes up")
 
     def lost_on_the_cable(self) -> int:
         """Frames that the cable has dropped: on a busy machine its queue of some hundred is not emptied in time."""

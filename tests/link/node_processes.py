@@ -16,8 +16,8 @@ import pytest
 from dcp_stack.control import ControlClient, ControlError
 
 from ..ports import own_port
+from ..waiting import PATIENCE, eventually
 
-PATIENCE = 60.0
 #: Test processes that run side by side must not hear each other.
 LINK = f"udp:239.73.126.78:{own_port()}"
 
@@ -79,16 +79,6 @@ class NodeProcess:
         return status
 
 
-def eventually(look: Any, what: str) -> Any:
-    """What ``look`` returns once it is true."""
-    deadline = time.monotonic() + PATIENCE
-    while not (found := look()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"not within {PATIENCE:g} s: {what}")
-        time.sleep(0.02)
-    return found
-
-
 def slots_a_second(before: dict[str, Any], after: dict[str, Any]) -> float:
     """How many beacons a second a node has had time for, of two answers to UT-Status.
 
@@ -97,6 +87,27 @@ def slots_a_second(before: dict[str, Any], after: dict[str, Any]) -> float:
     counters = [each["node"]["bp"]["counters"] for each in (before, after)]
     first, last = (each["beacons-sent"] + each["beacons-left-out"] for each in counters)
     return float((last - first) / ((after["now"] - before["now"]) / 1e9))
+
+
+def keeps_rate(
+    client: ControlClient, before: dict[str, Any], rate: float, rel: float, seconds: float
+) -> dict[str, Any]:
+    """Wait until a node has kept a rate of beacons a second since ``before``; the status at that time.
+
+    At least for ``seconds``. A wait of the machine at the very moment of a status is a part of the time between the
+    two that gets smaller the longer one looks; a rate that is wrong stays wrong.
+    """
+    rates: list[float] = []
+
+    def kept() -> dict[str, Any] | None:
+        after: dict[str, Any] = client.call("UT-Status")
+        if after["now"] - before["now"] < seconds * 1e9:
+            return None
+        rates.append(slots_a_second(before, after))
+        assert len(rates) < 200, f"{rate} beacons a second were expected, there are {rates[0]:.2f} ... {rates[-1]:.2f}"
+        return after if rates[-1] == pytest.approx(rate, rel=rel) else None
+
+    return eventually(kept, f"{rate} beacons a second", pause=0.1)
 
 
 def command(*args: object, stdin: str | None = None) -> subprocess.CompletedProcess[str]:

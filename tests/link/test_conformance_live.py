@@ -7,8 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from ipaddress import IPv4Address
 from pathlib import Path
 
@@ -26,8 +25,9 @@ from dcp_conformance.verdict import Verdict
 
 from dcp_codec import Codec, sockets
 
+from ..waiting import PATIENCE, eventually
+
 PERIOD_MS = 50
-PATIENCE = 60.0
 
 
 def ethernet_or_skip() -> None:
@@ -69,17 +69,9 @@ def pid_of(node: ReferenceProcess) -> int:
     return int(process.pid)
 
 
-def until_so(look: Callable[[], bool], what: str) -> None:
-    """Wait until something is so."""
-    deadline = time.monotonic() + PATIENCE
-    while not look():
-        assert time.monotonic() < deadline, f"not within {PATIENCE:g} s: {what}"
-        time.sleep(0.02)
-
-
 def until_gone(pid: int) -> None:
     """Wait until a process has ended."""
-    until_so(lambda: started_at(pid) is None, f"process {pid} ends")
+    eventually(lambda: started_at(pid) is None, f"process {pid} ends")
 
 
 def sent_by(node: ReferenceProcess) -> int:
@@ -135,7 +127,7 @@ def test_time_stamps_are_those_of_the_kernel(node):
 
         # Until it has sent so many: they wait meanwhile.
         first = sent()
-        until_so(lambda: sent() >= first + 12, "beacons are sent")
+        eventually(lambda: sent() >= first + 12, "beacons are sent")
         late = bench.wait_ns(0)
         times = [each.time for each in late]
         bench.check(len(times) >= 12, "beacons that waited", str(len(times)))
@@ -193,11 +185,7 @@ def test_a_second_connection(node):
     assert second.call("UT-Hello", {}).result == node.upper.call("UT-Hello", {}).result
     assert second.call("UT-Subscribe", {"variables": True}).ok
     assert node.upper.call("RTDB-Create", {"varId": 9, "repCnt": 1, "descr": "x", "value": "01"}).ok
-    deadline = time.monotonic() + PATIENCE
-    told = []
-    while not told and time.monotonic() < deadline:
-        told = second.poll()
-        time.sleep(0.01)
+    told = eventually(second.poll, "the second connection is told")
     assert [(each.method, each.params["varId"]) for each in told] == [("UT-VariableChanged", 9)]
     assert node.upper.poll() == []
     second.close()
@@ -225,7 +213,7 @@ def test_runs_side_by_side_do_not_hear_each_other():
             assert each.upper.call("RTDB-Create", {"varId": var_id, "repCnt": 1, "descr": "x", "value": "01"}).ok
         first = [sent_by(each) for each in (one, other)]
         for before, each in zip(first, (one, other), strict=True):
-            until_so(lambda before=before, each=each: sent_by(each) >= before + 8, "beacons are sent")
+            eventually(lambda before=before, each=each: sent_by(each) >= before + 8, "beacons are sent")
         for var_id, each in enumerate((one, other), 1):
             variables = each.upper.call("RTDB-DescribeDatabase", {}).result["variables"]
             assert [variable["varId"] for variable in variables] == [var_id]

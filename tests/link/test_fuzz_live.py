@@ -9,7 +9,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,7 +21,8 @@ from dcp_conformance.target import TargetOptions, open_target
 from dcp_conformance.verdict import Verdict
 
 from ..ports import own_port
-from .conftest import PATIENCE, Namespace
+from ..waiting import PATIENCE, eventually
+from .conftest import Namespace
 from .faulty_node import WORD
 
 LINK = f"udp:239.73.126.79:{own_port()}"
@@ -53,10 +53,7 @@ def live(folder: Path, start: str, *, upper: bool | None = None) -> Iterator[Liv
             stack.callback(started.wait, PATIENCE)
             stack.callback(os.killpg, started.pid, signal.SIGKILL)
             path = folder / "n.sock"
-            deadline = time.monotonic() + PATIENCE
-            while not path.exists():
-                assert time.monotonic() < deadline
-                time.sleep(0.02)
+            eventually(path.exists, "the node listens")
             options = TargetOptions(link=LINK, ut=f"unix:{path}" if upper else None, beacon_period_ms=20, pics=pics)
         opened = stack.enter_context(open_target(options))
         opened.runner.prepare()
@@ -142,10 +139,7 @@ def test_a_second_one_is_not_started_beside_one_that_runs(tmp_path):
     start = faulty(tmp_path, "none")
     other = subprocess.Popen(shlex.split(start), start_new_session=True, stderr=subprocess.DEVNULL)
     try:
-        deadline = time.monotonic() + PATIENCE
-        while not (tmp_path / "n.sock").exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        eventually((tmp_path / "n.sock").exists, "the node listens")
         (tmp_path / "second").mkdir()
         second = faulty(tmp_path / "second", "none")
         with (

@@ -16,13 +16,13 @@ import pytest
 from dcp_stack.links.base import LinkError, Reception
 from dcp_stack.links.ethernet import EthernetLink, open_ethernet
 
+from ..waiting import PATIENCE
 from .node_processes import eventually
 
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 pytestmark = pytest.mark.tool("ip")
 
 ETHER_TYPE = 0x4953
-PATIENCE = 60.0
 _SOL_PACKET, _PACKET_STATISTICS = 263, 6
 
 

@@ -13,12 +13,12 @@ from dcp_stack.links.base import LinkError
 from dcp_stack.links.udp import UDPLink, open_udp
 
 from ..ports import own_port
+from ..waiting import PATIENCE
 from .node_processes import eventually
 
 GROUP = "239.73.126.77"
 #: Test processes that run side by side must not hear each other.
 PORT, OTHER_PORT = own_port(), own_port()
-PATIENCE = 60.0
 
 
 @pytest.fixture

@@ -14,6 +14,8 @@ import pytest
 
 from dcp_codec.capture import Frame
 
+from ..waiting import PATIENCE, eventually
+
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 pytestmark = pytest.mark.tool("ip")
 
@@ -76,7 +78,7 @@ class Listener:
 
     def end(self) -> dict[str, int]:
         found: dict[str, int] = json.loads(self.process.line())
-        assert self.process.popen.wait(30) == 0
+        assert self.process.popen.wait(PATIENCE) == 0
         return found
 
 
@@ -271,7 +273,7 @@ print(len(os.listdir("/proc/self/fd")) - before)
         "stays closed 0",
         "0",
     ]
-    assert process.popen.wait(30) == 0
+    assert process.popen.wait(PATIENCE) == 0
 
 
 # -- interfaces that come and go ----------------------------------------------------------------------------------
@@ -301,12 +303,12 @@ def test_an_interface_may_be_unplugged_and_plugged_in_again(namespace: Any) -> N
     assert listener.hears_nothing()
     namespace.cable()
     far = sender(namespace)
-    deadline = time.monotonic() + 30
-    heard = False
-    while not heard and time.monotonic() < deadline:
+
+    def heard() -> bool:
         far.send(frame(0x4953, b"two" + bytes(60)), frame(0x0806, bytes(60)))
-        heard = listener.process.line_or_none(0.2) is not None
-    assert heard
+        return listener.process.line_or_none(0.2) is not None
+
+    eventually(heard, "frames arrive again")
     listener.process.say("stop")
     while (line := listener.process.line()).startswith("["):
         assert b"two".hex() in line
@@ -361,13 +363,13 @@ def test_the_command(namespace: Any) -> None:
     far = sender(namespace)
     sender_id = bytes.fromhex("020000000001")
     octets = get_codec("dcp-2.0").encode(Beacon(BPHeader(sender_id, 41, 0x1111), (Payload(9, b"abc"),)))
-    deadline = time.monotonic() + 60
-    heard = False
-    while not heard and time.monotonic() < deadline:
+
+    def heard() -> bool:
         # It says on standard error when it listens; sending until it hears is as good.
         far.send(frame(0x4953, octets))
-        heard = process.line_or_none(0.2) is not None
-    assert heard
+        return process.line_or_none(0.2) is not None
+
+    eventually(heard, "a frame arrives")
     far.send(frame(0x4953, octets))
     assert json.loads(process.line())["bp"]["seqno"] == 41
-    assert process.popen.wait(30) == 0
+    assert process.popen.wait(PATIENCE) == 0

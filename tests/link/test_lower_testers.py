@@ -20,6 +20,7 @@ from dcp_conformance.lower.udp import DEFAULT_GROUP, parse_udp
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
 from dcp_spec.profile import Link
 
+from .. import waiting
 from ..ports import own_port
 
 ETHERNET = Link(ether_type=0x4953)
@@ -27,7 +28,7 @@ UDP = Link(transport="udp", udp_port=5950)
 PEERS = [bytes.fromhex("02dc90000001"), bytes.fromhex("02dc90000002")]
 BROADCAST = b"\xff" * 6
 MS = 1_000_000
-PATIENCE = 60 * 1000 * MS
+PATIENCE = int(waiting.PATIENCE * 1000 * MS)
 #: Test processes that run side by side must not hear each other.
 PORT = own_port()
 
@@ -320,7 +321,7 @@ def test_datagrams_come_from_the_port_where_the_profile_wants_it(udp):
         implementation.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         implementation.bind(("", port))
         near.send(b"hello", PEERS[0])
-        assert select.select([implementation], [], [], 30)[0]
+        assert select.select([implementation], [], [], waiting.PATIENCE)[0]
         octets, sender = implementation.recvfrom(100)
         assert (octets, sender) == (b"hello", ("127.0.0.1", port))
         # Its own is not heard; another one on this host is, though it has the same address.

@@ -9,7 +9,6 @@ import socket
 import stat
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -24,7 +23,8 @@ from dcp_stack.links.udp import open_udp
 from dcp_stack.neighbour_file import NeighbourFileReader
 
 from ..ports import own_port
-from .node_processes import LINK, PATIENCE, NodeProcess, command, eventually, lines, slots_a_second
+from ..waiting import PATIENCE, eventually
+from .node_processes import LINK, NodeProcess, command, keeps_rate, lines, slots_a_second
 
 GROUP, PORT = LINK.split(":")[1], int(LINK.split(":")[2])
 
@@ -207,14 +207,15 @@ def test_who_asks_without_reading_waits_alone(node):
     with raw(running.path) as deaf:
         deaf.setblocking(False)
         sent = 0
-        deadline = time.monotonic() + 2
-        while time.monotonic() < deadline:
+        refused = 0
+        # The node stops reading; others are served. At first it may only not have come to reading yet.
+        while refused < 20:
             try:
-                sent += deaf.send(request * 100)
+                sent += deaf.send((request * 100)[sent % len(request) :])
+                refused = 0
             except BlockingIOError:
-                # The node has stopped reading; others are served.
                 assert good.call("UT-Hello")["status"] == "UT-STATUS-OK"
-                break
+                refused += 1
         memory = resident(running.popen.pid)
         assert memory < 80_000
         # Who reads in the end gets all of it.
@@ -404,12 +405,13 @@ def test_a_flood_does_not_stop_beacons_or_answers(node):
             # Each of these is an answer in the flood.
             after = client.call("UT-Status")
             on_air = after["node"]["bp"]["next_seqno"] - before["node"]["bp"]["next_seqno"]
-            return after if sent > 5_000 and on_air >= 30 else None
+            if sent < 5_000 or on_air < 30:
+                return None
+            return after if slots_a_second(before, after) == pytest.approx(10, rel=0.12) else None
 
-        after = eventually(flooded, "beacons in the flood")
+        # How many frames may come before a beacon that is due is for test_driver to say.
+        after = eventually(flooded, "beacons in the flood", pause=0)
     flood.close()
-    # How late they are is for test_driver to say, where nobody else takes the processor.
-    assert slots_a_second(before, after) == pytest.approx(10, rel=0.12)
     assert sum(after["drops"].values()) > 1000
 
 
@@ -417,11 +419,8 @@ def test_beacons_come_at_their_rate(node):
     running = node("--position", "track:circle,rate=100", "--beacon-period", "20", "--seed", "1")
     with running.client() as client:
         eventually(lambda: client.call("UT-Status")["node"]["bp"]["next_seqno"] > 1, "beacons are sent")
-        before = client.call("UT-Status")
-        time.sleep(2)
-        after = client.call("UT-Status")
-    # 100 intervals of 10 % jitter: a standard deviation of 0.6 %, and one beacon at each edge.
-    assert slots_a_second(before, after) == pytest.approx(50, rel=0.05)
+        # 100 intervals of 10 % jitter: a standard deviation of 0.6 %, and one beacon at each edge.
+        keeps_rate(client, client.call("UT-Status"), 50, rel=0.05, seconds=2)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give up being root")

@@ -17,6 +17,8 @@ import pytest
 from dcp_codec import interfaces, sockets
 from dcp_codec.sockets import ANCILLARY, LONGEST, OpeningError
 
+from ..waiting import PATIENCE
+
 ETHER_TYPE = 0x4953
 BROADCAST = b"\xff" * 6
 LOOPBACK = ipaddress.IPv4Address("127.0.0.1")
@@ -101,7 +103,7 @@ class TestEthernet:
         assert (opened.interface, opened.loops) == ("near", False)
         assert opened.address == interfaces.hardware_address("near")[1]
         raw.send(frame(b"octets"))
-        assert select.select([opened.raw], [], [], 30)[0]
+        assert select.select([opened.raw], [], [], PATIENCE)[0]
         octets, ancillary, flags, _ = opened.raw.recvmsg(LONGEST, ANCILLARY)
         assert (octets, flags) == (frame(b"octets"), 0)
         assert sockets.stamp_of(ancillary) > 1_000_000_000_000_000_000

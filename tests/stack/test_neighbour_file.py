@@ -21,6 +21,8 @@ from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileReader, NeighbourFileWriter
 from dcp_stack.neighbours import NeighbourTable
 
+from ..waiting import PATIENCE
+
 #: What each reader has to see while the table is written: so often, and so many tables.
 READS, TABLES = 500, 50
 DOCS = Path(__file__).parents[2] / "docs" / "neighbour-file.md"
@@ -385,17 +387,17 @@ def test_no_snapshot_is_torn(compiled, path):
     ready, stop, published = context.Event(), context.Event(), context.Value("Q", 0)
     writer = context.Process(target=_write_at_full_speed, args=(str(path), ready, stop, published), daemon=True)
     writer.start()
-    assert ready.wait(60)
+    assert ready.wait(PATIENCE)
     readers = [context.Process(target=_read_at_full_speed, args=(str(path),), daemon=True) for _ in range(3)]
     for reader in readers:
         reader.start()
     # All of them race until they have seen enough, however long the machine takes for it.
-    done = subprocess.run([compiled / "torn", path, str(10 * READS), str(TABLES)], timeout=120)
+    done = subprocess.run([compiled / "torn", path, str(10 * READS), str(TABLES)], timeout=PATIENCE)
     for process in readers:
-        process.join(120)
+        process.join(PATIENCE)
         assert process.exitcode == 0
     stop.set()
-    writer.join(60)
+    writer.join(PATIENCE)
     assert writer.exitcode == 0
     assert done.returncode == 0
     assert published.value > TABLES

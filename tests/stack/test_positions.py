@@ -30,10 +30,10 @@ from dcp_stack.positions.replay import Replay
 from dcp_stack.positions.tracks import Circle, Line, RandomWalk, Track, Waypoints
 
 from ..ports import own_port
+from ..waiting import PATIENCE
 
 S = 10**9
 #: Seconds that what must come may take on a busy machine.
-PATIENCE = 60.0
 CAPTURES = Path(__file__).parents[2] / "captures"
 
 
