@@ -33,6 +33,7 @@ class LaneEnd(NamedTuple):
     notes: tuple[str, ...]
     trouble: str
     usage: bool
+    passive: tuple[CaseResult, ...] = ()
 
 
 class Revised(NamedTuple):
@@ -150,7 +151,7 @@ def _lane(
     try:
         run.execute(lambda result: to.send(Revised(msgspec.json.encode(result))))
         about = run.result()
-        to.send(LaneEnd(about.sut, about.notes, run.trouble, run.usage))
+        to.send(LaneEnd(about.sut, about.notes, run.trouble, run.usage, tuple(run.passive)))
     except (BrokenPipeError, KeyboardInterrupt):
         # Nobody listens any more.
         return

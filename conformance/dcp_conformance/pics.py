@@ -7,12 +7,15 @@ not applicable for want of a statement, and the report says so.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import msgspec
 
 from .errors import UsageError
 from .node_id import node_id_octets
+
+#: Beacon periods that every reaction is granted: what a fast implementation needs, and room for a lost frame.
+REACTION_FLOOR: Final = 4.0
 
 _Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]

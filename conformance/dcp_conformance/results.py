@@ -117,6 +117,8 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     sut: Sut = Sut()
     pics: dict[str, Any] = {}
     cases: tuple[CaseResult, ...] = ()
+    invariants: tuple[CaseResult, ...] = ()
+    """Invariants over all beacons of the run that held, or gave no occasion; those that did not are among the cases."""
     requirements: dict[str, Verdict] = {}
     summary: dict[str, dict[str, int]] = {}
     """By table, then by verdict: number of cases."""

@@ -6,10 +6,11 @@ Knows nothing of terminals and files; ``dcp-conformance run`` and the pytest plu
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import datetime
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,9 +19,12 @@ import msgspec
 from .case import SANITY, Case, all_cases
 from .errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
 from .expected import ExpectedResults
+from .moment import timestamp
 from .outcome import INTERRUPTED, TESTER_ERROR, USAGE, assemble, exit_status
+from .passive import cases as invariants
+from .passive import joined
 from .results import CaseResult, Check, RunResult, Sut
-from .runner import Runner, timestamp
+from .runner import Runner
 from .selection import Selection, matches, select
 from .signals import deferred
 from .target import TargetOptions, describe, open_target
@@ -67,13 +71,22 @@ class ConformanceRun:
             self.found_by_fuzzer = {case.id: case for case in artefact_cases(artefacts)}
             self.cases |= self.found_by_fuzzer
         self.codec, self.pics = describe(target)
-        self.selected = select(self.cases, selection)
+        self._invariants = {case.id: case for case in invariants()}
+        self._unheard, exclude = self._excluded(selection.exclude)
+        self.selected = select(self.cases, dataclasses.replace(selection, exclude=exclude))
         self._with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
-        self.expected = ExpectedResults() if expected is None else ExpectedResults.load(expected, self.cases.values())
+        self.expected = (
+            ExpectedResults()
+            if expected is None
+            else ExpectedResults.load(expected, [*self.cases.values(), *self._invariants.values()])
+        )
         self.repeat = repeat
         self.until_fail = until_fail
         self.command = command
         self.results: list[CaseResult] = []
+        """Of the cases, in the order in which they were run."""
+        self.passive: list[CaseResult] = []
+        """Of the invariants that were watched meanwhile."""
         self.trouble = ""
         """Why nothing could be run, or not to the end: the tester's own fault."""
         self.usage = False
@@ -91,6 +104,15 @@ class ConformanceRun:
         self._surprises: dict[_Key, str] = {}
         self._began = time.monotonic()
         self._started = timestamp()
+
+    def _excluded(self, patterns: Sequence[str]) -> tuple[set[str], tuple[str, ...]]:
+        """The invariants that are excluded, and the patterns that mean cases."""
+        meant = {
+            pattern: {name for name, case in self._invariants.items() if matches(case, pattern)} for pattern in patterns
+        }
+        return {name for names in meant.values() for name in names}, tuple(
+            pattern for pattern in patterns if not meant[pattern]
+        )
 
     # -- what is run ---------------------------------------------------------------------------------------------------
 
@@ -163,6 +185,7 @@ class ConformanceRun:
         if runner is not None:
             self._sut = runner.about()
             self._notes += runner.notes
+            self.take_passive(runner.session.passive.results(runner.rerun))
         with contextlib.suppress(LowerTesterError, UpperTesterError):
             self._stack.close()
 
@@ -186,12 +209,20 @@ class ConformanceRun:
         """Take a result, of this process or of a lane; what is unexpected in it."""
         if case.id == SANITY and any(each.id == SANITY for each in self.results):
             # It is repeated to see whether the implementation is still there, not as one more case.
-            result = msgspec.structs.replace(result, counted=False)
+            # A failure is a finding all the same.
+            counted = result.verdict in (Verdict.FAIL, Verdict.ERROR)
+            result = msgspec.structs.replace(result, counted=counted)
         surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
         self.results.append(result)
         if self._on_result is not None:
             self._on_result(case, result, surprise)
         return surprise
+
+    def take_passive(self, results: Iterable[CaseResult]) -> None:
+        """Take what the invariants say, of this process or of all lanes."""
+        self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._unheard]
+        for each in self.passive:
+            self._surprises[_Key(each.id, 1)] = self.expected.judge(self._invariants[each.id], each)
 
     def revise(self, result: CaseResult) -> None:
         """Replace an earlier result with the same identifier and attempt."""
@@ -254,6 +285,7 @@ class ConformanceRun:
         for end in ends:
             if end.trouble and not self.trouble:
                 self.trouble, self.usage = end.trouble, end.usage
+        self.take_passive(result for end in ends for result in end.passive)
         order = {case.id: number for number, case in enumerate(self.cases.values())}
         self.results.sort(key=lambda result: (result.id != SANITY, order[result.id], result.attempt))
 
@@ -264,6 +296,7 @@ class ConformanceRun:
         today = datetime.datetime.now(datetime.UTC).date()
         ran = {result.id for result in self.results}
         selected = [case for case in self.selected if case.id in ran]
+        selected += [self._invariants[result.id] for result in self.passive]
         unexpected = [f"{key.id}: {surprise}" for key, surprise in self._surprises.items() if surprise]
         return [*dict.fromkeys(unexpected), *self.expected.complaints(selected, today)]
 
@@ -273,20 +306,22 @@ class ConformanceRun:
             return INTERRUPTED
         if self.trouble:
             return USAGE if self.usage else TESTER_ERROR
-        return exit_status(self.results, unexpected=bool(self.complaints()))
+        return exit_status([*self.results, *self.passive], unexpected=bool(self.complaints()))
 
     def result(self) -> RunResult:
         """Everything that is known of the run, also of one that could not begin."""
         notes = [*self._notes, *([self.trouble] if self.trouble else [])]
         if self.expected.entries:
             notes += self.complaints()
-        return assemble(
+        found = [each for each in self.passive if each.verdict in (Verdict.FAIL, Verdict.INFO)]
+        run = assemble(
             self.codec.profile,
             self.pics,
-            self.results,
+            [*self.results, *found],
             sut=self._sut,
             started=self._started,
             duration=time.monotonic() - self._began,
             command=self.command,
             notes=notes,
         )
+        return msgspec.structs.replace(run, invariants=tuple(each for each in self.passive if each not in found))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import time
 import traceback
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -217,6 +216,7 @@ class Runner:
             self._measure()
             bench.mark()
             bench.heard.clear()
+            self.session.passive.begin(self.session.lower.now())
             # What was lost, or looked at late, before the case is no excuse in it.
             self.session.lower.health()
             try:
@@ -431,8 +431,3 @@ def _short(data: object) -> str:
 
     text = msgspec.json.encode(data).decode()
     return text if len(text) <= 400 else f"{text[:400]}..."
-
-
-def timestamp() -> str:
-    """Now, ISO 8601 in UTC, to the second."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

@@ -8,6 +8,7 @@ fault, whatever the implementation did.
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,11 +27,12 @@ from dcp_codec.codec import Codec
 from .bench import Session
 from .case import SANITY, Case, all_cases
 from .errors import ConformanceError, UsageError
+from .moment import timestamp
 from .mutants import Mutant, all_mutants
 from .pics import Pics
 from .reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from .results import CaseResult
-from .runner import Runner, timestamp
+from .runner import Runner
 from .selection import ordered
 from .verdict import Verdict
 
@@ -165,12 +167,19 @@ class Suite:
         self._runner.finish()
         yield from self._runner.take_revised()
 
+    def passive(self) -> Iterator[CaseResult]:
+        """The invariants that did not hold while the cases were run."""
+        for result in self._runner.session.passive.results("dcp-conformance run"):
+            if result.verdict is Verdict.FAIL:
+                yield result
+
 
 def baseline(profile: str) -> Baseline:
     """Run everything against our node as it is."""
     begun = time.monotonic()
-    results = list(Suite(profile).run(_cases()))
-    findings = tuple(_finding(each) for each in results if each.verdict not in _FINE)
+    suite = Suite(profile)
+    results = list(suite.run(_cases()))
+    findings = tuple(_finding(each) for each in (*results, *suite.passive()) if each.verdict not in _FINE)
     return Baseline(profile, len(results), findings, round(time.monotonic() - begun, 2))
 
 
@@ -194,7 +203,7 @@ def trial(mutant: Mutant, *, profile: str | None = None, full: bool = False, eve
             mutant.id, mutant.requirements, mutant.what, name, len(named), 0, (), (),
             (Finding("", Verdict.ERROR, reason=str(error)),), round(time.monotonic() - begun, 3),
         )  # fmt: skip
-    for result in suite.run(_cases() if full else named):
+    for result in itertools.chain(suite.run(_cases() if full else named), suite.passive()):
         count += result.verdict is not Verdict.NOT_APPLICABLE
         candidates += result.verdict is not Verdict.NOT_APPLICABLE and bool(
             set(result.requirements) & set(mutant.requirements)

@@ -11,11 +11,11 @@ from dcp_codec.codec import Codec
 
 from .identifiers import Identifiers
 from .lower import LowerTester
-from .pics import Pics
+from .passive import PassiveTester
+from .pics import REACTION_FLOOR, Pics
 from .upper import UpperTester
 
-#: Beacon periods that every reaction is granted: what a fast implementation needs, and room for a lost frame.
-FLOOR: Final = 4.0
+FLOOR: Final = REACTION_FLOOR
 
 
 class Reaction(NamedTuple):
@@ -78,8 +78,11 @@ class Session:
         """Time (ns) until which it is busy with what it was sent, if it takes one received payload at a time."""
         self.slowest_call = 0
         """ns that the slowest call of the upper tester has taken so far."""
+        self.passive = PassiveTester(codec, pics)
+        """Judges every beacon of the implementation, whatever the case is about."""
 
     def forget(self) -> None:
         """The implementation is in its initial state: it knows nothing of what was sent or asked before."""
         self.identifiers.forget()
         self.held_protocols.clear()
+        self.passive.interrupted(self.lower.now())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import ClassVar, NamedTuple
 
 from dcp_spec.constants import Features, features
@@ -16,7 +16,7 @@ from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
 from .lives import Lives
-from .said import Said, speaker
+from .said import Said, said_in, speaker
 from .senders import Senders
 
 #: Findings of one invariant that are shown with their frames; all are counted.
@@ -35,37 +35,68 @@ class Trace(NamedTuple):
     octets: bytes
 
 
-class Seen(NamedTuple):
-    """A frame of the recording, taken apart: values where it is sound, the dissection whatever it is."""
+class Seen:
+    """A frame, taken apart: values where it is sound, the dissection whatever it is. What is costly is made when asked.
 
-    heard: Heard
-    dissection: Dissection
-    destination: bytes | None
-    start: int
-    """Where the bearer payload starts in the frame."""
-    frame: bytes
-    said: tuple[Said, ...]
-    """All that it says of variables, in order."""
+    ``start`` is where the bearer payload starts in ``frame``, ``destination`` None where frames have no addresses.
+    """
+
+    __slots__ = (
+        "_codec",
+        "_dissection",
+        "_said",
+        "_trace",
+        "destination",
+        "frame",
+        "heard",
+        "number",
+        "sender",
+        "start",
+        "time",
+    )
+
+    def __init__(self, codec: Codec, heard: Heard, frame: bytes, start: int, destination: bytes | None) -> None:
+        self.heard = heard
+        self.number = heard.number
+        """As in the recording."""
+        self.time = heard.wall
+        """ns since 1970."""
+        self.sender = speaker(heard)
+        """The node that speaks; for a beacon without sender the station it came from."""
+        self.frame = frame
+        self.start = start
+        self.destination = destination
+        self._codec = codec
+        self._dissection: Dissection | None = None
+        self._said: tuple[Said, ...] | None = None
+        self._trace: Trace | None = None
+
+    @property
+    def sound(self) -> bool:
+        """Whether the strict decoder takes it; the dissection of a sound frame has no errors."""
+        return self.heard.problem is None and self.heard.beacon is not None
+
+    @property
+    def dissection(self) -> Dissection:
+        """The frame as a tree, with every problem in it."""
+        if self._dissection is None:
+            end = self.start + len(self.heard.octets)
+            self._dissection = self._codec.dissect(self.frame[:end], start=self.start, base=self.start)
+        return self._dissection
+
+    @property
+    def said(self) -> tuple[Said, ...]:
+        """All that it says of variables, in order."""
+        if self._said is None:
+            self._said = said_in(self.heard)
+        return self._said
 
     @property
     def trace(self) -> Trace:
         """What may be kept of it."""
-        return Trace(self.number, self.time, self.heard.seqno, self.heard.octets)
-
-    @property
-    def number(self) -> int:
-        """As in the recording."""
-        return self.heard.number
-
-    @property
-    def time(self) -> int:
-        """ns since 1970."""
-        return self.heard.wall
-
-    @property
-    def sender(self) -> bytes:
-        """The node that speaks; for a beacon without sender the station it came from."""
-        return speaker(self.heard)
+        if self._trace is None:
+            self._trace = Trace(self.number, self.time, self.heard.seqno, self.heard.octets)
+        return self._trace
 
 
 class Finding(NamedTuple):
@@ -76,6 +107,8 @@ class Finding(NamedTuple):
     expected: str
     observed: str
     frames: tuple[Mark, ...]
+    key: object = None
+    """Findings of one key are told once; :meth:`Invariant.times` counts them."""
 
 
 Evidence = Seen | Trace | Said | Instruction | Mark
@@ -85,11 +118,17 @@ Evidence = Seen | Trace | Said | Instruction | Mark
 class Context:
     """What all invariants know: beforehand, and of the recording so far."""
 
-    def __init__(self, codec: Codec, pics: Pics, *, period_known: bool = True) -> None:
-        """``period_known``: the beacon period is stated, and not taken from the recording itself."""
+    def __init__(self, codec: Codec, pics: Pics, *, period_known: bool = True, restarts_known: bool = False) -> None:
+        """``period_known``: the beacon period is stated, and not taken from the recording itself.
+
+        ``restarts_known``: :meth:`Invariant.interrupted` is called whenever a node was restarted by somebody.
+        """
         self.codec = codec
         self.pics = pics
         self.period_known = period_known
+        self.restarts_known = restarts_known
+        self.cite: Callable[[str, Mark], Mark | None] = lambda _rule, mark: mark
+        """What a finding of a rule shows for a place in a frame; None: the frame cannot be shown."""
         self.senders = Senders(MOST_SENDERS)
         self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
 
@@ -127,9 +166,9 @@ class Invariant:
         self.context = context
         self.findings: list[Finding] = []
         self.left_out = 0
-        self.occasions: dict[str, int] = {}
-        """By requirement: how often the recording gave an occasion to break it."""
-        self._keys: set[object] = set()
+        self._occasions: dict[str, int] = {}
+        self._of_all = 0
+        self._times: dict[object, int] = {}
 
     def applies(self) -> str:
         """Why the invariant does not concern recordings of this profile; empty if it does."""
@@ -139,13 +178,24 @@ class Invariant:
         """A frame. Must be cheap, and keep what it remembers bounded."""
         raise NotImplementedError
 
+    def interrupted(self) -> None:
+        """The nodes may have been restarted since the last frame: numbers may start again, and frames be missing."""
+
     def finish(self) -> None:
         """The recording has ended."""
 
     def exercised(self, *requirements: str) -> None:
         """There was an occasion to break these (by default all of the invariant)."""
-        for each in requirements or self.requirements:
-            self.occasions[each] = self.occasions.get(each, 0) + 1
+        if not requirements:
+            self._of_all += 1
+        for each in requirements:
+            self._occasions[each] = self._occasions.get(each, 0) + 1
+
+    @property
+    def occasions(self) -> dict[str, int]:
+        """By requirement: how often the recording gave an occasion to break it."""
+        every = dict.fromkeys(self.requirements, self._of_all) if self._of_all else {}
+        return every | {each: count + every.get(each, 0) for each, count in self._occasions.items()}
 
     def violated(
         self,
@@ -155,22 +205,41 @@ class Invariant:
         expected: str = "",
         verdict: Verdict = Verdict.FAIL,
         once: object = None,
+        cite: int = 1,
     ) -> None:
-        """Something does not hold. With ``once``, only the first finding of that key is kept, others are counted."""
+        """Something does not hold. With ``once``, only the first finding of that key is kept, others are counted.
+
+        ``cite``: of so many of them the frames are shown.
+        """
         if once is not None:
-            if once in self._keys:
+            times = self._times.get(once, 0)
+            if times or len(self._times) < MOST_VARIABLES:
+                self._times[once] = times + 1
+            if times:
                 self.left_out += 1
+                if times < cite:
+                    self._cite_again(once, frames)
                 return
-            if len(self._keys) < MOST_VARIABLES:
-                self._keys.add(once)
         # By verdict: what is merely observed must not crowd out what does not hold.
         if sum(each.verdict is verdict for each in self.findings) >= MOST_FINDINGS:
             self.left_out += 1
             return
-        marks = tuple(self._mark(each) for each in frames)
-        self.findings.append(
-            Finding(verdict, requirements or self.requirements, expected or self.expect, observed, marks)
-        )
+        rules = requirements or self.requirements
+        self.findings.append(Finding(verdict, rules, expected or self.expect, observed, self._marks(frames), once))
+
+    def told(self, finding: Finding) -> str:
+        """What was observed, and how often."""
+        times = 1 if finding.key is None else self._times.get(finding.key, 1)
+        return finding.observed if times == 1 else f"{finding.observed}; {times} times in all"
+
+    def _cite_again(self, key: object, frames: Iterable[Evidence]) -> None:
+        for index, finding in enumerate(self.findings):
+            if finding.key == key:
+                self.findings[index] = finding._replace(frames=(*finding.frames, *self._marks(frames)))
+
+    def _marks(self, frames: Iterable[Evidence]) -> tuple[Mark, ...]:
+        cited = (self.context.cite(self.id, self._mark(each)) for each in frames)
+        return tuple(mark for mark in cited if mark is not None)
 
     def note(self, question: str, observed: str, frames: Iterable[Evidence], *requirements: str) -> None:
         """Something that the specification leaves open, or a hazard that it brings about."""

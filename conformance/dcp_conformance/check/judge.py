@@ -12,6 +12,7 @@ from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_conformance.heard import Heard
+from dcp_conformance.moment import timestamp
 from dcp_conformance.outcome import assemble
 from dcp_conformance.pics import Pics
 from dcp_conformance.results import (
@@ -23,12 +24,11 @@ from dcp_conformance.results import (
     Sut,
     requirement_verdicts,
 )
-from dcp_conformance.runner import timestamp
 from dcp_conformance.verdict import Verdict, worst
 
 from . import rules_bp, rules_data, rules_dialogue, rules_repetition, rules_srp, rules_vardis, rules_variables
 from .base import Context, Invariant, Seen
-from .said import said_in
+from .places import placed
 
 RULES: tuple[type[Invariant], ...] = (
     *rules_data.RULES,
@@ -78,8 +78,7 @@ class Judge:
         self.frames += 1
         octets = frame.data[framing.start : framing.end]
         heard = Heard(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
-        dissection = self._codec.dissect(frame.data[: framing.end], start=framing.start, base=framing.start)
-        seen = Seen(heard, dissection, framing.dst, framing.start, frame.data, said_in(heard))
+        seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
         if seen.sender in self._senders or len(self._senders) < 4096:
             self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1
         self._recent[frame.number] = (frame, framing.start, seen.sender)
@@ -138,7 +137,7 @@ class Judge:
 
     def _case(self, rule: Invariant) -> CaseResult:
         checks = [
-            Check(each.verdict, each.requirements, each.expected, each.observed, self._marks(each.frames))
+            Check(each.verdict, each.requirements, each.expected, rule.told(each), self._marks(each.frames))
             for each in rule.findings
         ]
         failed = {each for check in checks if check.verdict is Verdict.FAIL for each in check.requirements}
@@ -177,19 +176,4 @@ class Judge:
 
     def _placed(self, mark: Mark) -> Mark:
         event = self._cited.get(mark.frame)
-        if event is None or mark.length or not mark.path:
-            return mark
-        octets = bytes.fromhex(event.octets)
-        found = self._codec.dissect(octets, start=event.start, base=event.start)
-        kind, _, var_id = mark.path.rpartition(" ")
-        for container in found.root.walk():
-            label = container.child("icType")
-            if label is None or label.label != kind:
-                continue
-            records = container.child("records")
-            for record in records.children if records is not None else ():
-                spec = record.child("spec") or record
-                field = spec.child("varId")
-                if field is not None and str(field.value) == var_id:
-                    return Mark(mark.frame, record.offset, record.length, record.path)
-        return Mark(mark.frame)
+        return mark if event is None else placed(self._codec, mark, bytes.fromhex(event.octets), event.start)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections import deque
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
@@ -14,15 +13,10 @@ from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
 from .base import MOST_SENDERS, Context, Invariant, Seen, Trace, name
+from .rules_counters import SequenceNumbers
 
 MS = 1_000_000
 BROADCAST = b"\xff" * 6
-#: A sender that has been restarted has sent so many beacons at most, or two in each period since it was last heard.
-_RESTART = 3
-#: So many restarts, each after less than so many beacons on the average, are none.
-_RESTARTS, _LIVED = 5, 10
-#: Numbers that were missing, by sender, that may still come: the recorder has them out of order.
-_MISSING = 16
 #: A parameter may be changed; so many changes are no choice of anybody.
 _CHANGES = 3
 #: Intervals of a sender that statistics are made of.
@@ -43,12 +37,16 @@ class BeaconFormat(Invariant):
     def feed(self, seen: Seen) -> None:
         """Report what the octets break, by requirement."""
         self.exercised()
-        if seen.heard.problem is None:
+        if seen.sound:
             return
         for each in judge(seen.heard.octets, self.context.codec):
             mark = Mark(seen.number, seen.start + each.offset, each.length, each.path)
             self.violated(
-                f"{name(seen.sender)}: {each}", [mark], *each.requirements, once=(seen.sender, each.requirements)
+                f"{name(seen.sender)}: {each}",
+                [mark],
+                *each.requirements,
+                once=(seen.sender, each.requirements),
+                cite=3,
             )
 
 
@@ -122,7 +120,9 @@ class PacketSize(Invariant):
     def feed(self, seen: Seen) -> None:
         """Compare, without padding."""
         self.exercised()
-        size = len(seen.heard.octets) - len(seen.dissection.padding)
+        size = len(seen.heard.octets)
+        if size > self._limit:
+            size -= len(seen.dissection.padding)
         if size > self._limit:
             text = f"{name(seen.sender)} sends {size} octets, and the limit is {self._limit}"
             self.violated(text, [seen], once=(seen.sender, "size"))
@@ -146,6 +146,10 @@ class NetworkIdentifier(Invariant):
         """Since 2.0."""
         return "" if self.context.profile.has_header_field("networkId") else "beacons of this profile have no networkId"
 
+    def interrupted(self) -> None:
+        """It may have been put into another network."""
+        self._known.clear()
+
     def feed(self, seen: Seen) -> None:
         """Compare with the sender's last one."""
         beacon = seen.heard.beacon
@@ -166,86 +170,6 @@ class NetworkIdentifier(Invariant):
             self._known[seen.sender] = (number, seen.trace)
 
 
-class SequenceNumbers(Invariant):
-    """The beacon counter."""
-
-    id = "CK_BP_SEQNO"
-    section = "dcp-bp.md: Transmit Path"
-    purpose = "Beacons of a sender are numbered one after the other"
-    requirements = ("BP-HDR-08", "BP-HDR-09")
-    expect = "each beacon's seqno is that of the one before plus one, modulo 2^32"
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self._last: dict[bytes, Trace] = {}
-        self._missing: dict[bytes, deque[int]] = {}
-        self._restarts: dict[bytes, tuple[int, int]] = {}
-        """How often a sender started again, and how many beacons of it there are."""
-        self._period = context.pics.pixit.beacon_period_ms * MS
-        self._begin: int | None = None
-        self.lost: dict[bytes, int] = {}
-
-    def feed(self, seen: Seen) -> None:
-        """Compare with the sender's last number."""
-        if self._begin is None:
-            self._begin = seen.time
-        number, first = seen.heard.seqno, self.context.profile.behaviour.first_beacon_seqno
-        if number is None:
-            return
-        last = self._last.get(seen.sender)
-        if last is None:
-            if len(self._last) >= MOST_SENDERS:
-                return
-            self._last[seen.sender] = seen.trace
-            if number == first and seen.time > self._begin:
-                self.exercised("BP-HDR-08")
-            return
-        before = last.seqno or 0
-        step = (number - before) % BP_SEQNO_MODULUS
-        text = f"{name(seen.sender)}: {number} after {before}"
-        missing = self._missing.get(seen.sender)
-        restarts, beacons = self._restarts.get(seen.sender, (0, 1))
-        self._restarts[seen.sender] = (restarts, beacons + 1)
-        if missing is not None and number in missing:
-            missing.remove(number)
-            self.lost[seen.sender] -= 1
-            self.note("beacons that were recorded out of order", text, [last, seen])
-            return
-        self._last[seen.sender] = seen.trace
-        if step == 1:
-            self.exercised()
-        elif step == 0 and seen.heard.octets == last.octets:
-            self.note("the same beacon twice", f"{name(seen.sender)}: seqno {number}", [last, seen])
-        elif 1 < step < BP_SEQNO_MODULUS // 2:
-            self.lost[seen.sender] = self.lost.get(seen.sender, 0) + step - 1
-            self._missing.setdefault(seen.sender, deque(maxlen=_MISSING)).extend(
-                (before + each) % BP_SEQNO_MODULUS for each in range(1, min(step, _MISSING + 1))
-            )
-        elif self._restarted(number, seen.time - last.time, step):
-            restarts += 1
-            self._restarts[seen.sender] = (restarts, beacons + 1)
-            if restarts >= _RESTARTS and beacons < _LIVED * restarts:
-                self.violated(
-                    f"{text}; it has started again {restarts} times", [last, seen], once=(seen.sender, "again")
-                )
-            else:
-                self.note("a sender starts again", text, [last, seen])
-        else:
-            self.violated(text, [last, seen], once=(seen.sender, step if step < 2 else "back"))
-
-    def _restarted(self, number: int, pause: int, step: int) -> bool:
-        """Whether a sender may have been restarted and have come so far since it was last heard."""
-        if step == 0 and pause < 3 * self._period:
-            return False
-        return number <= _RESTART + 2 * pause / self._period
-
-    def finish(self) -> None:
-        """Say what was lost: that is the recorder's loss as likely as the sender's fault."""
-        for sender, count in self.lost.items():
-            if count:
-                self.note("beacons that are not in the recording", f"{name(sender)}: {count}", [])
-
-
 class BeaconPeriod(Invariant):
     """When beacons come."""
 
@@ -259,6 +183,10 @@ class BeaconPeriod(Invariant):
         super().__init__(context)
         self._last: dict[bytes, Trace] = {}
         self._intervals: dict[bytes, list[float]] = {}
+
+    def interrupted(self) -> None:
+        """The next interval is none."""
+        self._last.clear()
 
     def feed(self, seen: Seen) -> None:
         """Collect the intervals between beacons that follow each other."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from dcp_spec.constants import ICType
 
 from dcp_conformance.circular import Circle
-from dcp_conformance.session import FLOOR
+from dcp_conformance.pics import REACTION_FLOOR
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .hearing import BELIEF, GAP_SHOWS, Hearing
@@ -101,7 +101,7 @@ class _Dialogue(Invariant):
         self._outcomes: deque[_Outcome] = deque()
         self._counters: dict[tuple[bytes, int], Counter] = {}
         period = context.pics.pixit.beacon_period_ms * MS
-        self.window = round(((context.pics.pixit.reaction_periods or FLOOR) + 1) * period)
+        self.window = round(((context.pics.pixit.reaction_periods or REACTION_FLOOR) + 1) * period)
 
     def feed(self, seen: Seen) -> None:
         """Take all instructions of a beacon, then look at what it answers."""

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dcp_spec.constants import SRP_SEQNO_MODULUS
+from dcp_spec.constants import BP_SEQNO_MODULUS, SRP_SEQNO_MODULUS
 
 from dcp_codec.values import ExtendedSafetyData
 from dcp_conformance.verdict import Verdict
 
 from .base import MOST_SENDERS, Context, Invariant, Seen, Trace, name
+from .rules_counters import NARROW, narrow_counter
 
 #: A node whose state reports have started again has made so many at most, or one in so many ns.
 _RESTART, _SPACING = 3, 10_000_000
+#: A node that was not restarted in between has sent so many beacons at most, or after so many ns at most.
+_BEACONS, _SOON = 20, 250_000_000
 #: A clock may be set back; so often it is not a clock.
 _STEPS = 3
+#: So many different reports in a row with one number show a counter that stands still.
+_STUCK = 5
+#: So many reports with one time, the last sent so many ns after the first, show a clock that stands still.
+_FROZEN, _FROZEN_FOR = 10, 3_000_000_000
 
 
 class OwnReports(Invariant):
@@ -50,9 +57,15 @@ class ReportLength(Invariant):
         super().__init__(context)
         self._lengths: dict[bytes, tuple[int, Trace]] = {}
 
+    def interrupted(self) -> None:
+        """Another program may have been started."""
+        self._lengths.clear()
+
     def feed(self, seen: Seen) -> None:
         """Compare lengths; a wrong one is an error of the dissector already."""
-        for problem in seen.dissection.errors:
+        if seen.sound and seen.heard.report is None:
+            return
+        for problem in () if seen.sound else seen.dissection.errors:
             if problem.requirement == "SRP-RX-01":
                 self.violated(f"{name(seen.sender)}: {problem}", [seen], once=(seen.sender, problem.reason))
         payloads = seen.dissection.root.child("payloads")
@@ -90,6 +103,17 @@ class ReportNumbers(Invariant):
         self._last: dict[bytes, _Last] = {}
         self._lost: dict[bytes, int] = {}
         self._back: dict[bytes, int] = {}
+        self._same: dict[bytes, int] = {}
+        """How many different reports in a row have had the number of the last one."""
+        self._narrow: dict[tuple[str, int], int] = {}
+        self._frozen: dict[bytes, tuple[int, int, Trace]] = {}
+        """A time stamp, how many reports in a row have had it, and the first of them."""
+
+    def interrupted(self) -> None:
+        """Numbers may start again."""
+        self._last.clear()
+        self._same.clear()
+        self._frozen.clear()
 
     def feed(self, seen: Seen) -> None:
         """Compare with the node's last report."""
@@ -105,14 +129,27 @@ class ReportNumbers(Invariant):
         step, who = (report.seqno - last.report.seqno) % SRP_SEQNO_MODULUS, name(report.node_id)
         same = report.t_stamp == last.report.t_stamp and report.s_data == last.report.s_data
         both = [last.seen, seen.trace]
+        self._clock(report, seen, who, step)
         if step == 0:
             self.exercised("SRP-TYP-06")
+            if not same and _continues(last.seen, seen):
+                count = self._same[report.node_id] = self._same.get(report.node_id, 1) + 1
+                if count == _STUCK:
+                    text = f"{who}: {count} different reports with seqno {report.seqno}"
+                    self.violated(text, both, "SRP-TYP-06", "SRP-SEQ-01", once=(who, "stuck"))
             if not same and report.t_stamp != last.report.t_stamp and report.seqno > _RESTART:
                 self.violated(
                     f"{who}: another report with seqno {report.seqno}", both, "SRP-TYP-06", once=(who, "same")
                 )
             return
+        self._same.pop(report.node_id, None)
         pause = seen.time - last.seen.time
+        if report.seqno == 0 and last.report.seqno in NARROW and _continues(last.seen, seen):
+            if narrow_counter(self._narrow, who, last.report.seqno, restarts_known=self.context.restarts_known):
+                bits = last.report.seqno.bit_length()
+                text = f"{who}: 0 after {last.report.seqno}: a counter of {bits} bits"
+                self.violated(text, both, "SRP-SEQ-01", "SRP-TYP-01", once=(who, bits))
+            return
         if step >= SRP_SEQNO_MODULUS // 2 and report.seqno <= _RESTART + pause / _SPACING:
             self.note("a node starts its reports again", who, both)
             return
@@ -130,10 +167,28 @@ class ReportNumbers(Invariant):
             else:
                 self.note("a clock that was set back", text, both, "SRP-TYP-05")
 
+    def _clock(self, report: ExtendedSafetyData, seen: Seen, who: str, step: int) -> None:
+        """Whether the time stamps of new reports stand still."""
+        stamp, count, first = self._frozen.get(report.node_id, (None, 0, seen.trace))
+        if stamp != report.t_stamp:
+            self._frozen[report.node_id] = (report.t_stamp, 1, seen.trace)
+            return
+        self._frozen[report.node_id] = (report.t_stamp, count + (step != 0), first)
+        if count >= _FROZEN and seen.time - first.time >= _FROZEN_FOR:
+            text = f"{who}: {count} reports in {(seen.time - first.time) / 1e9:.1f} s with the same tStamp"
+            self.violated(text, [first, seen], "SRP-TYP-05", once=(who, "frozen"))
+
     def finish(self) -> None:
         """Reports that were never seen: replaced before they were sent, or lost."""
         for node_id, count in self._lost.items():
             self.note("state reports that are not in the recording", f"{name(node_id)}: {count}", [])
+
+
+def _continues(last: Trace, seen: Seen) -> bool:
+    """Whether a node was not restarted between two of its beacons: their numbers go on."""
+    if last.seqno is None or seen.heard.seqno is None:
+        return seen.time - last.time < _SOON
+    return 0 < (seen.heard.seqno - last.seqno) % BP_SEQNO_MODULUS <= _BEACONS
 
 
 class ReportTime(Invariant):

@@ -40,6 +40,8 @@ class ContainerOrder(Invariant):
     def feed(self, seen: Seen) -> None:
         """Compare neighbours."""
         first = [each for each in seen.heard.instructions() if each.position == 0]
+        if len(first) < 2:
+            return
         for before, after in itertools.pairwise(first):
             self.exercised()
             if self._rank[after.kind] < self._rank[before.kind]:
@@ -69,8 +71,11 @@ class PayloadConsistency(Invariant):
     def feed(self, seen: Seen) -> None:
         """Compare the records about each variable."""
         records: dict[int, Instruction] = {}
-        deleted = {each.var_id: each for each in seen.heard.instructions(ICType.DELETE_VARIABLES)}
-        for each in seen.heard.instructions():
+        instructions = seen.heard.instructions()
+        if len(instructions) < 2:
+            return
+        deleted = {each.var_id: each for each in instructions if each.kind is ICType.DELETE_VARIABLES}
+        for each in instructions:
             if each.kind not in SENT:
                 continue
             before = records.setdefault(each.var_id, each)

@@ -33,10 +33,10 @@ def command(capture: Path, **options: Any) -> int:
     tester also what the applications of that node did. Its answers are judged by an independent model of what the
     specification asks, and the outcome is compared with that of the recorded node.
     """
+    from dcp_conformance.moment import timestamp
     from dcp_conformance.outcome import assemble, exit_status
     from dcp_conformance.replay import Replay, ReplayOptions, cast_of, choose_node, decided
     from dcp_conformance.reporting import make_folder, write_report
-    from dcp_conformance.runner import timestamp
     from dcp_conformance.target import describe, open_target
 
     from .display import print_summary

@@ -41,7 +41,8 @@ class InProcess:
     def __init__(self, config: NodeConfig, *, seed: int = 1, make: MakeNode = plain_node) -> None:
         self.config = config
         self.now = 0
-        self._seed = seed
+        # A restart does not take it back: intervals between beacons differ from start to start.
+        self._rng = random.Random(seed)  # noqa: S311 - jitter, no secret
         self._make = make
         self._header = b"\xff" * 6 + ADDRESS + _ether_type(config).to_bytes(2, "big")
         self._sessions: list[VirtualUpperTester] = []
@@ -51,7 +52,6 @@ class InProcess:
         self._start()
 
     def _start(self) -> None:
-        self._rng = random.Random(self._seed)  # noqa: S311 - jitter, no secret
         self.died = ""
         self.arrivals.clear()
         self.node = self._make(self.config, self._rng, self.now, self.wall())

@@ -59,7 +59,7 @@ def compare(old: RunResult, new: RunResult) -> list[Change]:
 
 def _by_case(run: RunResult) -> dict[str, CaseResult]:
     found: dict[str, CaseResult] = {}
-    for case in run.cases:
+    for case in (*run.cases, *run.invariants):
         if case.id not in found or case.verdict.rank > found[case.id].verdict.rank:
             found[case.id] = case
     return found

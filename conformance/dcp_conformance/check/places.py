@@ -1,0 +1,27 @@
+"""Where in a frame the record is that a finding is about."""
+
+from __future__ import annotations
+
+from dcp_codec.codec import Codec
+from dcp_conformance.results import Mark
+
+
+def placed(codec: Codec, mark: Mark, frame: bytes, start: int) -> Mark:
+    """A mark with the octets of the record whose path was given as "KIND variable"; others as they are.
+
+    ``start`` is where the bearer payload starts in ``frame``.
+    """
+    if mark.length or not mark.path:
+        return mark
+    found = codec.dissect(frame, start=start, base=start)
+    kind, _, var_id = mark.path.rpartition(" ")
+    for container in found.root.walk():
+        label = container.child("icType")
+        if label is None or label.label != kind:
+            continue
+        records = container.child("records")
+        for record in records.children if records is not None else ():
+            field = (record.child("spec") or record).child("varId")
+            if field is not None and str(field.value) == var_id:
+                return Mark(mark.frame, record.offset, record.length, record.path)
+    return Mark(mark.frame)

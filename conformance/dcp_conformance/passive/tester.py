@@ -1,0 +1,263 @@
+"""Feeds the invariants with the beacons of the implementation, and makes results of what they find."""
+
+from __future__ import annotations
+
+import shlex
+from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgspec
+from dcp_spec.constants import ProtocolId
+
+from dcp_codec.codec import Codec
+from dcp_codec.framing import ETHERNET_HEADER
+from dcp_conformance.case import Case, Kind
+from dcp_conformance.check.base import Context, Invariant, Seen
+from dcp_conformance.check.places import placed
+from dcp_conformance.heard import Heard
+from dcp_conformance.pics import Pics
+from dcp_conformance.results import CaseResult, Check, EventRecord, Mark
+from dcp_conformance.verdict import Verdict, worst
+
+from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, RepeatedJitter
+
+if TYPE_CHECKING:
+    from dcp_conformance.bench import Bench
+
+SECTION: Final = "Passive testing: every beacon of the run"
+_STIMULUS: Final = "none of its own: whatever the cases of the run do"
+#: Frames that a result holds; every finding is counted, these are shown.
+MOST_FRAMES = 24
+#: Frames of the case so far that a finding can still cite.
+_RECENT = 16
+
+_BLOCKS = frozenset(
+    {
+        "CK_BP_FORMAT", "CK_BP_EMPTY", "CK_DATA_ORDER", "CK_SRP_OWN", "CK_SRP_SEQNO", "CK_VD_ORDER",
+        "CK_VD_PAYLOAD", "CK_VD_DISTINCT", "CK_VD_SUMMARIES",
+    }
+)  # fmt: skip
+"""Rules about octets of SRP and VarDis, which the tester itself hands down when it plays these client protocols."""
+_DISTURBED: Final[Mapping[str, frozenset[str]]] = {
+    "BP-SetParameter": frozenset({"CK_BP_PERIOD", "CK_BP_JITTER", "CK_BP_SIZE", "CK_BP_NETWORK"}),
+    "BP-MGMT-Deactivate": frozenset({"CK_BP_PERIOD", "CK_BP_JITTER"}),
+    "VD-SetParameter": frozenset({"CK_VD_SUMMARIES"}),
+}
+"""Service -> rules that do not hold from its call to the end of the case."""
+
+
+class PassiveTester:
+    """Judges every beacon of the implementation by the invariants that no stimulus excuses. Bounded in memory.
+
+    Frames of others are never given to it. It must be told of every reset and restart, since numbers start again then.
+    """
+
+    def __init__(self, codec: Codec, pics: Pics) -> None:
+        self._codec = codec
+        self._context = Context(codec, pics, restarts_known=True)
+        self._context.cite = self._cite
+        self._rules = [rule(self._context) for rule in RULES]
+        self._active = [rule for rule in self._rules if not rule.applies()]
+        self._suspended: frozenset[str] = frozenset()
+        self._deal()
+        self._since = -1
+        """What came until then, in ns of the lower tester's clock, belongs to what was before."""
+        self._recent: deque[_Place] = deque(maxlen=_RECENT)
+        self._evidence: dict[str, list[_Place]] = {}
+        self.frames = 0
+        """Beacons that were judged."""
+
+    # -- what the run tells --------------------------------------------------------------------------------------------
+
+    def begin(self, now: int) -> None:
+        """A case begins; ``now`` is the lower tester's clock. Frames that came before it are not judged."""
+        if self._suspended:
+            self._suspended = frozenset()
+            self._deal()
+        self.interrupted(now)
+
+    def interrupted(self, now: int) -> None:
+        """The implementation was, or may have been, reset or restarted: its numbers may start again.
+
+        What came until ``now`` is not judged any more.
+        """
+        self._since = max(self._since, now)
+        self._recent.clear()
+        for rule in self._active:
+            rule.interrupted()
+
+    def called(self, method: str, params: Mapping[str, Any]) -> None:
+        """A case has called a service. Rules that it disturbs are suspended until the next case."""
+        if method == "BP-TransmitPayload" and params.get("protId") in (ProtocolId.SRP, ProtocolId.VARDIS):
+            self._suspend(_BLOCKS)
+        elif method in _DISTURBED:
+            self._suspend(_DISTURBED[method])
+
+    def _suspend(self, rules: frozenset[str]) -> None:
+        self._suspended |= rules
+        self._deal()
+        for rule in self._active:
+            if rule.id in rules:
+                rule.interrupted()
+
+    def _deal(self) -> None:
+        """Sort the rules that are not suspended by what they look at."""
+        fed = [rule for rule in self._active if rule.id not in self._suspended]
+        self._fed_reports = [rule for rule in fed if rule.id in OF_REPORTS]
+        self._fed_instructions = [rule for rule in fed if rule.id in OF_INSTRUCTIONS]
+        self._fed = [rule for rule in fed if rule.id not in OF_REPORTS | OF_INSTRUCTIONS]
+
+    def heard(self, heard: Heard, frame: bytes, start: int, case: str) -> None:
+        """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
+        if heard.time <= self._since:
+            return
+        self.frames += 1
+        self._recent.append(_Place(case, heard, frame, start))
+        seen = Seen(self._codec, heard, frame, start, frame[:6] if start >= ETHERNET_HEADER else None)
+        for rule in self._fed:
+            rule.feed(seen)
+        if heard.report is not None:
+            for rule in self._fed_reports:
+                rule.feed(seen)
+        if heard.has_vardis:
+            for rule in self._fed_instructions:
+                rule.feed(seen)
+
+    def _cite(self, rule: str, mark: Mark) -> Mark | None:
+        """Keep the frame for the evidence of a rule, where frames have numbers of their own."""
+        place = next((each for each in self._recent if each.heard.number == mark.frame), None)
+        kept = self._evidence.setdefault(rule, [])
+        if place is None or (place not in kept and len(kept) >= MOST_FRAMES):
+            return None
+        if place not in kept:
+            kept.append(place)
+        return msgspec.structs.replace(mark, frame=kept.index(place) + 1)
+
+    # -- what came of it -----------------------------------------------------------------------------------------------
+
+    def results(self, rerun: str) -> tuple[CaseResult, ...]:
+        """A result for each invariant; ``rerun`` is the command of the run, without cases. Call once, at the end.
+
+        An invariant that holds decides no requirement: that a fault never showed is less than a case demands.
+        """
+        for rule in self._active:
+            rule.finish()
+        return tuple(self._result(rule, rerun) for rule in self._rules)
+
+    def _result(self, rule: Invariant, rerun: str) -> CaseResult:
+        kept = self._evidence.get(rule.id, [])
+        checks = [
+            Check(
+                each.verdict,
+                each.requirements,
+                each.expected,
+                _with_places(rule.told(each), each.frames, kept),
+                tuple(placed(self._codec, mark, *kept[mark.frame - 1][-2:]) for mark in each.frames),
+            )
+            for each in rule.findings
+            if each.verdict is Verdict.FAIL or isinstance(rule, RepeatedJitter)
+        ]
+        occasions = max(rule.occasions.values(), default=0)
+        if not checks:
+            holds = bool(occasions)
+            text = (
+                f"{rule.expect} (looked at {occasions} times)" if holds else rule.applies() or "no occasion in this run"
+            )
+            checks.append(Check(Verdict.PASS if holds else Verdict.NOT_APPLICABLE, (), text))
+        verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
+        decisive = next(check for check in checks if check.verdict is verdict)
+        cited = (kept[mark.frame - 1].case for check in checks for mark in check.frames)
+        # The tester also listens between the cases, and before them to measure.
+        again = next((each for each in cited if each.startswith("TC_")), None)
+        return CaseResult(
+            id=rule.id,
+            purpose=rule.purpose,
+            section=SECTION,
+            kind="BV",
+            requirements=tuple(dict.fromkeys(each for check in checks for each in check.requirements)),
+            verdict=verdict,
+            reason="" if verdict is Verdict.PASS else ": ".join(filter(None, (decisive.expected, decisive.observed))),
+            stimulus=_STIMULUS,
+            expectation=rule.expect,
+            checks=tuple(checks),
+            evidence=tuple(each.event(number) for number, each in enumerate(kept, 1)),
+            left_out=rule.left_out,
+            # What holds is no case beside the others; what does not is a finding.
+            counted=verdict is Verdict.FAIL,
+            rerun=rerun if again is None else f"{rerun} {shlex.quote(again)}",
+        )
+
+
+class _Place(NamedTuple):
+    """A frame, and where in the run it was heard."""
+
+    case: str
+    heard: Heard
+    frame: bytes
+    start: int
+
+    def __str__(self) -> str:
+        return f"frame {self.heard.number} of {self.case}"
+
+    def event(self, number: int) -> EventRecord:
+        """As evidence, where it has another number."""
+        who = (self.heard.sender or self.heard.source).hex(":")
+        return EventRecord(self.heard.wall, "heard", who, number, str(self), self.frame.hex(), self.start)
+
+
+def _with_places(observed: str, marks: Iterable[Mark], kept: list[_Place]) -> str:
+    where = ", ".join(str(kept[number - 1]) for number in dict.fromkeys(mark.frame for mark in marks))
+    return f"{observed}; {where}" if where else observed
+
+
+def cases() -> tuple[Case, ...]:
+    """The invariants as cases, for files of expected results and for exclusion. They are never run as such."""
+    return tuple(
+        Case(
+            id=rule.id,
+            purpose=rule.purpose,
+            requirements=rule.requirements,
+            kind=Kind.VALID,
+            stimulus=_STIMULUS,
+            expect=rule.expect,
+            window=0,
+            section=SECTION,
+            module=rule.__module__,
+            run=_never,
+        )
+        for rule in RULES
+    )
+
+
+def _never(_bench: Bench) -> None:
+    raise AssertionError("an invariant is no case to run")
+
+
+def joined(results: Iterable[CaseResult]) -> list[CaseResult]:
+    """One result for each invariant, of several passive testers: with nodes side by side each has its own."""
+    found: dict[str, CaseResult] = {}
+    for each in results:
+        before = found.get(each.id)
+        found[each.id] = each if before is None else _both(before, each)
+    return list(found.values())
+
+
+def _both(first: CaseResult, second: CaseResult) -> CaseResult:
+    if Verdict.FAIL not in (first.verdict, second.verdict) or first.verdict is not second.verdict:
+        return max(second, first, key=lambda result: result.verdict.rank)
+    behind = len(first.evidence)
+    checks = [
+        msgspec.structs.replace(
+            check, frames=tuple(msgspec.structs.replace(mark, frame=mark.frame + behind) for mark in check.frames)
+        )
+        for check in second.checks
+    ]
+    evidence = [msgspec.structs.replace(each, frame=each.frame + behind) for each in second.evidence]
+    return msgspec.structs.replace(
+        first,
+        checks=(*first.checks, *checks),
+        evidence=(*first.evidence, *evidence),
+        requirements=tuple(dict.fromkeys((*first.requirements, *second.requirements))),
+        left_out=first.left_out + second.left_out,
+    )
