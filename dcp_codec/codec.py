@@ -147,6 +147,13 @@ class Codec:
         except DecodeError:
             return self._salvager.salvage(octets)
 
+    def salvage_envelope(self, octets: bytes) -> Salvaged:
+        """As :meth:`salvage` with every client payload left as octets, damaged or not."""
+        try:
+            return Salvaged(self._decode_envelope(octets, 0, len(octets))[0])
+        except DecodeError:
+            return self._salvager.salvage(octets, envelope=True)
+
     def encode(self, beacon: Beacon) -> bytes:
         """The bearer payload of ``beacon``. Raises :class:`~dcp_codec.errors.EncodeError` naming the field at fault."""
         return self._encode_beacon(beacon)

@@ -64,12 +64,14 @@ class Salvaged(msgspec.Struct, frozen=True, gc=False):
 
     ``beacon`` is None if nothing could be read. ``problems`` is empty if and only if strict decoding succeeds. The
     content of a ``damaged`` payload is its octets, but for VarDis, where it is the containers before the fault.
+    ``clear`` is false if the position of blocks is not known up to the last: then the header may be misread as well.
     """
 
     beacon: Beacon | None
     problems: tuple[Problem, ...] = ()
     damaged: tuple[Damaged, ...] = ()
     reading: Reading = "length"
+    clear: bool = True
 
     def octets_of(self, payload: int) -> bytes | None:
         """The client payload of a damaged block as received; None if nothing is wrong with it."""
@@ -85,6 +87,8 @@ class _Attempt(NamedTuple):
 
     reading: Reading
     tree: Dissection
+    blocks: tuple[Payload, ...]
+    """With their client payloads as octets."""
     payloads: tuple[Payload, ...]
     damaged: tuple[Damaged, ...]
     cut_off: bool
@@ -117,25 +121,26 @@ class Salvager:
             for number, case in node.cases.items()
         }
 
-    def salvage(self, octets: bytes) -> Salvaged:
-        """Read octets that strict decoding refuses."""
+    def salvage(self, octets: bytes, *, envelope: bool = False) -> Salvaged:
+        """Read octets that strict decoding refuses. ``envelope``: every client payload stays octets."""
         problems = tuple(self._codec.dissect(octets).errors)
         tree = self._dissect(octets, 0, 0)
         header = tree.root.child("bp")
         if {each.reason for each in problems} >= _FOREIGN:
-            return Salvaged(None, problems)
+            return Salvaged(None, problems, clear=False)
         try:
             bp = None if header is None else self._record(header)
         except _IncompleteError:
-            return Salvaged(None, problems)
+            return Salvaged(None, problems, clear=False)
         attempt = self._attempt("length", tree)
         if header is not None and (attempt.cut_off or any(each.reason == "count-mismatch" for each in tree.errors)):
             attempt = min([attempt, *self._others(octets)], key=lambda each: each.faults)
         if attempt.reading != "length":
             wrong = [each for each in tree.errors if each.path.startswith("bp.")] or tree.errors[:1]
             problems = (*wrong, *(each.problem for each in attempt.damaged))
-        damaged = attempt.damaged
-        return Salvaged(Beacon(bp, attempt.payloads), problems, damaged, attempt.reading)
+        payloads = attempt.blocks if envelope else attempt.payloads
+        clear = bool(payloads) and not attempt.cut_off
+        return Salvaged(Beacon(bp, payloads), problems, attempt.damaged, attempt.reading, clear)
 
     # -- readings -----------------------------------------------------------------------------------------------
 
@@ -168,6 +173,7 @@ class Salvager:
         return octets if number and not wrong else None
 
     def _attempt(self, reading: Reading, tree: Dissection) -> _Attempt:
+        blocks: list[Payload] = []
         payloads: list[Payload] = []
         damaged: list[Damaged] = []
         for block in _blocks(tree):
@@ -175,6 +181,7 @@ class Salvager:
                 payload = self._record(block)
             except _IncompleteError:
                 break
+            blocks.append(payload)
             if (name := self._clients.get(payload.protocol_id)) is not None:
                 raw = payload.content
                 content, problem = self._client(name, raw)
@@ -190,7 +197,7 @@ class Salvager:
                 # Whatever is wrong inside of the last block comes from that.
                 damaged = [each for each in damaged if each.payload != last]
                 damaged.append(Damaged(last, self._place_of_content(block).raw, stops[-1]))
-        return _Attempt(reading, tree, tuple(payloads), tuple(damaged), bool(stops))
+        return _Attempt(reading, tree, tuple(blocks), tuple(payloads), tuple(damaged), bool(stops))
 
     def _place_of_content(self, block: Field) -> Field:
         return block.children[self._payload.members.index(self._content)]

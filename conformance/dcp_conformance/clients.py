@@ -14,9 +14,6 @@ from typing import Any, Self
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_codec.codec import Codec
-from dcp_codec.errors import DecodeError
-
 from .bench import Bench
 from .case import Needs, Variant
 from .errors import UpperTesterError
@@ -145,15 +142,6 @@ def unused_protocol_id(bench: Bench) -> int:
     return number
 
 
-def blocks_of(codec: Codec, heard: Heard) -> list[tuple[int, bytes]]:
-    """Protocol identifier and octets of each block of a beacon; empty if it is none."""
-    try:
-        envelope, _ = codec.decode_envelope(heard.octets)
-    except DecodeError:
-        return []
-    return [(each.protocol_id, each.data or b"") for each in envelope.payloads]
-
-
 class BPClient:
     """A client protocol of the tester's. Registers when its ``with`` block begins; inconclusive if it cannot."""
 
@@ -246,7 +234,7 @@ class BPClient:
 
     def in_frame(self, heard: Heard) -> list[bytes]:
         """This client's payloads in a beacon."""
-        return [octets for prot_id, octets in blocks_of(self.bench.codec, heard) if prot_id == self.prot_id]
+        return heard.data(self.prot_id)
 
     def sent(self, since: int = 0) -> list[bytes]:
         """This client's payloads on the air from a mark on, in order."""

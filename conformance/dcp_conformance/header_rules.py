@@ -64,7 +64,9 @@ def judge(
     if not salvaged.problems:
         return []
     tree = codec.dissect(octets)
-    if _adds_up(salvaged):
+    # No sender counts to zero: where numPayloads should be there is something else.
+    nothing = any(each.reason == "zero-count" and not _inside(each) for each in salvaged.problems)
+    if salvaged.clear and not nothing:
         return [*_of_the_header(octets, codec, tree, salvaged), *_of_payloads(salvaged)]
     network_id = codec.profile.bp.network_id if network_id is None else network_id
     fault = explanation(octets, codec, network_id, source)
@@ -76,16 +78,6 @@ def judge(
     known = {each.path for each in found}
     rest = [_as_told(each) for each in salvaged.problems if each.path not in known and not _inside(each)]
     return [*found, *rest] or [_as_told(salvaged.problems[0])]
-
-
-def _adds_up(salvaged: Salvaged) -> bool:
-    """Whether the position of every block is clear."""
-    if salvaged.beacon is None or not salvaged.beacon.payloads:
-        return False
-    return salvaged.reading != "length" or not any(
-        each.reason in ("truncated", "beacon-overrun", "block-overrun", "area-overrun") and not _inside(each)
-        for each in salvaged.problems
-    )
 
 
 def _inside(problem: Problem) -> bool:
@@ -106,7 +98,7 @@ def _of_the_header(octets: bytes, codec: Codec, tree: Dissection, salvaged: Salv
             if field.value is not None and right is not None and field.value != right:
                 yield _wrong(field, right, _swapped_text(field, right))
     payloads = tree.root.child("payloads")
-    if not _adds_up(salvaged) or salvaged.beacon is None or payloads is None:
+    if not salvaged.clear or salvaged.beacon is None or payloads is None:
         return
     blocks = len(salvaged.beacon.payloads)
     length, count = fields.get("length"), fields.get("numPayloads")

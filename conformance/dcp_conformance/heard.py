@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
-from dcp_codec.errors import DecodeError, Problem
+from dcp_codec.errors import Problem
+from dcp_codec.salvage import Salvaged
 from dcp_codec.values import (
     Beacon,
     Container,
@@ -32,6 +34,10 @@ KIND_OF: Final[Mapping[type, ICType]] = {
 """The container that a record stands in, whatever numbers a profile has for containers."""
 
 
+#: The path of a problem inside of a client payload.
+_CLIENT: Final = re.compile(r"payloads\[\d+\]\.(srp|vardis)\b")
+
+
 class Instruction(NamedTuple):
     """A record of a VarDis payload and where it stood."""
 
@@ -50,9 +56,16 @@ class Instruction(NamedTuple):
 
 
 class Heard:
-    """One frame of the implementation, decoded once. ``beacon`` is None if it is none in the profile."""
+    """One frame of the implementation, read once.
 
-    __slots__ = ("_instructions", "beacon", "number", "octets", "problem", "sender", "source", "time", "wall")
+    ``beacon`` is what can be read of it (see :mod:`dcp_codec.salvage`), None if nothing can. ``problems`` is what is
+    wrong with it: a frame with problems is no sound beacon, though parts of it may be.
+    """
+
+    __slots__ = (
+        "_codec", "_instructions", "beacon", "number", "octets", "problems", "salvaged", "sender", "source", "time",
+        "wall",
+    )  # fmt: skip
 
     def __init__(self, codec: Codec, number: int, time: int, wall: int, octets: bytes, source: bytes) -> None:
         self.number = number
@@ -60,12 +73,11 @@ class Heard:
         self.wall = wall
         self.octets = octets
         self.source = source
-        self.problem: Problem | None = None
-        self.beacon: Beacon | None = None
-        try:
-            self.beacon = codec.decode(octets)
-        except DecodeError as error:
-            self.problem = error.problem
+        self._codec = codec
+        self.salvaged: Salvaged = codec.salvage(octets)
+        """What could be read, how, and what is damaged."""
+        self.beacon: Beacon | None = self.salvaged.beacon
+        self.problems: tuple[Problem, ...] = self.salvaged.problems
         self.sender: bytes | None = self._sender(codec)
         """The node identifier in the beacon, where there is one."""
         self._instructions = tuple(self._taken_apart())
@@ -78,14 +90,61 @@ class Heard:
     def _sender(self, codec: Codec) -> bytes | None:
         if self.beacon is not None:
             return None if self.beacon.bp is None else self.beacon.bp.sender_id
-        # What is wrong may stand behind the identifier.
+        # What is wrong may stand after the identifier.
         field = codec.dissect(self.octets).root.find("bp.senderId")
         return None if field is None else field.value
 
+    # -- what is wrong -------------------------------------------------------------------------------------------------
+
+    @property
+    def problem(self) -> Problem | None:
+        """The first thing that is wrong; None for a sound beacon."""
+        return self.problems[0] if self.problems else None
+
+    @property
+    def header_problems(self) -> list[Problem]:
+        """What is wrong with the headers and the list of blocks: BP's part."""
+        return [each for each in self.problems if _CLIENT.match(each.path) is None]
+
+    @property
+    def vardis_problems(self) -> list[Problem]:
+        """What is wrong inside of VarDis payloads."""
+        return self._problems_of("vardis")
+
+    @property
+    def report_problems(self) -> list[Problem]:
+        """What is wrong inside of SRP payloads."""
+        return self._problems_of("srp")
+
+    def _problems_of(self, client: str) -> list[Problem]:
+        return [each for each in self.problems if (found := _CLIENT.match(each.path)) and found[1] == client]
+
+    # -- what it says --------------------------------------------------------------------------------------------------
+
+    @property
+    def blocks(self) -> list[tuple[int, bytes]]:
+        """Protocol identifier and octets of each block that is there to its end."""
+        envelope = self._codec.salvage_envelope(self.octets).beacon
+        if envelope is None:
+            return []
+        cut_off = {each.payload for each in self.salvaged.damaged if _CLIENT.match(each.problem.path) is None}
+        return [
+            (each.protocol_id, each.data or b"")
+            for number, each in enumerate(envelope.payloads)
+            if number not in cut_off
+        ]
+
     @property
     def seqno(self) -> int | None:
-        """The beacon's sequence number."""
-        return None if self.beacon is None or self.beacon.bp is None else self.beacon.bp.seqno
+        """The beacon's sequence number; None if the header cannot be relied on.
+
+        A header without payloads is none that anybody means: there, other fields stand in other places.
+        """
+        if self.beacon is None or self.beacon.bp is None or not self.salvaged.clear:
+            return None
+        if any(each.reason == "zero-count" for each in self.header_problems):
+            return None
+        return self.beacon.bp.seqno
 
     @property
     def known(self) -> set[int]:
@@ -113,10 +172,8 @@ class Heard:
         return next((payload.srp for payload in self.beacon.payloads if payload.srp is not None), None)
 
     def data(self, protocol_id: int) -> list[bytes]:
-        """The payloads of a protocol that is neither SRP nor VarDis."""
-        if self.beacon is None:
-            return []
-        return [each.data for each in self.beacon.payloads if each.protocol_id == protocol_id and each.data is not None]
+        """The payloads of a protocol, as octets."""
+        return [octets for number, octets in self.blocks if number == protocol_id]
 
     def instructions(self, kind: ICType | None = None, var_id: int | None = None) -> list[Instruction]:
         """The VarDis records of a kind and of a variable, None for any."""

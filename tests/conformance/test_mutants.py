@@ -89,7 +89,7 @@ def test_our_node_kills_nothing():
 
 
 def test_what_fails_for_another_reason_is_told_apart():
-    outcome = trial(MUTANTS["M-BP-HDR-06-with-header"], full=True)
+    outcome = trial(MUTANTS["M-BP-HDR-11-swapped-protocol"], full=True)
     assert outcome.killers
     assert outcome.also
     assert not {each.case for each in outcome.killers} & {each.case for each in outcome.also}

@@ -18,7 +18,6 @@ from dcp_conformance.clients import (
     BPClient,
     areas_of_fixed_size,
     block_header_octets,
-    blocks_of,
     header_octets,
     listed,
     needed,
@@ -183,7 +182,7 @@ def several_clients(bench: Bench) -> None:
         )
         if first is not None:
             ids = [client.prot_id for client in clients]
-            order = [ids.index(prot_id) + 1 for prot_id, _ in blocks_of(bench.codec, first) if prot_id in ids]
+            order = [ids.index(prot_id) + 1 for prot_id, _ in first.blocks if prot_id in ids]
             bench.info(
                 "Which of four clients does a beacon serve, in which order?", ", ".join(map(str, order)), "BP-TX-03"
             )
@@ -220,14 +219,16 @@ def most_blocks(bench: Bench) -> None:
         del heard
         seen.clear()
         for each in bench.heard[start:]:
-            for prot_id, _ in blocks_of(bench.codec, each):
+            for prot_id, _ in each.blocks:
                 seen[prot_id] = seen.get(prot_id, 0) + 1
         return ids <= seen.keys()
 
     bench.until(complete, 2 * bench.reaction)
-    broken = [heard for heard in bench.heard[start:] if heard.beacon is None]
-    bench.check(
-        not broken, "beacons that can be read", f"{broken[0].problem if broken else ''}", frames=broken, shown=True
-    )
+    large = [heard for heard in bench.heard[start:] if len(heard.blocks) > BP_MAX_PAYLOADS]
+    said = f"{len(large[0].blocks)} in one" if large else ""
+    bench.check(not large, f"beacons of at most {BP_MAX_PAYLOADS} blocks", said, frames=large, shown=True)
+    broken = [heard for heard in bench.heard[start:] if heard.beacon is None or not heard.salvaged.clear]
+    said = str(broken[0].problem) if broken else ""
+    bench.check(not broken, "beacons whose blocks can be told apart", said, frames=broken, shown=True)
     lost = len(ids - seen.keys())
     bench.check(not lost, "all 260 payloads", f"{lost} are missing")

@@ -24,11 +24,16 @@ from dcp_conformance.clients import (
     some_beacons,
     talking,
 )
+from dcp_conformance.header_rules import judge
 from dcp_conformance.heard import Heard
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
 #: What an Ethernet frame holds at least: shorter bearer payloads may have been padded on their way.
 _MAY_BE_PADDED = 46
+
+
+#: What the list of blocks can break.
+_OF_BLOCKS = frozenset({"BP-HDR-07", "BP-FMT-01"})
 
 
 class Wire(NamedTuple):
@@ -38,7 +43,7 @@ class Wire(NamedTuple):
     fields: dict[str, object]
     """The header's fields by their names in the specification."""
     counted: Sequence[tuple[int, bytes]]
-    """As many blocks as numPayloads says, as far as they are there: protocol identifiers and payloads."""
+    """The blocks, as far as they are there: protocol identifiers and payloads."""
     end: int
     """Where they end."""
     whole: bool
@@ -46,10 +51,18 @@ class Wire(NamedTuple):
 
 
 def read(bench: Bench, heard: Heard) -> Wire:
-    """Take the headers of a beacon apart."""
+    """Take the headers of a beacon apart.
+
+    The blocks are those that length, numPayloads and the lengths of blocks agree on, or would but for one of them;
+    otherwise as many as numPayloads says.
+    """
     octets, types = heard.octets, bench.profile.types
     header = bench.codec.dissect(octets).root.find("bp")
     fields = {field.name: field.value for field in header.children} if header is not None else {}
+    if heard.salvaged.clear:
+        found = heard.blocks
+        size = sum(len(payload) for _, payload in found) + len(found) * block_header_octets(bench)
+        return Wire(heard, fields, found, header_octets(bench) + size, True)
     number, index, blocks = fields.get("numPayloads"), header_octets(bench), []
     size, whole = block_header_octets(bench), isinstance(number, int)
     for _ in range(number if isinstance(number, int) else 0):
@@ -113,7 +126,8 @@ def constants(bench: Bench) -> None:
 def order_of_fields(bench: Bench) -> None:
     with talking(bench, clients=2) as clients:
         wires = [read(bench, heard) for heard in some_beacons(bench, 6)]
-    check_field(bench, wires, "magicNo", BP_MAGIC_NO)
+    # A wrong number in the right place is not a matter of order.
+    check_field(bench, [each for each in wires if not each.heard.salvaged.clear], "magicNo", BP_MAGIC_NO)
     check_field(bench, wires, "senderId", bench.sut_id)
     known = {BP_PROTID_SRP, BP_PROTID_VARDIS, *(client.prot_id for client in clients)}
     strange = [each for each in wires if not each.whole or not {prot_id for prot_id, _ in each.counted} <= known]
@@ -121,6 +135,10 @@ def order_of_fields(bench: Bench) -> None:
     frames = [each.heard for each in strange[:8]]
     expected = "blocks of protocols that are registered, as long as they say"
     bench.check(not strange, expected, f"protocols {sorted(ids)} in {len(strange)} beacons", frames=frames, shown=True)
+    for wire in wires:
+        for fault in judge(wire.heard.octets, bench.codec):
+            if fault.requirement == "BP-HDR-10":
+                bench.fail(fault.expected, fault.observed, frames=[wire.heard], shown=True)
     bare = [each.heard for each in wires if not each.counted]
     bench.check(
         not bare, "numPayloads counts at least one block", f"none in {len(bare)} beacons", frames=bare[:8], shown=True
@@ -255,15 +273,16 @@ def length(bench: Bench) -> None:
     needs=_fields("numPayloads"),
 )
 def number_of_blocks(bench: Bench) -> None:
-    start = header_octets(bench)
     for wire in beacons_read(bench):
-        length, size = wire.fields.get("length"), len(wire.heard.octets)
-        ends = {size} if size > _MAY_BE_PADDED or not isinstance(length, int) else set()
-        if isinstance(length, int) and bench.profile.bp.length_means == "blocks":
-            ends.add(start + length)
-        number = wire.fields.get("numPayloads")
+        number, size = wire.fields.get("numPayloads"), len(wire.heard.octets)
         said = f"{len(wire.counted)} blocks that end at octet {wire.end} of {size}"
-        right = wire.whole and number != 0 and (not ends or wire.end in ends)
+        faults = judge(wire.heard.octets, bench.codec)
+        for each in faults:
+            if each.requirement in _OF_BLOCKS:
+                bench.fail(each.expected, each.observed, each.requirement, frames=[wire.heard], shown=True)
+        if any(each.requirement == "BP-HDR-10" for each in faults):
+            bench.inconclusive("numPayloads at its place", f"{faults[0]}")
+        right = wire.whole and number == len(wire.counted) and (wire.end == size or size <= _MAY_BE_PADDED)
         if not bench.check(right, f"{number} blocks that fill the beacon", said, frames=[wire.heard], shown=True):
             return
 

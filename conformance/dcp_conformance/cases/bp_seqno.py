@@ -52,6 +52,8 @@ def first_number(bench: Bench, old: Sequence[Heard], new: Sequence[Heard]) -> He
 def check_first_number(bench: Bench, heard: Heard) -> None:
     """Check the number of the very first beacon; which one it is in 1.1 and later is a reading."""
     first = heard.seqno
+    if first is None:
+        bench.inconclusive("a first beacon that can be read", f"{heard.problem}")
     if bench.features.first_beacon_seqno == 1:
         bench.check(first == 1, "the first beacon has seqno 1", f"it has {first}", "BP-INI-02", frames=[heard])
         return
@@ -109,7 +111,7 @@ def numbers_after_restart(bench: Bench) -> None:
 def idle_gap(bench: Bench) -> None:
     needed(bench, bench.probe() or bench.probe(), "a beacon with the answer to a probe")
     # What the answer has set off may take another beacon or two.
-    bench.until_quiet(lambda heard: heard.beacon is not None, 6)
+    bench.until_quiet(lambda heard: heard, 6)
     last = bench.heard[-1]
     pause = bench.wait(6)
     needed(bench, bench.probe() or bench.probe(), "a beacon with the answer to a probe")

@@ -40,9 +40,7 @@ def never_forwarded(bench: Bench) -> None:
         if any(octets in heard.octets for octets in foreign):
             bench.fail("no beacon contains a received record", "one does", frames=[heard], shown=True)
         own = heard.sender or bench.sut_id
-        senders = [
-            bench.codec.decode_report(block).node_id for block in srp_blocks(bench, heard) if _whole(bench, block)
-        ]
+        senders = [bench.codec.decode_report(block).node_id for block in srp_blocks(heard) if _whole(bench, block)]
         if any(node_id != own for node_id in senders):
             bench.fail("no record of another node", f"nodeId is {senders[0].hex(':')}", frames=[heard], shown=True)
     heard_any = len(bench.heard) > mark

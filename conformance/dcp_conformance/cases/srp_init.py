@@ -16,7 +16,8 @@ from dcp_conformance.services import (
     registration,
     report_octets,
     safety_data,
-    told,
+    srp_blocks,
+    until_report,
 )
 
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",), entities=("srp",))
@@ -72,7 +73,7 @@ def _fresh_start(bench: Bench, restart: bool) -> None:
     peer.send(bench.report(peer.node_id, 1))
     for number in (1, 2):
         bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, number))
-    bench.until(lambda heard: heard.report)
+    until_report(bench)
     if restart:
         bench.restart()
     else:
@@ -83,8 +84,8 @@ def _fresh_start(bench: Bench, restart: bool) -> None:
     )
     values = safety_data(bench, 3)
     bench.must("SRP-UpdateSafetyData", sData=values)
-    heard = bench.until(lambda heard: heard.report and told(bench, heard.report) == values and heard)
-    if not heard or heard.report is None:
+    heard = until_report(bench, values)
+    if heard is None or heard.report is None:
         bench.fail("a record is transmitted after the start", "none is")
     bench.check(
         heard.report.seqno == 0,
@@ -167,7 +168,7 @@ def not_registered(bench: Bench) -> None:
             inactive = answer.status.replace("_", "-") == "SRP-STATUS-INACTIVE"
             bench.check(inactive, "SRP-UpdateSafetyData answers SRP-STATUS-INACTIVE", str(answer), shown=True)
         bench.beacons(3, 3)
-        frames = [heard for heard in bench.heard[mark:] if heard.report is not None]
+        frames = [heard for heard in bench.heard[mark:] if srp_blocks(heard)]
         bench.check(not frames, "no state report is sent", f"{len(frames)} are", frames=frames, shown=True)
     finally:
         if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:

@@ -58,13 +58,13 @@ def one_record(bench: Bench) -> None:
     if bench.session.upper is not None and "SRP-UpdateSafetyData" in bench.session.upper.methods:
         for number in (1, 2):
             _handed_down(bench, number)
-            bench.until(lambda heard: srp_blocks(bench, heard))
-    elif not bench.until(lambda heard: srp_blocks(bench, heard), 12):
+            bench.until(lambda heard: srp_blocks(heard))
+    elif not bench.until(lambda heard: srp_blocks(heard), 12):
         bench.info("state reports on its own account", "none for 12 beacon periods, and no upper tester to ask for one")
         return
     size, seen = report_octets(bench), 0
     for heard in bench.heard:
-        blocks = srp_blocks(bench, heard)
+        blocks = srp_blocks(heard)
         seen += len(blocks)
         wrong = [len(block) for block in blocks if len(block) != size]
         if wrong:

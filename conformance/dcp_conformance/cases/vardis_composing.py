@@ -315,7 +315,7 @@ def head_does_not_fit(bench: Bench) -> None:
         frames=found[:4],
         shown=True,
     )
-    broken = [each for each in bench.heard[mark:] if each.beacon is None or not all(c.records for c in each.containers)]
+    broken = [each for each in bench.heard[mark:] if each.vardis_problems]
     bench.check(
         not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4], shown=True
     )

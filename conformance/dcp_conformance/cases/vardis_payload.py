@@ -278,8 +278,8 @@ def nothing_to_say(bench: Bench) -> None:
     bench.check(
         not empty, "every VarDis block has a container", f"{len(empty)} have none", frames=empty[:4], shown=True
     )
-    broken = [each for each in bench.heard if each.problem is not None and each.problem.requirement == "VD-IC-03"]
-    text = str(broken[0].problem) if broken else ""
+    broken = [each for each in bench.heard if any(what.reason == "zero-count" for what in each.vardis_problems)]
+    text = str(broken[0].vardis_problems[0]) if broken else ""
     bench.check(not broken, "every container has a record", text, "VD-IC-03", frames=broken[:4], shown=True)
     later = [each for each in bench.heard[quiet:] if each.has_vardis]
     told = [record for each in later for record in each.instructions()]
@@ -318,11 +318,11 @@ def more_than_255(bench: Bench) -> None:
             break
         bench.beacons(1, 4)
         requested = {each.var_id for each in bench.instructions(ICType.REQUEST_VARCREATES)}
-    broken = [each for each in bench.heard if each.beacon is None]
+    broken = [each for each in bench.heard if each.vardis_problems]
     bench.check(
         not broken,
-        "every beacon can be decoded",
-        str(broken[0].problem) if broken else "",
+        "every VarDis payload can be decoded",
+        str(broken[0].vardis_problems[0]) if broken else "",
         frames=broken[:4],
         shown=True,
     )

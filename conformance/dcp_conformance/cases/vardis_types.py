@@ -7,7 +7,7 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
-from dcp_codec.errors import DecodeError
+from dcp_codec.errors import Problem
 from dcp_codec.values import VarCreate
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
@@ -52,13 +52,18 @@ def _everything(bench: Bench, peer: Peer) -> int:
     return since
 
 
-def _blocks(bench: Bench, heard: Heard) -> list[bytes]:
+def _blocks(heard: Heard) -> list[bytes]:
     """The VarDis payloads of a beacon as octets."""
-    try:
-        envelope, _ = bench.codec.decode_envelope(heard.octets)
-    except DecodeError:
-        return []
-    return [each.data or b"" for each in envelope.payloads if each.protocol_id == BP_PROTID_VARDIS]
+    return heard.data(BP_PROTID_VARDIS)
+
+
+def _faults(heard: Heard) -> list[Problem]:
+    """What is wrong inside of its VarDis payloads, but for containers without a record."""
+    return [each for each in heard.vardis_problems if each.reason != "zero-count"]
+
+
+def _has_empty_container(heard: Heard) -> bool:
+    return any(each.reason == "zero-count" for each in heard.vardis_problems)
 
 
 @case(
@@ -74,15 +79,15 @@ def _blocks(bench: Bench, heard: Heard) -> list[bytes]:
 def layout(bench: Bench) -> None:
     since = _everything(bench, bench.peer())
     frames = bench.heard[since:]
-    broken = [heard for heard in frames if heard.problem is not None and heard.problem.reason != "zero-count"]
-    problem = broken[0].problem if broken else None
+    broken = [heard for heard in frames if _faults(heard)]
+    problem = _faults(broken[0])[0] if broken else None
     for requirement in ("VD-TYP-01", "VD-TYP-07", "VD-IC-01"):
         what = "all beacons have the layout of the profile"
         bench.check(not broken, what, f"{problem}", requirement, frames=broken[:5], shown=True)
     if bench.features.creation_time:
         specs = bench.instructions(ICType.CREATE_VARIABLES, since=since)
         bench.check(specs, "a VarSpecT has varId, prodId, repCnt, creationTime, timeout, descr", "none", "VD-TYP-05")
-    empty = [heard for heard in frames if heard.problem is not None and heard.problem.reason == "zero-count"]
+    empty = [heard for heard in frames if _has_empty_container(heard)]
     empty += [heard for heard in frames if any(not each.records for each in heard.containers)]
     bench.check(
         not empty, "every container has a record", "there is an empty one", "VD-IC-03", frames=empty[:5], shown=True
@@ -163,7 +168,7 @@ def payload_size(bench: Bench) -> None:
     )
     came = {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)}
     bench.check(wanted <= came, f"all {count} VarCreates come", f"{len(wanted - came)} do not")
-    blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(bench, heard)]
+    blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(heard)]
     long = [heard for heard, octets in blocks if octets > limit]
     longest = max((octets for _, octets in blocks), default=0)
     bench.check(
@@ -329,15 +334,15 @@ def first_words(bench: Bench) -> None:
     record = peer.create(var_id, rep_cnt=count, value=b"value")
     peer.send(record)
     bench.wait(bench.reaction + 2)
-    spoke = [heard for heard in bench.heard[since:] if _blocks(bench, heard)]
+    spoke = [heard for heard in bench.heard[since:] if _blocks(heard)]
     if not spoke:
         bench.inconclusive("beacons with a VarDis block", "there are none")
-    empty = [each for each in spoke if each.problem is not None and each.problem.reason == "zero-count"]
+    empty = [each for each in spoke if _has_empty_container(each)]
     bench.check(
         not empty, "every container has a record", "there is an empty one", "VD-IC-03", frames=empty[:4], shown=True
     )
-    broken = [each for each in spoke if each.problem is not None and each not in empty]
-    problem = f"{broken[0].problem}" if broken else ""
+    broken = [each for each in spoke if _faults(each)]
+    problem = f"{_faults(broken[0])[0]}" if broken else ""
     bench.check(
         not broken, "payloads can be taken apart", problem, "VD-IC-01", "VD-IC-02", frames=broken[:4], shown=True
     )

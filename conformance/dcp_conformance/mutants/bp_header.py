@@ -145,6 +145,29 @@ class SwappedBlockLength(BPWire):
         return bytes(octets)
 
 
+@mutant("block-with-header", "BP-FMT-01", "counts the header of a block in the length of the block")
+class BlockLengthWithHeader(BPWire):
+    def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
+        octets = bytearray(super().build(seqno, network_id, blocks))
+        offset = self.header_size
+        for _, payload in blocks:
+            octets[offset + 2 : offset + 4] = (len(payload) + 4).to_bytes(2, self._length_order)
+            offset += self.block_size(payload)
+        return bytes(octets)
+
+
+@mutant("all-swapped", "DATA-01", "sends all integers of the headers least significant octet first")
+class AllSwapped(SwappedBlockLength):
+    def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
+        swapped = [(int.from_bytes(number.to_bytes(2, "little"), "big"), payload) for number, payload in blocks]
+        octets = super().build(seqno, network_id, swapped)
+        for field in ("magicNo", "networkId", "length", "seqno"):
+            place = self._places.get(field)
+            if place is not None:
+                octets = octets[: place.start] + octets[place][::-1] + octets[place.stop :]
+        return octets
+
+
 @mutant("gap", "BP-FMT-01 BP-HDR-06", "aligns blocks to four octets with padding in between")
 class Aligned(BPWire):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:

@@ -160,6 +160,20 @@ class FilledUp(Reporting):
             return self.bp.transmit_payload(prot_id, payload + bytes(8 - len(payload) % 8), now=now)
 
 
+@mutant("two-more", "SRP-FMT-01", "sends two octets more than a report has")
+class TwoMore(Reporting):
+    class port(Longer.port):  # noqa: N801 - as above
+        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
+            return self.bp.transmit_payload(prot_id, payload + b"\xa5\x5a", now=now)
+
+
+@mutant("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets in place of every report")
+class TestPattern(Reporting):
+    class port(Port):  # noqa: N801 - as above
+        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:  # noqa: ARG002 - as above
+            return self.bp.transmit_payload(prot_id, bytes(range(0xA0, 0xA0 + 40)), now=now)
+
+
 @mutant("two", "SRP-FMT-01", "sends every report twice in one payload")
 class TwoReports(Reporting):
     class port(Longer.port):  # noqa: N801 - as above

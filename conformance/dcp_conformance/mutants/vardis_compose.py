@@ -218,6 +218,17 @@ class EmptyContainers(Vardis):
             self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
 
 
+@mutant("unknown-behind", "VD-IC-02", "ends every payload with a container of a type of its own")
+class OwnContainer(Vardis):
+    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+        if not self.active:
+            return
+        containers = self._composer.compose(self._registered_size - 4)
+        if containers:
+            payload = self._core.config.codec.encode_containers(containers) + b"\x77\x01\x05\x06"
+            self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
+
+
 @mutant("types-exchanged", "VD-IC-02", "exchanges the numbers of CREATE-VARIABLES and DELETE-VARIABLES")
 class TypesExchanged(Vardis):
     def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call

@@ -1,0 +1,48 @@
+"""One fault in a beacon is one fault in the report: the whole suite against nodes that send one thing wrong.
+
+What fails names the requirement of what is wrong, and nothing that merely stands in the same beacon.
+"""
+
+from __future__ import annotations
+
+import pytest
+from dcp_conformance.mutants import all_mutants
+from dcp_conformance.selftest import Finding, Trial, trial
+
+MUTANTS = all_mutants()
+REPORTS = ("M-SRP-FMT-01-test-pattern", "M-SRP-FMT-01-two-more", "M-SRP-FMT-01-filled-up", "M-SRP-FMT-01-two")
+HEADERS = {
+    "M-BP-HDR-01-two": {"BP-HDR-01"},
+    "M-BP-HDR-02-swapped": {"BP-HDR-02", "DATA-01"},
+    "M-BP-HDR-06-with-header": {"BP-HDR-06"},
+    "M-BP-HDR-06-payloads-only": {"BP-HDR-06"},
+    "M-BP-HDR-10-seqno-first": {"BP-HDR-10"},
+    "M-BP-FMT-01-block-with-header": {"BP-FMT-01"},
+}
+
+
+def failed(outcome: Trial) -> set[str]:
+    assert not outcome.errors
+    findings: tuple[Finding, ...] = (*outcome.killers, *outcome.also)
+    return {requirement for each in findings for requirement in each.requirements}
+
+
+@pytest.mark.parametrize("identifier", REPORTS)
+@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.2"])
+def test_an_unreadable_state_report_is_the_fault_of_srp_only(identifier: str, profile: str) -> None:
+    outcome = trial(MUTANTS[identifier], profile=profile, full=True)
+    assert outcome.killed
+    assert failed(outcome) == {"SRP-FMT-01", "SRP-TYP-02"}
+
+
+@pytest.mark.parametrize("identifier", HEADERS)
+def test_a_fault_in_the_header_fails_what_asks_for_that_field(identifier: str) -> None:
+    outcome = trial(MUTANTS[identifier], full=True)
+    assert outcome.killed
+    assert failed(outcome) == HEADERS[identifier]
+
+
+def test_a_bad_container_hides_neither_those_before_it_nor_bp() -> None:
+    outcome = trial(MUTANTS["M-VD-IC-02-unknown-behind"], full=True)
+    assert outcome.killed
+    assert {each.partition("-")[0] for each in failed(outcome)} == {"VD"}
