@@ -17,7 +17,7 @@ from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_codec.errors import DecodeError
 
 from .bench import Bench
-from .case import Case
+from .case import Case, Kind
 from .life import Loss
 from .results import Check, Table
 from .traffic import Event, Traffic
@@ -108,8 +108,7 @@ def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attr
 def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     """The checks of a case that ended the life of the implementation: first the death, then what it saw.
 
-    If the death violates a requirement, only failures that were received stay fails: what is missing may be missing
-    because the implementation was dying.
+    Only failures that were received stay fails: what is missing may be missing because the implementation was dying.
     """
     loss = trial.loss
     assert loss is not None
@@ -119,10 +118,11 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
         return (check, *_withheld(trial, "its upper tester was gone"))
     table: Table = "robustness" if trial.case.robustness else "conformance"
     verdict = Verdict.INCONCLUSIVE if loss.doubtful else Verdict.FAIL
+    service = trial.stimulus.text if trial.stimulus is not None and trial.stimulus.direction == "call" else ""
+    what = "the implementation survives" + (f" {service}" if service else "")
     violated = survival(trial)
-    death = Check(verdict, violated, "the implementation survives", loss.observed + text, table=table)
-    if not violated:
-        # A service call, for which no requirement asks for survival: what the case saw is all that can be said.
+    death = Check(verdict, violated, what, loss.observed + text, table=table)
+    if service and not violated:
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
 
@@ -170,15 +170,20 @@ def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attri
 def survival(trial: Trial) -> tuple[str, ...]:
     """The requirements that a death in this case violates.
 
-    Those of the case that ask for survival; else the one that asks for surviving what was sent last. A service call
-    that ends the implementation violates no requirement of the catalogue: the verdict is about the case alone.
+    Those of the case that ask for survival; after a frame, the one that asks for surviving what was sent. No
+    requirement asks for surviving a service call. If nothing else failed in the case, its first requirement that was
+    not shown before fails: the call does not do what the case is about.
     """
-    named = tuple(each for each in trial.case.requirements if each in _SURVIVAL)
-    if named:
-        return named
+    case = trial.case
+    named = tuple(each for each in case.requirements if each in _SURVIVAL)
     deadly = trial.stimulus
-    if deadly is None or deadly.direction == "call":
-        return ()
+    if named or deadly is None:
+        return named
+    if deadly.direction == "call":
+        if any(check.verdict is Verdict.FAIL for check in trial.checks):
+            return ()
+        shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
+        return tuple(each for each in case.requirements if each not in shown)[:1]
     codec = trial.bench.codec
     try:
         envelope, _ = codec.decode_envelope(deadly.frame[deadly.start :])
@@ -188,17 +193,25 @@ def survival(trial: Trial) -> tuple[str, ...]:
     return (_SURVIVAL_OF_PAYLOADS,) if BP_PROTID_VARDIS in carried else (_SURVIVAL_OF_FRAMES,)
 
 
-def likely_stimulus(traffic: Traffic) -> Event | None:
-    """What was done last to an implementation that died: frames sent since its last beacon, else the last stimulus.
+def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
+    """What was done last to an implementation that died, without the tester's cleaning up and looking after it.
 
-    A call that follows a frame is often the tester's own cleaning up.
+    In a case about services that is a call, as its frames are honest; otherwise a frame since the last beacon.
     """
+    if case.needs.ut and case.kind is not Kind.INVALID:
+        calls = [event for event in traffic.events if event.direction == "call" and not _tidies(event.text)]
+        if calls:
+            return calls[-1]
     recent: Event | None = None
     for event in reversed(traffic.events):
         if event.direction == "heard" and recent is not None:
             break
         if event.direction == "sent":
             return event
-        if event.direction == "call" and recent is None:
+        if event.direction == "call" and recent is None and not _tidies(event.text):
             recent = event
     return recent
+
+
+def _tidies(method: str) -> bool:
+    return method.startswith("UT-") or method == "BP-DeregisterProtocol"

@@ -30,6 +30,8 @@ _NAMED = 6
 #: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
+#: The code of JSON-RPC for a fault of the implementation.
+_INTERNAL_ERROR = -32603
 
 
 class _Done(NamedTuple):
@@ -65,6 +67,8 @@ class Runner:
         self._revised: list[CaseResult] = []
         self._measured = 0
         """How often the reaction time was measured."""
+        self._unsettled = False
+        """The upper tester has reported an internal error in the last case."""
         self._renewals = 0
         """Restarts because identifiers were used up."""
         session.can_restart = control is not None and control.can_restart
@@ -144,6 +148,11 @@ class Runner:
         return revised
 
     def _run(self, case: Case, attempt: int) -> CaseResult:
+        if self._unsettled and self._restartable:
+            # What its upper tester reported may spoil every case from now on.
+            self._recent.clear()
+            self._start_afresh(case)
+        self._unsettled = False
         trial = self._trial(case)
         if trial.used_up and self._restartable and self.session.pics.pixit.reset != "none":
             trial = self._trial_after_restart(trial)
@@ -236,13 +245,14 @@ class Runner:
             trial.detail = "".join(traceback.format_exception(error))
             what = f"{type(error).__name__}: {error}"
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
-        trial.stimulus = likely_stimulus(bench.traffic)
+        trial.stimulus = likely_stimulus(case, bench.traffic)
         # Silence after the last stimulus is no sign of life, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
         if not self.life.ended() and not self.life.hung_up:
             doubt = not self._clean(bench) or doubt
         # The sanity case has asked already.
         doubt = doubt and not trial.used_up
+        self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
         return trial
@@ -417,6 +427,12 @@ def _told(how: str, cases: Sequence[str]) -> str:
         return f"the implementation {kind} in {cases[0]} and was restarted"
     listed = ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
     return f"the implementation {kind} in {len(cases)} cases in the same way ({cause}): {listed}; restarted each time"
+
+
+def _reports_internal_error(bench: Bench) -> bool:
+    """Whether a service of the implementation failed for a reason of its own, which may last."""
+    answers = (event.data for event in bench.traffic.events if event.direction == "answer")
+    return any(isinstance(data, dict) and data.get("code") == _INTERNAL_ERROR for data in answers)
 
 
 def _event_record(event: Event) -> EventRecord:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind
+from dcp_conformance.case import Case, Kind, Needs
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
@@ -311,3 +311,55 @@ def test_it_is_restarted_when_identifiers_are_used_up(reset: str, verdict: Verdi
     assert any("when all identifiers of variables had been used" in note for note in runner.notes) == (reset == "auto")
     if reset == "none":
         assert "provide UT-Reset" in results[-1].reason
+
+
+class Spoilt(HungUp):
+    """Once a service has failed, each one fails until the implementation is restarted."""
+
+    def call(self, method: str, params: dict[str, object]) -> Answer:
+        if method == "RTDB-Read":
+            self._sut.spoilt = True
+        if self._sut.spoilt and method.startswith("RTDB"):
+            return Answer(code=-32603, message="trying to pop from an empty buffer")
+        return super().call(method, params)
+
+
+class Queue(InProcess):
+    spoilt = False
+
+    def restart(self) -> None:
+        self.spoilt = False
+        super().restart()
+
+
+def test_an_internal_error_does_not_spoil_later_cases():
+    sut = Queue(reference_config(codec_of("dcp-2.0")))
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), Spoilt(sut), Pics())  # type: ignore[arg-type]
+    runner = Runner(session, sut)
+    runner.prepare()
+
+    def reads(bench: Bench) -> None:
+        bench.info("what a read answers", str(bench.call("RTDB-Read", varId=1)))
+
+    def creates(bench: Bench) -> None:
+        bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="d", value="01")
+        bench.check(True, "a variable is created")
+
+    found = results_of(runner, case_of("TC_DCP_X_BV_10", reads), case_of("TC_DCP_X_BV_11", creates))
+    assert found["TC_DCP_X_BV_11"].verdict is Verdict.PASS
+
+
+def test_a_service_that_kills_fails_what_the_case_is_about():
+    sut = Frail()
+
+    def body(bench: Bench) -> None:
+        bench.check(True, "something else", "", "VD-RX-03")
+        bench.call("RTDB-DescribeDatabase")
+        sut.died = "RuntimeError: a service"
+
+    case = dataclasses.replace(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"), needs=Needs(ut=("RTDB-Read",)))
+    result = runner_of(sut, upper=True).run(case)
+    assert result.killed
+    assert result.reason.startswith("the implementation survives RTDB-DescribeDatabase: it is dead after this case")
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed == {"VD-RX-04"}
