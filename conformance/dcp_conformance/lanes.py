@@ -91,8 +91,7 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             run.interrupt(len({result.id for result in run.results} - {SANITY}), len(cases))
         with deferred():
             stack.close()
-    run.account([run.cases[name] for name in cases])
-    run.close_lanes(ends, lanes)
+    run.close_lanes(ends, lanes, [run.cases[name] for name in cases])
 
 
 def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:

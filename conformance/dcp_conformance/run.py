@@ -276,8 +276,8 @@ class ConformanceRun:
 
     # -- lanes ---------------------------------------------------------------------------------------------------------
 
-    def close_lanes(self, ends: Sequence[LaneEnd], lanes: int) -> None:
-        """All lanes are done: take what they say of the implementation, and put their results in order."""
+    def close_lanes(self, ends: Sequence[LaneEnd], lanes: int, planned: Sequence[Case]) -> None:
+        """All lanes are done: take what they say of the implementation, account for each case, order the results."""
         self._sut = next((end.sut for end in ends if end.sut is not None), None)
         self._notes += [note for end in ends for note in end.notes]
         if lanes > 1:
@@ -285,6 +285,7 @@ class ConformanceRun:
         for end in ends:
             if end.trouble and not self.trouble:
                 self.trouble, self.usage = end.trouble, end.usage
+        self.account(planned)
         self.take_passive(result for end in ends for result in end.passive)
         order = {case.id: number for number, case in enumerate(self.cases.values())}
         self.results.sort(key=lambda result: (result.id != SANITY, order[result.id], result.attempt))

@@ -24,7 +24,7 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting import schema as schema_of_results
 from dcp_conformance.reporting.junit import junit_xml
-from dcp_conformance.reporting.merge import compare, labels, matrix, render_matrix
+from dcp_conformance.reporting.merge import WORSE, compare, labels, matrix, render_matrix
 from dcp_conformance.reporting.page import render
 from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunResult, Sut
 from dcp_conformance.runner import Runner
@@ -451,7 +451,12 @@ class TestSeveralRuns:
         assert {each.kind for each in compare(failed, passed)} == {"fixed"}
         assert compare(failed, failed) == []
         assert {each.kind for each in compare(a_run_of(), failed)} == {"new"}
-        assert {each.kind for each in compare(failed, a_run_of())} == {"gone"}
+        # A result that is missing may be hiding a fail; that of a retired case is not.
+        gone = compare(failed, a_run_of(a_case(Verdict.PASS)))
+        assert gone[0].kind == "gone"
+        assert gone[0].kind in WORSE
+        retired = msgspec.structs.replace(a_case(Verdict.PASS), id="TC_VD_HAZ_BO_04")
+        assert [each.kind for each in compare(a_run_of(retired), a_run_of())] == ["retired"]
 
     def test_the_worst_of_several_attempts_counts(self):
         once = a_run_of(a_case(Verdict.PASS))

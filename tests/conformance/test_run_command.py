@@ -413,6 +413,10 @@ class TestLanes:
             _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == TESTER_ERROR, err
         assert "a lane of the tester has ended" in err
+        # No case is missing without a word.
+        lost = {case.id: case for case in load_results(tmp_path).cases if case.verdict is Verdict.ERROR}
+        assert set(lost) == set(RUN[-2:])
+        assert all("a lane of the tester has ended" in case.reason for case in lost.values())
         assert any("a lane of the tester" in note for note in load_results(tmp_path).notes)
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
