@@ -7,7 +7,6 @@ that cases do not see each other's payloads where nothing resets the implementat
 from __future__ import annotations
 
 import contextlib
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
@@ -18,6 +17,7 @@ from .bench import Bench
 from .case import Needs, Variant
 from .errors import UpperTesterError
 from .forge import Block
+from .gaps import between_beacons
 from .heard import Heard
 from .upper import Answer, Notification
 
@@ -198,28 +198,19 @@ class BPClient:
     def submit(self, count: int, size: int = 12, *, at_once: bool = True, must: bool = True) -> list[bytes]:
         """Submit so many new payloads one after the other; they are returned.
 
-        ``at_once``: with no beacon of them in between. If one came it is tried again, at last with BP deactivated
-        meanwhile where that can be done. ``must``: see :meth:`transmit`.
+        ``at_once``: between two beacons, see :func:`~dcp_conformance.gaps.between_beacons`. ``must``: see
+        :meth:`transmit`.
         """
-        bench = self.bench
-        for attempt in itertools.count():
-            if attempt == 4:
-                what = f"{count} payloads are submitted between two beacons"
-                bench.inconclusive(what, "a beacon came in between each time")
-            paused = attempt == 3 and {ACTIVATE, DEACTIVATE} <= bench.ut.methods
-            with bench.deactivated("BP") if paused else contextlib.nullcontext():
-                start = bench.mark()
-                payloads = [self.payload(size) for _ in range(count)]
-                for payload in payloads:
-                    self.transmit(payload, must=must)
-                submitted = bench.now()
-            bench.wait_ns(0)
-            early = [each for each in bench.heard[start:] if each.time <= submitted and self.in_frame(each)]
-            if not early or count == 1 or not at_once:
-                return payloads
-            # What is still waiting must not be mistaken for the next attempt's.
-            bench.until_quiet(self.in_frame)
-        raise AssertionError("the loop ends by returning")
+
+        def act() -> list[bytes]:
+            payloads = [self.payload(size) for _ in range(count)]
+            for payload in payloads:
+                self.transmit(payload, must=must)
+            return payloads
+
+        if count == 1 or not at_once:
+            return act()
+        return between_beacons(self.bench, f"{count} payloads are submitted", act, self.in_frame)
 
     def number(self) -> int | None:
         """BP-QueryNumberBufferedPayloads; None if the answer has no number."""

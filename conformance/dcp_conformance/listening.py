@@ -59,9 +59,14 @@ class Listening(Naming):
     def until(self, wanted: Callable[[Heard], T], periods: float | None = None) -> T | None:
         """Wait for a frame for which ``wanted`` says something true, and return that; None if none comes in time.
 
-        Frames that came before are not asked. ``periods`` is :attr:`reaction` unless given.
+        Frames that came before are not asked, those that came during the last call are. ``periods`` is
+        :attr:`reaction` unless given; for a slow implementation what is given is extended, too.
         """
-        deadline = self.now() + self._patience(self.reaction if periods is None else periods)
+        if periods is None:
+            periods = self.reaction
+        elif periods > 1:
+            periods *= self.slowness
+        deadline = self.now() + self._patience(periods)
         for heard in self._listen(deadline):
             if found := wanted(heard):
                 return found
@@ -73,7 +78,8 @@ class Listening(Naming):
 
     def beacons(self, count: int, periods: float | None = None) -> list[Heard]:
         """Wait for so many beacons; those that came, which may be fewer at the end of the time."""
-        before = len(self.heard)
+        # What came during a call was not waited for.
+        before = self.mark()
         deadline = self.now() + self._patience(2 * count + self.reaction if periods is None else periods)
         if count > 0:
             for _ in self._listen(deadline):
@@ -90,12 +96,14 @@ class Listening(Naming):
         for the time of :attr:`reaction`. Gives up after ``periods``; then what came until then is returned.
         """
         start = len(self.heard) if since is None else since
-        deadline = self.now() + round(periods * self.period)
+        # What waits at an implementation that takes payloads one at a time may bring it up again.
+        busy = self.session.busy_until
+        deadline = max(self.now(), busy) + round(periods * self.slowness * self.period)
         while self.now() < deadline:
             frames = self.heard[start:]
             having = [index for index, heard in enumerate(frames) if present(heard)]
             behind = len(frames) - 1 - having[-1] if having else 0
-            if behind >= self.pixit.quiet_beacons:
+            if behind >= self.pixit.quiet_beacons and self.now() >= busy:
                 break
             if not self.beacons(1, self.reaction):
                 break

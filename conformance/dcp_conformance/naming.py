@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from typing import Any, NoReturn
 
@@ -26,6 +27,9 @@ _PIXIT = {
     "VARDISPAR_MAX_REPETITIONS": "max_repetitions",
     "VARDISPAR_MAX_PAYLOAD_SIZE": "max_payload_size",
     "VARDISPAR_MAX_SUMMARIES": "max_summaries",
+    "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT": "neighbour_timeout_ms",
+    "VARDISPAR_SCRUBBING_PERIOD": "scrubbing_period_ms",
+    "VARDISPAR_BUFFER_CHECK_PERIOD": "buffer_check_period_ms",
 }
 
 
@@ -55,6 +59,18 @@ class Naming(Findings):
         return (FLOOR if session.reaction is None else session.reaction.periods) + waiting
 
     @property
+    def slowness(self) -> float:
+        """How much longer than usual this implementation may take for anything: at least 1."""
+        told, measured = self.pixit.reaction_periods, self.session.reaction
+        return max(1.0, (told if told is not None else FLOOR if measured is None else measured.periods) / FLOOR)
+
+    @property
+    def ahead(self) -> int:
+        """How many beacons may leave before one can show a reaction: payloads are composed in advance."""
+        measured = self.session.reaction
+        return max(2, math.ceil(max(measured.samples))) if measured is not None and measured.samples else 2
+
+    @property
     def one_by_one(self) -> bool:
         """Whether it was measured to take received payloads one at a time, so that it may answer in between."""
         return self.session.reaction is not None and self.session.reaction.per_payload > 0
@@ -78,14 +94,14 @@ class Naming(Findings):
             "BPPAR_BEACON_PERIOD": pixit.beacon_period_ms,
             "BPPAR_NETWORK_ID": pixit.network_id if pixit.network_id is not None else self.profile.bp.network_id,
             "BPPAR_MAXIMUM_PACKET_SIZE": pixit.max_packet_size or limits.max_beacon_size,
-            "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT": pixit.neighbour_timeout_ms,
+            "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT": pixit.neighbour_timeout_ms or 3000,
             "VARDISPAR_MAX_VALUE_LENGTH": pixit.max_value_length or limits.max_value_length,
             "VARDISPAR_MAX_DESCRIPTION_LENGTH": pixit.max_description_length or limits.max_description_length,
             "VARDISPAR_MAX_REPETITIONS": pixit.max_repetitions or limits.max_repetitions,
             "VARDISPAR_MAX_PAYLOAD_SIZE": pixit.max_payload_size or limits.max_vardis_payload,
             "VARDISPAR_MAX_SUMMARIES": limits.max_summaries if pixit.max_summaries is None else pixit.max_summaries,
-            "VARDISPAR_SCRUBBING_PERIOD": pixit.scrubbing_period_ms,
-            "VARDISPAR_BUFFER_CHECK_PERIOD": pixit.buffer_check_period_ms,
+            "VARDISPAR_SCRUBBING_PERIOD": pixit.scrubbing_period_ms or 1000,
+            "VARDISPAR_BUFFER_CHECK_PERIOD": pixit.buffer_check_period_ms or 50,
         }
         parameter(name)
         value = known[name]
@@ -96,7 +112,7 @@ class Naming(Findings):
         value, pixit = self.parameter(name), _PIXIT[name]
         if name not in self.session.parameters and getattr(self.pixit, pixit) is None:
             self.assumptions[name] = (
-                f"{name} was taken to be {value}, as in the profile: say what it is (pixit.{pixit})"
+                f"{name} was taken to be {value}, as {_usual(name)}: say what it is (pixit.{pixit})"
             )
         return value
 
@@ -285,6 +301,11 @@ class Naming(Findings):
         }
         data = kind(**{_attribute(kind, name): value for name, value in {**zeros, **fields}.items()})
         return ExtendedSafetyData(data, node_id, self.creation_time() if t_stamp is None else t_stamp, seqno)
+
+
+def _usual(name: str) -> str:
+    """Where the assumed value of a parameter comes from: profiles have limits, the specification has periods."""
+    return "usual" if name.endswith(("_PERIOD", "_TIMEOUT")) else "in the profile"
 
 
 def address_of(number: int) -> bytes:

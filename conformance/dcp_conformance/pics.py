@@ -96,9 +96,10 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     max_description_length: _Count | None = None
     max_repetitions: _Count | None = None
     max_summaries: _Count | None = None
-    neighbour_timeout_ms: _Positive = 3000.0
-    scrubbing_period_ms: _Positive = 1000.0
-    buffer_check_period_ms: _Positive = 50.0
+    neighbour_timeout_ms: _Positive | None = None
+    """3000 is assumed unless it is told; the same holds for the next two, with 1000 and 50."""
+    scrubbing_period_ms: _Positive | None = None
+    buffer_check_period_ms: _Positive | None = None
     var_ids: tuple[int, int] | None = None
     """First and last variable identifier that the tester may use; None for all of them."""
 

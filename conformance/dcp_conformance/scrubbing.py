@@ -6,7 +6,11 @@ tells it may be one reaction later, and timers may be late (PIXIT timer_toleranc
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from dcp_spec.constants import ICType
+
+from dcp_codec.values import VardisRecord
 
 from .bench import MS, Bench
 from .heard import Instruction
@@ -14,6 +18,15 @@ from .peers import Peer
 from .services import create_request
 
 _DELETE = ICType.DELETE_VARIABLES
+
+
+class Change(NamedTuple):
+    """When a variable was changed, by a frame or a call of the tester: between these times of its clock (ns)."""
+
+    before: int
+    after: int
+
+
 #: ms of a scrubbing period that cases have time for.
 SHORT = 200
 
@@ -42,27 +55,38 @@ def latest(bench: Bench, timeout_ms: int) -> int:
     return round((timeout_ms + scrubbing_period_ms(bench) + tolerance) * MS + bench.reaction * bench.period)
 
 
-def deleted(bench: Bench, name: int, since: int, timeout_ms: int) -> Instruction | None:
-    """Wait for the first VarDelete until it must have come at the latest; ``since`` is the time of the last change."""
-    left = since + latest(bench, timeout_ms) - bench.now()
+def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction | None:
+    """Wait for the first VarDelete until it must have come at the latest; ``since``: the last change."""
+    left = since.after + latest(bench, timeout_ms) - bench.now()
     if not bench.instructions(_DELETE, name):
         bench.until_instruction(_DELETE, name, max(0.0, left / bench.period))
-    return next(iter(bench.instructions(_DELETE, name)), None)
+    found = next(iter(bench.instructions(_DELETE, name)), None)
+    if found is None:
+        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
+    return found
 
 
-def check_time(bench: Bench, found: Instruction, since: int, timeout_ms: int, *requirements: str) -> None:
+def check_time(bench: Bench, found: Instruction, since: Change, timeout_ms: int, *requirements: str) -> None:
     """Whether a VarDelete has come neither too early nor too late after the last change."""
-    took = found.heard.time - since
+    took = found.heard.time - since.before
     # Clocks of whole milliseconds may be one ahead at both ends.
-    least, most = (timeout_ms - 2) * MS, latest(bench, timeout_ms)
+    least, most = (timeout_ms - 2) * MS, latest(bench, timeout_ms) + since.after - since.before
+    if took > most:
+        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
     what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the last change"
     bench.check(least <= took <= most, what, f"{took / MS:.0f} ms", *requirements, frames=[found], shown=took < least)
 
 
-def learn(bench: Bench, peer: Peer, name: int, timeout_ms: int, rep_cnt: int = 1) -> int:
-    """Let the implementation learn a variable with a timeout; the time at which it got it."""
-    since = bench.now()
-    peer.send(peer.create(name, timeout=timeout_ms, rep_cnt=rep_cnt))
+def sent(bench: Bench, peer: Peer, *records: VardisRecord) -> Change:
+    """Send records of variables in one beacon."""
+    before = bench.now()
+    peer.send(*records)
+    return Change(before, bench.now())
+
+
+def learn(bench: Bench, peer: Peer, name: int, timeout_ms: int, rep_cnt: int = 1) -> Change:
+    """Let the implementation learn a variable with a timeout; when it got it."""
+    since = sent(bench, peer, peer.create(name, timeout=timeout_ms, rep_cnt=rep_cnt))
     if bench.until_instruction(ICType.CREATE_VARIABLES, name) is None:
         bench.inconclusive("the implementation learns a variable with a timeout", "it does not pass it on")
     return since
@@ -76,8 +100,13 @@ def not_by_consumers(bench: Bench, name: int) -> None:
     bench.info("whether a consumer deletes a variable whose time has run out", text)
 
 
-def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> int:
-    """Let the application create a variable; the time just before."""
-    since = bench.now()
+def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> Change:
+    """Let the application create a variable; when."""
+    before = bench.now()
     bench.must("RTDB-Create", **create_request(bench, name, rep_cnt=count, timeout=timeout_ms))
-    return since
+    return Change(before, bench.now())
+
+
+def updated_in_time(bench: Bench, timeout_ms: int) -> int:
+    """A timeout in ms that calls of the upper tester can keep up with: this one, or a longer one if they are slow."""
+    return max(timeout_ms, round(4 * bench.session.slowest_call / MS))

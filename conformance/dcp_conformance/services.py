@@ -63,9 +63,14 @@ def same_status(answer: Answer, status: str) -> bool:
 def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *requirements: str, **params: Any) -> Answer:
     """As :meth:`Bench.expect_status` where the specification leaves more than one status."""
     answer = bench.call(method, **params)
+    check_any(bench, answer, statuses, method, *requirements)
+    return answer
+
+
+def check_any(bench: Bench, answer: Answer, statuses: Collection[str], method: str, /, *requirements: str) -> None:
+    """Check that the answer to a call has one of these statuses."""
     matches = any(same_status(answer, status) for status in statuses)
     bench.check(matches, f"{method} answers {' or '.join(statuses)}", f"{answer}", *requirements, shown=True)
-    return answer
 
 
 def rows(answer: Answer, member: str) -> list[dict[str, Any]]:
@@ -217,6 +222,15 @@ def check_registered_name(bench: Bench, shown: object, title: str) -> None:
 def max_repetitions(bench: Bench) -> int:
     """VARDISPAR_MAX_REPETITIONS, no more than what a case has time for."""
     return min(bench.parameter("VARDISPAR_MAX_REPETITIONS"), 15)
+
+
+def least_left(bench: Bench, count: int, since: int) -> int:
+    """How many of ``count`` repetitions are left at least, when they began after a mark.
+
+    Each beacon since then may have taken one, and the next one or two may be prepared already.
+    """
+    bench.mark()
+    return max(0, count - 2 - (len(bench.heard) - since))
 
 
 def several_repetitions(bench: Bench) -> str | None:

@@ -6,6 +6,7 @@ state; an outcome is a function that checks what an event in that situation has 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from dcp_spec.constants import ICType
@@ -67,7 +68,11 @@ class Situation:
         if self.state != "deleted" or not self.bench.features.removed_after_deletion:
             self.peer.send(record)
         elif self.own:
+            since = self.bench.mark()
             self.bench.must("RTDB-Delete", varId=self.var_id)
+            self.bench.mark()
+            if len(self.bench.frames_with(ICType.DELETE_VARIABLES, self.var_id, since)) >= self.rep_cnt:
+                self.bench.inconclusive("a deletion that is still to be repeated", "it was over when it was confirmed")
             self.peer.send(record)
         elif type(record) is VarCreate:
             # In one payload it would be processed before the deletion (VD-RX-08).
@@ -81,8 +86,10 @@ class Situation:
 
 
 def _repetitions(bench: Bench, state: str) -> int:
-    """More than one keeps a deleted variable in the database for a while, up to 1.3."""
-    return bench.rep_cnt(2) if state == "deleted" and bench.features.removed_after_deletion else 1
+    """More than one keeps a deleted variable in the database for a while, up to 1.3: for as long as a call takes."""
+    if state != "deleted" or not bench.features.removed_after_deletion:
+        return 1
+    return bench.rep_cnt(2 + math.ceil(1.5 * bench.session.slowest_call / bench.period))
 
 
 def foreign(bench: Bench, state: str) -> Situation:

@@ -5,7 +5,6 @@ What requests are answered; what queues and buffers do on the air is elsewhere.
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
@@ -34,6 +33,8 @@ from dcp_conformance.clients import (
     no_confirm,
     unused_protocol_id,
 )
+from dcp_conformance.gaps import between_beacons
+from dcp_conformance.upper import Answer
 
 V1_1 = SpecVersion.V1_1
 
@@ -119,16 +120,16 @@ def empty_payload(bench: Bench, mode: QueueingMode) -> None:
     if reason := no_confirm(bench):
         bench.inconclusive("BP-TransmitPayload is confirmed", reason)
     with BPClient(bench, mode) as client:
-        for attempt in itertools.count():
-            client.submit(2 if mode.is_queue else 1)
-            before = client.number()
-            answer = bench.call(TRANSMIT, protId=client.prot_id, payload="")
-            after = client.number()
-            bench.wait_ns(0)
-            # A beacon in between explains a smaller number.
-            if after == before or mode is REPEAT or attempt == 3:
-                break
-            bench.until_quiet(client.in_frame)
+
+        def act() -> tuple[int | None, Answer, int | None]:
+            for _ in range(2 if mode.is_queue else 1):
+                client.transmit(client.payload())
+            return client.number(), bench.call(TRANSMIT, protId=client.prot_id, payload=""), client.number()
+
+        # Unless it is repeated, a beacon in between takes a payload out.
+        what = "payloads are submitted and counted"
+        result = act() if mode is REPEAT else between_beacons(bench, what, act, client.in_frame)
+        before, answer, after = result
         right = answer.code is None and answer.status == EMPTY
         bench.check(right, f"{TRANSMIT} answers {EMPTY}", str(answer), shown=True)
         bench.check(after == before, f"{before} payloads are buffered as before", f"{after} are", shown=True)

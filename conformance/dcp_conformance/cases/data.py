@@ -27,7 +27,14 @@ from dcp_conformance.forge import Block
 from dcp_conformance.header_rules import judge
 from dcp_conformance.heard import Heard
 from dcp_conformance.peers import Peer
-from dcp_conformance.services import create_request, longest_description, safety_data, until_report
+from dcp_conformance.services import (
+    Moment,
+    create_request,
+    longest_description,
+    safety_data,
+    timed,
+    until_report,
+)
 
 V1_1, V2_0 = SpecVersion.V1_1, SpecVersion.V2_0
 CREATE = "RTDB-Create"
@@ -142,13 +149,12 @@ def order_of_creation_times(bench: Bench) -> None:
 )
 def own_creation_time(bench: Bench) -> None:
     var_id = bench.own_var_id()
-    wall = bench.lower.wall()
-    bench.must(CREATE, **create_request(bench, var_id, timeout=0x1234))
+    request = timed(bench, CREATE, **create_request(bench, var_id, timeout=0x1234))
     record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.require(record is not None, "a VarCreate", "there is none in time", "VD-CRE-12")
     assert record is not None
     bench.check(record.spec.timeout == 0x1234, "timeout 0x1234", f"{record.spec.timeout:#x}", "DATA-01", shown=True)
-    check_time(bench, record.spec.creation_time, wall, "creationTime")
+    check_time(bench, record.spec.creation_time, request, "creationTime")
 
 
 @case(
@@ -160,16 +166,15 @@ def own_creation_time(bench: Bench) -> None:
     needs=Needs(entities=("srp",), ut=("SRP-UpdateSafetyData",)),
 )
 def own_time_stamp(bench: Bench) -> None:
-    wall = bench.lower.wall()
-    bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 3))
+    request = timed(bench, "SRP-UpdateSafetyData", sData=safety_data(bench, 3))
     heard = until_report(bench)
     report = None if heard is None else heard.report
     bench.require(report is not None, "a state report", "there is none in time", "SRP-SRV-03")
     assert report is not None
-    check_time(bench, report.t_stamp, wall, "tStamp")
+    check_time(bench, report.t_stamp, request, "tStamp")
 
 
-def check_time(bench: Bench, stamp: int, wall: int, name: str) -> None:
+def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
     """Check a time stamp that was taken at a wall time in ns; one without a known epoch is only reported."""
     layout = bench.profile.types.timestamp
     if layout.epoch_ns is None:
@@ -177,7 +182,7 @@ def check_time(bench: Bench, stamp: int, wall: int, name: str) -> None:
         return
     told = layout.epoch_ns + layout.nanoseconds(stamp)
     turned = layout.epoch_ns + layout.nanoseconds(swapped(stamp % (1 << (8 * layout.width)), layout.width))
-    day = 86_400 * 10**9
+    day, wall = 86_400 * 10**9, request.before
     if abs(told - wall) > day:
         what = "only the swapped octets are a time of today" if abs(turned - wall) <= day else "no time of today"
         bench.check(False, f"{name} is a time of today", f"it is {stamp:#x}, {what}", "DATA-01", "DATA-05", shown=True)
@@ -185,7 +190,7 @@ def check_time(bench: Bench, stamp: int, wall: int, name: str) -> None:
     bench.check(True, f"{name} is a time of today", "", "DATA-01")
     off, limit = (told - wall) / MS, bench.pixit.clock_tolerance_ms
     # It may have been taken at any time while the request was on its way.
-    near = -limit <= off <= limit
+    near = -limit <= off <= limit + (request.after - request.before) / MS
     bench.check(
         near, f"{name} is within {limit:g} ms of the tester's clock", f"it is {off:.1f} ms off", "DATA-05", shown=True
     )

@@ -9,7 +9,9 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VardisRecord
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import case
+from dcp_conformance.heard import Instruction
 from dcp_conformance.peers import Peer
+from dcp_conformance.session import FLOOR
 
 from .network_conflicts import held
 from .vardis_summaries import summarises
@@ -127,18 +129,56 @@ def _old_update(peer: Peer, name: int) -> VardisRecord:
 )
 def storm(bench: Bench, variant: tuple[Callable[[Peer, int], VardisRecord], ICType, str]) -> None:
     make, kind, rule = variant
-    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
-    bench.learn(source, source.create(name, seqno=5, rep_cnt=count))
-    peers = [bench.peer() for _ in range(10)]
-    bench.beacons(1)
-    mark = bench.mark()
-    for peer in peers:
-        peer.send(make(peer, name))
-    found = bench.repeated(kind, name, mark)
-    text = f"{len(found)}"
-    bench.check(count <= len(found) <= count + 1, f"{count} answers", text, rule, frames=found[:16])
+    count = bench.rep_cnt(3)
+
+    def prepare() -> tuple[VardisRecord, int]:
+        source, name = bench.peer(), bench.var_id()
+        bench.learn(source, source.create(name, seqno=5, rep_cnt=count))
+        return make(source, name), name
+
+    found = _answers(bench, prepare, kind, count + 1)
+    many = len(found) > count + 1
+    bench.check(
+        len(found) >= count and not many, f"{count} answers", f"{len(found)}", rule, frames=found[:16], shown=many
+    )
     beacons = {id(each.heard) for each in found}
     bench.check(len(beacons) == len(found), "each in a beacon of its own", f"{len(beacons)} beacons", rule, shown=True)
+
+
+def _answers(
+    bench: Bench, prepare: Callable[[], tuple[VardisRecord, int]], kind: ICType, most: int
+) -> list[Instruction]:
+    """Have ten peers send the same record at once; the answers, from the last of up to three attempts.
+
+    An attempt in which more than one beacon left meanwhile is not judged: the peers were too slow. An implementation
+    on a busy machine may be, and take some of the ten records after a beacon; so more answers than ``most`` count only
+    if they come every time. ``prepare``: the record and its variable, another one for each attempt.
+    """
+    judged: list[Instruction] | None = None
+    for _ in range(3):
+        record, name = prepare()
+        bench.beacons(1, 1.5)
+        mark, begun = bench.mark(), bench.now()
+        _send_ten(bench, record)
+        end = bench.now()
+        found = bench.repeated(kind, name, mark)
+        if sum(begun <= heard.time <= end for heard in bench.heard[mark:]) <= 1:
+            judged = found
+            if len(found) <= most:
+                break
+    if judged is None:
+        bench.inconclusive("ten beacons within one beacon period", "two beacons left meanwhile, each time")
+    return judged
+
+
+def _send_ten(bench: Bench, record: VardisRecord) -> None:
+    if bench.one_by_one:
+        # It may answer each payload before it takes the next: all records in one.
+        bench.peer().send(*[record] * 10)
+        return
+    peers = [bench.peer() for _ in range(10)]
+    for peer in peers:
+        peer.send(record)
 
 
 @case(
@@ -157,30 +197,28 @@ def storm(bench: Bench, variant: tuple[Callable[[Peer, int], VardisRecord], ICTy
 )
 def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
     what, kind, rule = variant
-    name = bench.var_id() if what == "newer" else bench.unknown_id()
-    if what == "newer":
-        source = bench.peer()
-        bench.learn(source, source.create(name))
-    peers = [bench.peer() for _ in range(10)]
-    bench.beacons(1, 1.5)
-    mark = bench.mark()
-    for peer in peers:
-        record: VardisRecord = peer.summary(name, 3)
-        if what == "update":
-            record = peer.update(name, 3)
-        elif what == "request":
-            record = peer.request_create(name)
-        peer.send(record)
+
+    def prepare() -> tuple[VardisRecord, int]:
+        peer = bench.peer()
+        name = bench.var_id() if what == "newer" else bench.unknown_id()
+        if what == "newer":
+            bench.learn(peer, peer.create(name))
+        records: dict[str, VardisRecord] = {"update": peer.update(name, 3), "request": peer.request_create(name)}
+        return records.get(what, peer.summary(name, 3)), name
+
     if what == "request" and not bench.features.rerequest_unknown:
+        record, name = prepare()
+        mark = bench.mark()
+        _send_ten(bench, record)
         bench.require_alive("requests for an unknown variable", rule)
         found = bench.instructions(kind, name, mark)
         bench.check(
             not found, "no request: 1.0 ignores requests for unknown variables", f"{len(found)} came", rule, shown=True
         )
         return
-    bench.require(bench.until_instruction(kind, name), "a request", "none", rule)
-    found = bench.repeated(kind, name, mark)
-    bench.check(len(found) <= 2, "one request", f"{len(found)}", rule, frames=found[:12])
+    found = _answers(bench, prepare, kind, 2)
+    bench.require(found, "a request", "none", rule)
+    bench.check(len(found) <= 2, "one request", f"{len(found)}", rule, frames=found[:12], shown=True)
 
 
 @case(
@@ -199,11 +237,19 @@ def lasting_storm(bench: Bench) -> None:
     for _ in range(6):
         asking.send(asking.request_create(name))
         bench.wait(1)
-    passed = len(bench.heard) - mark
+    # A slow implementation takes the last request later.
+    taken = bench.now() + round((bench.reaction - min(bench.reaction, FLOOR)) * bench.period)
     found = bench.repeated(_CREATE, name, mark)
+    passed = sum(heard.time <= taken for heard in bench.heard[mark:])
     # Two for payloads that were composed before the last request and had not left.
     most = passed + count + 2
-    bench.check(count <= len(found) <= most, f"{count} to {most} answers", f"{len(found)}", frames=found[-1:])
+    bench.check(
+        count <= len(found) <= most,
+        f"{count} to {most} answers",
+        f"{len(found)}",
+        frames=found[-1:],
+        shown=len(found) > most,
+    )
 
 
 @case(

@@ -101,14 +101,14 @@ def teaches_create(bench: Bench) -> None:
     bench.learn(producer, create)
     mark = bench.mark()
     producer.send(producer.update(name, 2, b"new"))
-    bench.repeated(_UPDATE, name, mark)
+    updated = bench.repeated(_UPDATE, name, mark)
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wanted = VarCreate(create.spec, VarUpdate(name, 2, b"new"))
     wrong = [each for each in found if each.record != wanted]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, f"{wanted}", text, "VD-CMP-07", frames=wrong)
+    bench.check(not wrong, f"{wanted}", text, "VD-CMP-07", frames=wrong, shown=updated)
 
 
 @case(

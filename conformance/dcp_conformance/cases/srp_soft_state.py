@@ -58,7 +58,7 @@ def timeout(bench: Bench) -> None:
         peer.send(bench.report(peer.node_id, 1, t_stamp=stamp))
     for peer in peers:
         until_neighbour(bench, peer.node_id)
-    _lifetime(bench, peers, begun, bench.parameter(_TIMEOUT) * MS)
+    _lifetime(bench, peers, begun, bench.bound(_TIMEOUT) * MS)
 
 
 @case(
@@ -91,7 +91,7 @@ def short_timeout(bench: Bench) -> None:
 )
 def refreshed(bench: Bench) -> None:
     settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
-    length = round(500 * bench.session.timing_scale) if settable else bench.parameter(_TIMEOUT)
+    length = round(500 * bench.session.timing_scale) if settable else bench.bound(_TIMEOUT)
     with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
         peer = bench.peer()
         begun = bench.now()

@@ -184,7 +184,7 @@ def filled(bench: Bench, kind: ICType) -> None:
         bench.inconclusive("more records than fit into a payload", f"{len(creates)} of them came in one")
     check_filled(bench, kind, frames, "VD-PAY-02")
     largest = max(frames, key=lambda heard: _size(bench, heard))
-    limit = bench.parameter(PAYLOAD_SIZE)
+    limit = bench.bound(PAYLOAD_SIZE)
     text = f"{_size(bench, largest)} octets"
     bench.check(
         _size(bench, largest) <= limit,

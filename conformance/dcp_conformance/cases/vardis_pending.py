@@ -12,9 +12,14 @@ from dcp_conformance.services import max_repetitions, taught
 from dcp_conformance.variables import named, traces
 
 
-def _attempts(attempt: Callable[[], bool], times: int = 3) -> bool:
-    """Whether it works once: a payload may be composed just between two frames of the tester's."""
-    return any(attempt() for _ in range(times))
+def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observed: str) -> None:
+    """Check that one of three attempts works: a payload may be composed just between two frames of the tester's."""
+    right = any(attempt() for _ in range(3))
+    if not right and bench.one_by_one:
+        bench.inconclusive(
+            expected, f"{observed}; but it takes received payloads one at a time, and may answer between"
+        )
+    bench.check(right, expected, observed, shown=True)
 
 
 @case(
@@ -36,7 +41,7 @@ def request_dropped(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
 
-    bench.check(_attempts(attempt), "no VarReqUpdate for what is there already", "there is one every time", shown=True)
+    _check_once(bench, attempt, "no VarReqUpdate for what is there already", "there is one every time")
 
 
 @case(
@@ -58,7 +63,7 @@ def create_request_dropped(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
 
-    bench.check(_attempts(attempt), "no VarReqCreate for what is there already", "there is one every time", shown=True)
+    _check_once(bench, attempt, "no VarReqCreate for what is there already", "there is one every time")
 
 
 @case(
@@ -82,7 +87,7 @@ def pending_dropped(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
 
-    bench.check(_attempts(attempt), "answers and requests are dropped", "they are sent every time", shown=True)
+    _check_once(bench, attempt, "answers and requests are dropped", "they are sent every time")
 
 
 def _three_repetitions(bench: Bench) -> str | None:
@@ -159,4 +164,4 @@ def request_overtaken(bench: Bench) -> None:
         bench.beacons(1, 1.5)
         return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
 
-    bench.check(_attempts(attempt), "no VarReqUpdate for what is there anew", "there is one every time", shown=True)
+    _check_once(bench, attempt, "no VarReqUpdate for what is there anew", "there is one every time")

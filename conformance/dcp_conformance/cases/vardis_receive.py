@@ -18,13 +18,13 @@ _SEVERAL = Needs(since=SpecVersion.V1_1)
 _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 
 
-def _stored(bench: Bench, var_id: int, seqno: int, value: bytes, *requirements: str) -> None:
+def _stored(bench: Bench, var_id: int, seqno: int, value: bytes, came: object, *requirements: str) -> None:
     """Check what is stored of a variable."""
     held = ask(bench, var_id)
     upd = held.record.upd if held.record is not None else None
     as_expected = upd is not None and (upd.seqno, upd.value) == (seqno, value)
     what = f"variable {var_id} is stored with sequence number {seqno} and value {value.hex()}"
-    bench.check(as_expected, what, str(held), *requirements)
+    bench.check(as_expected, what, str(held), *requirements, shown=came and held.record)
 
 
 def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, ...], *requirements: str) -> None:
@@ -50,8 +50,8 @@ def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, .
 def two_phases(bench: Bench) -> None:
     peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()
     peer.send(peer.update(var_id, 1, b"newer"), peer.create(var_id, value=b"first"))
-    bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    _stored(bench, var_id, 1, b"newer")
+    came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    _stored(bench, var_id, 1, b"newer", came)
     _not_requested(bench, var_id, since, (_RC, _RU))
 
 
@@ -318,12 +318,14 @@ def updates_in_order(bench: Bench) -> None:
     half = modulus(bench) // 2
     one, two = stepped(bench, 0, half - 8), stepped(bench, 0, 2 * half - 16)
     peer.send(peer.update(var_id, one, b"one"), peer.update(var_id, two, b"two"))
-    bench.until_instruction(ICType.UPDATES, var_id)
-    _stored(bench, var_id, two, b"two")
+    came = bench.until_instruction(ICType.UPDATES, var_id)
+    _stored(bench, var_id, two, b"two", came)
     nearer, newest = stepped(bench, two, 1), stepped(bench, two, 2)
     peer.send(peer.update(var_id, newest, b"last"), peer.update(var_id, nearer, b"near"))
-    bench.until(lambda heard: any(each.record.seqno == newest for each in heard.instructions(ICType.UPDATES, var_id)))
-    _stored(bench, var_id, newest, b"last")
+    came = bench.until(
+        lambda heard: any(each.record.seqno == newest for each in heard.instructions(ICType.UPDATES, var_id))
+    )
+    _stored(bench, var_id, newest, b"last", came)
 
 
 @case(

@@ -146,6 +146,8 @@ def ends_deletion(bench: Bench) -> None:
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
     done = bench.mark()
+    if len(bench.frames_with(_DELETE, var_id)) > count - 2:
+        bench.inconclusive("a deletion that is still to be repeated", "it was over when the variable was created anew")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
     deletions = bench.frames_with(_DELETE, var_id, done)

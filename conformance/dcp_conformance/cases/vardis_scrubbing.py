@@ -11,6 +11,7 @@ from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.heard import Instruction
 from dcp_conformance.scrubbing import (
+    Change,
     check_time,
     create_own,
     deleted,
@@ -19,6 +20,7 @@ from dcp_conformance.scrubbing import (
     learn,
     not_by_consumers,
     scrubbing_period_ms,
+    sent,
 )
 
 _DELETE = ICType.DELETE_VARIABLES
@@ -91,8 +93,7 @@ def producer(bench: Bench) -> None:
 def timeout_zero(bench: Bench) -> None:
     period_ms = hurry(bench)
     peer, name, other = bench.peer(), bench.var_id(), bench.var_id()
-    since = bench.now()
-    peer.send(peer.create(name, timeout=0), peer.create(other, timeout=300))
+    since = sent(bench, peer, peer.create(name, timeout=0), peer.create(other, timeout=300))
     if deleted(bench, other, since, 300) is None:
         bench.reading("X26", "producer-only")
     bench.wait_ns(2 * period_ms * MS)
@@ -151,8 +152,7 @@ def deleted_skipped(bench: Bench) -> None:
 )
 def takes_back(bench: Bench) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(15)
-    since = bench.now()
-    peer.send(peer.create(name, timeout=1, rep_cnt=count))
+    since = sent(bench, peer, peer.create(name, timeout=1, rep_cnt=count))
     found = deleted(bench, name, since, 1)
     if found is None:
         not_by_consumers(bench, name)
@@ -175,12 +175,13 @@ def all_variables(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(4)]
     names = bench.var_ids(12)
     kept = bench.var_ids(3)
-    since = bench.now()
+    begun = bench.now()
     timeouts = {name: 100 + 50 * number for number, name in enumerate(names)}
     for number, peer in enumerate(peers):
         mine = [peer.create(each, timeout=timeouts[each]) for each in names[number::4]]
         peer.send_all([*mine, *(peer.create(each) for each in kept[number : number + 1])])
-    deadline = since + latest(bench, max(timeouts.values()))
+    since = Change(begun, bench.now())
+    deadline = since.after + latest(bench, max(timeouts.values()))
     bench.until(
         lambda _: {each.var_id for each in bench.instructions(_DELETE)} >= set(names),
         (deadline - bench.now()) / bench.period,
@@ -220,7 +221,8 @@ def not_much_longer(bench: Bench) -> None:
     found = next(iter(bench.instructions(_DELETE, name)), None)
     if found is None:
         bench.fail("a VarDelete of the own variable", f"none in {2 * most / MS:.0f} ms", "VD-SCR-01")
-    took = found.heard.time - since
+    most += since.after - since.before
+    took = found.heard.time - since.before
     what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the creation"
     bench.check(
         (timeout_ms - 2) * MS <= took <= most,

@@ -245,9 +245,9 @@ def deleted_not_summarised(bench: Bench) -> None:
 def own_summarised(bench: Bench) -> None:
     name = produced(bench)
     bench.require(bench.until_instruction(_SUMMARY, name, 8), "a summary of the own variable", "none")
+    mark = bench.mark()
     for value in ("01", "02"):
         bench.must("RTDB-Update", varId=name, value=value)
-    mark = bench.mark()
     bench.require(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate", "none")
     begun = bench.heard.index(bench.frames_with(ICType.UPDATES, name, mark)[-1])
     last = bench.instructions(ICType.UPDATES, name, begun)[0].record.seqno

@@ -171,6 +171,7 @@ def payload_size(bench: Bench) -> None:
     blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(heard)]
     long = [heard for heard, octets in blocks if octets > limit]
     longest = max((octets for _, octets in blocks), default=0)
+    bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
     bench.check(
         not long, f"no payload is longer than {limit} octets", f"one has {longest}", frames=long[:3], shown=True
     )

@@ -204,7 +204,7 @@ class Comparison:
             str(row.get("nodeId")).replace(":", "").lower()
             for row in rows(bench.call("SRP-NeighbourTable"), "neighbours")
         }
-        fresh = bench.now() - round(bench.pixit.neighbour_timeout_ms * 1_000_000 * _FRESH)
+        fresh = bench.now() - round(bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * 1_000_000 * _FRESH)
         most = bench.profile.limits.max_neighbours
         for node_id, time in self._reports.items():
             # Identifiers that are text may be told as they are, or as octets.

@@ -1,0 +1,70 @@
+"""Stimuli that must fall between two beacons of the implementation.
+
+Whether they did is seen from the kernel's stamps of its beacons. What did not is repeated, and not judged if it never
+works: neither a failure nor a pass may come from a beacon that left in between.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+from .bench import Bench
+from .heard import Heard
+
+T = TypeVar("T")
+
+_SWITCHES: Final = frozenset({"BP-MGMT-Activate", "BP-MGMT-Deactivate"})
+_ATTEMPTS: Final = 4
+#: A beacon that leaves within this fraction of a period after the stimuli may have been prepared before the last one.
+_GUARD: Final = 20
+
+
+def pausable(bench: Bench) -> bool:
+    """Whether BP can be deactivated: as long as it is, no beacon comes in between."""
+    return bench.session.upper is not None and bench.session.upper.methods >= _SWITCHES
+
+
+def in_a_gap(
+    bench: Bench, act: Callable[[], T], sent: Callable[[Heard], object], *, paused: bool = False
+) -> tuple[T, bool]:
+    """Carry out ``act``; its result, and whether no beacon for which ``sent`` is true left meanwhile.
+
+    ``paused``: with BP deactivated meanwhile; stops as inconclusive if that does not work.
+    """
+    guard = bench.period // _GUARD
+    with bench.deactivated("BP") if paused else contextlib.nullcontext():
+        if paused:
+            # What has left the node already may still be on its way to the tester.
+            bench.wait_ns(guard)
+        start = bench.mark()
+        result = act()
+        end = bench.now()
+    if not paused:
+        bench.wait_ns(guard)
+        end += guard
+    bench.mark()
+    return result, not any(heard.time <= end and sent(heard) for heard in bench.heard[start:])
+
+
+def between_beacons(bench: Bench, what: str, act: Callable[[], T], sent: Callable[[Heard], object]) -> T:
+    """Carry out ``act`` between two beacons, and return its result.
+
+    ``sent`` says of a beacon that what ``act`` does was seen in it. If one came in between, ``act`` is tried again when
+    such beacons have stopped, at last with BP deactivated where that can be done. Stops as inconclusive if a beacon
+    came in between each time. ``what`` completes "... between two beacons".
+    """
+    can_pause = pausable(bench)
+    # Calls that take longer than the gap lasts need no attempts.
+    first = _ATTEMPTS - 1 if can_pause and bench.session.slowest_call > bench.period / 2 else 0
+    for attempt in range(first, _ATTEMPTS):
+        result, good = in_a_gap(bench, act, sent, paused=can_pause and attempt == _ATTEMPTS - 1)
+        if good:
+            break
+        # What is still waiting must not be mistaken for the next attempt's, which begins right after a beacon.
+        bench.until_quiet(sent, 12)
+        bench.beacons(1, 1.5)
+    else:
+        bench.inconclusive(f"{what} between two beacons", "a beacon came in between each time")
+    return result

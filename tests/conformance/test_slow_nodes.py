@@ -1,0 +1,79 @@
+"""The whole suite against nodes that are slow but legal: nobody fails for being slow. In virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from dcp_conformance.mutants import all_mutants
+from dcp_conformance.selection import ordered
+from dcp_conformance.verdict import Verdict
+
+from .rig import known_cases
+from .slow import polling, runner_for
+
+SLOW: Mapping[str, dict[str, Any]] = {
+    "one payload per 50 ms": {"make": polling(50)},
+    "one payload per 120 ms": {"make": polling(120)},
+    "buffer check period of 400 ms": {"buffer_check_period_ms": 400},
+    "buffer check period of 2 s": {"buffer_check_period_ms": 2000},
+    "500 ms for each call": {"call_ms": 500},
+}
+#: Variables whose timeout is over before a slow implementation first speaks, and stimuli that it takes one by one.
+MOST_UNDECIDED = 22
+
+
+@pytest.mark.parametrize(
+    ("how", "profile"),
+    [*((each, "dcp-2.0") for each in SLOW), ("one payload per 50 ms", "cpp-1.2"), ("500 ms for each call", "dcp-1.1")],
+)
+def test_nobody_fails_for_being_slow(how: str, profile: str):
+    runner = runner_for(profile, **SLOW[how])
+    results = [runner.run(each) for each in ordered(known_cases().values())]
+    wrong = [(each.id, each.reason) for each in results if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
+    assert wrong == []
+    assert sum(each.verdict is Verdict.INCONCLUSIVE for each in results) <= MOST_UNDECIDED
+    assert sum(each.verdict is Verdict.PASS for each in results) > 650
+
+
+@pytest.mark.parametrize("call_ms", [0, 5, 500])
+@pytest.mark.parametrize("case_id", ["TC_VD_SEQ_BV_04", "TC_VD_UPD_BV_02"])
+def test_numbers_that_wrap_early_are_found_however_slow_the_upper_tester_is(case_id: str, call_ms: float):
+    """Three hundred calls, in which beacons come that wait to be read."""
+    mutant = all_mutants()["M-VD-UPD-07-wraps-early"]
+    result = runner_for(make=mutant.make, call_ms=call_ms).run(known_cases()[case_id])
+    assert result.verdict is Verdict.FAIL, result.reason
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed & set(mutant.requirements)
+    good = runner_for(call_ms=call_ms).run(known_cases()[case_id])
+    assert good.verdict is Verdict.PASS, good.reason
+
+
+@pytest.mark.parametrize(
+    "mutant",
+    [
+        "M-SRP-RX-06-forwarded",
+        "M-BP-QM-01-drops-head",
+        "M-BP-QM-02-discards-new",
+        "M-BP-QM-01-one-place-more",
+        "M-BP-QM-07-several",
+        "M-BP-QRY-02-one-more",
+        "M-BP-TX-04-loses",
+        "M-VD-RC-03-not-again",
+        "M-VD-PU-08-request-kept",
+        "M-VD-SCR-03-half",
+    ],
+)
+@pytest.mark.parametrize("how", ["buffer check period of 400 ms", "500 ms for each call"])
+def test_faults_of_slow_nodes_are_found(mutant: str, how: str):
+    """What must fall between two beacons does, or is not judged."""
+    fault = all_mutants()[mutant]
+    runner = runner_for(fault.profile, make=fault.make, **SLOW[how])
+    cases = [each for each in ordered(known_cases().values()) if set(each.requirements) & set(fault.requirements)]
+    for case in cases:
+        result = runner.run(case)
+        failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+        if failed & set(fault.requirements):
+            return
+    pytest.fail(f"none of {len(cases)} cases has noticed it")
