@@ -89,6 +89,8 @@ class Case:
     smoke: bool = False
     """Belongs to the short plan."""
     line: int = 0
+    options: tuple[str, ...] = ()
+    """What a command needs beside the identifier to know the case."""
 
     @property
     def base(self) -> str:

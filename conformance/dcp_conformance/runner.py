@@ -413,7 +413,7 @@ class Runner:
             readings=bench.readings,
             evidence=tuple(_event_record(event) for event in bench.traffic.events),
             left_out=bench.traffic.left_out,
-            rerun=f"{self.rerun} {shlex.quote(case.id)}",
+            rerun=f"{self.rerun} {shlex.join([*case.options, case.id])}",
             killed=killed,
             attempt=attempt,
             error_detail=trial.detail,

@@ -10,8 +10,11 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz import Call, Effect, Frame, Wait, load, save
 from dcp_conformance.fuzz.artefact import SavedTarget, codec_of, found_in, make_artefact
 from dcp_conformance.fuzz.cases import artefact_cases
+from dcp_conformance.fuzz.causes import explained
 from dcp_conformance.fuzz.evidence import evidence_lines
+from dcp_conformance.fuzz.reduction import Finding
 from dcp_conformance.fuzz.replaying import judged, replay, target_in_process
+from dcp_conformance.fuzz.samples import Samples
 from dcp_conformance.fuzz.steps import ROBUSTNESS
 
 from dcp_codec import Beacon, BPHeader, Codec, Payload
@@ -22,6 +25,7 @@ from dcp_codec.values import Container, VarSumm
 CODEC = Codec("dcp-2.0")
 #: A beacon that announces more octets than there are: M-BP-RX-15-dies dies of it.
 TOO_LONG = bytes.fromhex("01497e02dc900000011111ffff0100000001000200020100")
+SOUND = Samples(CODEC).each()[0]
 STEPS = [Frame(TOO_LONG, b"", "by hand"), Wait(0.5), Call("RTDB-Read", {"varId": 1})]
 
 
@@ -32,7 +36,9 @@ def summaries(count):
 def saved(folder, effect=None, mutant="M-BP-RX-15-dies", steps=STEPS, mode="stack", **more):
     effect = effect or Effect("raised", "IndexError: a read beyond the frame", 0, "IndexError in repaired")
     target = SavedTarget(mode, "a mutant", mutant)
-    artefact = make_artefact(CODEC, list(steps), effect, target, seed=7, directory=folder, **more)
+    cause = explained(CODEC, steps, effect) if mode != "codec" else None
+    found = Finding(list(steps), effect, minimised=True, confirmed=True, cause=cause)
+    artefact = make_artefact(CODEC, found, target, seed=7, directory=folder, **more)
     return save(artefact, folder)
 
 
@@ -133,11 +139,28 @@ def test_what_decides_a_finding_is_kept_and_its_case_names_it(tmp_path):
     path = saved(tmp_path, Effect("said", "variable 5: REQUEST-VARCREATES did not come", 0, place))
     assert load(path).effect.requirements == ("VD-PS-01",)
     [case] = artefact_cases(tmp_path)
-    assert case.requirements == ("VD-PS-01", *ROBUSTNESS)
+    assert case.requirements == ("VD-PS-01",)
     assert not case.robustness
-    assert load(saved(tmp_path / "dead", Effect("dead", "it is gone", 0, "dead"))).effect.requirements == ROBUSTNESS
+    gone = Effect("dead", "it is gone", 0, "dead")
+    assert load(saved(tmp_path / "dead", gone, steps=[Frame(SOUND)])).effect.requirements == ROBUSTNESS
     [case] = artefact_cases(tmp_path / "dead")
     assert (case.requirements, case.robustness) == (ROBUSTNESS, True)
+
+
+def test_a_death_decides_what_speaks_of_what_was_not_survived(tmp_path):
+    """How else a node reacts to damage is most often its own choice: only survival is due."""
+    gone = Effect("dead", "it is gone", 0, "dead")
+    for number, (octets, requirements) in enumerate(
+        [
+            (SOUND[:11] + b"\xff\xff" + SOUND[13:], ("BP-RX-15",)),
+            (SOUND[:12], ("BP-RX-16",)),
+            (b"", ("BP-RX-16",)),
+            (SOUND[:-2] + b"\x00\x00", ("VD-ROB-01",)),
+            (SOUND[:12] + b"\x04" + SOUND[13:21] + b"\x00", ("BP-RX-16", "VD-ROB-01")),
+        ]
+    ):
+        path = saved(tmp_path / str(number), gone, steps=[Frame(octets)])
+        assert load(path).effect.requirements == requirements, octets.hex()
 
 
 def test_an_artefact_is_told_with_what_was_sent(tmp_path):
@@ -149,13 +172,14 @@ def test_an_artefact_is_told_with_what_was_sent(tmp_path):
     assert told[1] == "wait      0.5 beacon periods"
     assert told[2] == 'call      RTDB-Read {"varId":1}'
     assert "... and 7 more steps" in told
-    assert told[-2].startswith("decides   BP-RX-16 (dcp-bp.md")
+    assert told[-3].startswith("cause     beacon-overrun at bp.length, zero-count at payloads[].vardis[].icNumRecords")
+    assert told[-2].startswith("decides   BP-RX-15 (dcp-bp.md")
     assert told[-1].startswith("decides   VD-ROB-01 (")
 
 
 def test_what_is_wrong_with_a_frame_is_told_however_long_it_is(tmp_path):
     long = Frame(CODEC.encode(Beacon(BPHeader(b"\2\0\0\0\0\1", 1, 0x1111), (Payload(2, summaries(200)),)))[:-1])
-    [line] = evidence_lines(CODEC, load(saved(tmp_path, Effect("state", "x", 0), steps=[long])))
+    line, _ = evidence_lines(CODEC, load(saved(tmp_path, Effect("state", "x", 0), steps=[long])))
     assert line.endswith("ERROR beacon-overrun at bp.length [BP-RX-15]")
     assert len(line) < 300
 

@@ -6,6 +6,8 @@ import random
 
 from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
 from dcp_conformance.fuzz.artefact import SavedTarget
+from dcp_conformance.fuzz.causes import kinds_in
+from dcp_conformance.fuzz.samples import Samples
 
 from dcp_codec import Codec
 from dcp_codec.mutation_values import valid_beacons
@@ -28,7 +30,8 @@ def test_only_the_steps_that_matter_are_left():
     assert found.steps == [Frame(b"a"), Frame(b"b")]
 
 
-def test_fields_go_back_to_their_valid_values():
+def test_nothing_is_left_of_a_frame_but_what_the_effect_needs():
+    """The anomaly stays, in the smallest frame that has it; other damage, records, values and descriptions go."""
     valid = next(each for each in valid_beacons(CODEC, random.Random(2), 20) if len(each) > 60)
     octets = bytearray(valid)
     octets[0] ^= 1
@@ -40,7 +43,18 @@ def test_fields_go_back_to_their_valid_values():
 
     found = Minimiser(run, effect(0), CODEC).minimise([Frame(bytes(octets), valid)])
     assert found is not None
-    assert found.steps[0].octets == bytes(octets[:1])
+    [step] = found.steps
+    assert kinds_in(CODEC, step.octets) == ["bad-version at bp.version"]
+    assert len(step.octets) <= len(Samples(CODEC).each()[0]) + 2
+
+
+def test_octets_without_a_structure_become_fewer():
+    def run(steps):
+        return effect(0) if steps[0].octets[:1] == b"x" else None
+
+    found = Minimiser(run, effect(0)).minimise([Frame(b"x" + bytes(500))])
+    assert found is not None
+    assert found.steps == [Frame(b"x")]
 
 
 def test_records_that_do_not_matter_are_taken_out():

@@ -6,11 +6,11 @@ The JSON file alone is enough to do it again; the recording is for looking at it
 from __future__ import annotations
 
 import hashlib
+import shlex
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
-from dcp_spec.requirements import requirements
 from dcp_spec.version import __version__
 
 from dcp_codec.capture import CaptureError, create_capture
@@ -19,7 +19,9 @@ from dcp_codec.codec import Codec
 from dcp_codec.envelope import Envelope
 from dcp_conformance.errors import UsageError
 
-from .steps import ROBUSTNESS, STOPPED, Call, Effect, EffectKind, Frame, Step, Wait
+from .causes import Cause, decided_by
+from .reduction import Finding
+from .steps import Call, EffectKind, Frame, Step, Wait
 
 SCHEMA: Final = 1
 """Version of the form of the JSON file."""
@@ -80,6 +82,8 @@ class Artefact(msgspec.Struct, frozen=True, omit_defaults=True):
     minimised: bool = True
     confirmed: bool = True
     """Whether it was seen again when it was done again."""
+    cause: Cause | None = None
+    """Why it shows, as far as experiments can tell; None in older files, and for functions in process."""
 
     def as_steps(self) -> list[Step]:
         """The steps. Raises :class:`UsageError` for one that is none."""
@@ -90,43 +94,42 @@ class Artefact(msgspec.Struct, frozen=True, omit_defaults=True):
         """How many of the steps are frames."""
         return sum(step.frame is not None for step in self.steps)
 
+    @property
+    def octets(self) -> int:
+        """How many octets the frames have together."""
+        return sum(len(step.frame) // 2 for step in self.steps if step.frame is not None)
+
 
 def make_artefact(
     codec: Codec,
-    steps: list[Step],
-    effect: Effect,
+    found: Finding,
     target: SavedTarget,
     *,
     seed: int,
     directory: Path,
     profile_text: str = "",
-    minimised: bool = True,
-    confirmed: bool = True,
 ) -> Artefact:
     """The artefact of a finding that will be saved in ``directory``."""
-    saved = tuple(_saved(step) for step in steps)
+    effect, cause = found.effect, found.cause
+    saved = tuple(_saved(step) for step in found.steps)
     digest = hashlib.sha256(codec.profile.name.encode() + effect.signature.encode() + msgspec.json.encode(saved))
     identifier = f"{effect.kind}-{digest.hexdigest()[:8]}"
+    again = f"dcp-conformance fuzz replay {shlex.quote(f'{directory / identifier}.json')} {target.options}"
+    decides = cause.requirements if cause is not None else decided_by(effect)
     return Artefact(
         id=identifier,
         tool=f"dcp-conformance {__version__}",
         profile=codec.profile.name,
         seed=seed,
         target=target,
-        effect=SavedEffect(effect.kind, effect.detail, effect.step, effect.signature, decided_by(effect)),
+        effect=SavedEffect(effect.kind, effect.detail, effect.step, effect.signature, decides),
         steps=saved,
-        command=f"dcp-conformance fuzz replay {directory / identifier}.json {target.options}".rstrip(),
+        command=again.rstrip(),
         profile_text=profile_text,
-        minimised=minimised,
-        confirmed=confirmed,
+        minimised=found.minimised,
+        confirmed=found.confirmed,
+        cause=cause,
     )
-
-
-def decided_by(effect: Effect) -> tuple[str, ...]:
-    """The requirements that decide an effect: those that the model names, and for who stops those of robustness."""
-    known = requirements()
-    named = tuple(word for word in effect.signature.split() if word in known)
-    return named or (ROBUSTNESS if effect.kind in STOPPED else ())
 
 
 def save(artefact: Artefact, directory: Path) -> Path:

@@ -6,7 +6,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -15,20 +14,38 @@ from dcp_codec.codec import Codec
 from dcp_codec.mutation import Mutator, Touch
 from dcp_conformance.errors import UsageError
 
+from .anomalies import anomalies
 from .artefact import Artefact, SavedTarget, make_artefact, save
-from .causes import cause_of, problems_of
+from .causes import Cause, cause_of
 from .coverage import Coverage, counter_of, tables
 from .directed import possible_states
 from .minimise import Run
-from .reduction import Reduction
+from .reduction import Finding, Reduction
 from .steps import Effect, Frame, Generator, Step, Target
 
 STATE_FILE = "campaign.json"
 """In the folder of artefacts: what ``--resume`` goes on from."""
 #: Effects that look alike whatever has caused them.
 _SILENT = ("dead", "mute")
+#: Between anomalies that show a finding only together.
+_JOINED = " and "
+#: Findings of one cause after which nothing that is like it is sent any more.
+_ENOUGH = 4
 #: Steps before those of a finding that are remembered, for those that they have a part in.
 _HISTORY = 4000
+
+
+class CauseCount(msgspec.Struct):
+    """What has the same probable cause."""
+
+    title: str
+    reaction: str
+    findings: int = 0
+    smallest: str = ""
+    """The artefact with the fewest frames and octets."""
+    frames: int = 0
+    octets: int = 0
+    requirements: tuple[str, ...] = ()
 
 
 class State(msgspec.Struct):
@@ -44,8 +61,10 @@ class State(msgspec.Struct):
     """Signature of the effect, with its cause where effects look alike -> artefact."""
     again: int = 0
     """How often known findings have shown again."""
+    causes: dict[str, CauseCount] = {}
+    """Findings by probable cause."""
     avoided: list[str] = []
-    """Problems of frames that are known to show a finding by themselves: such frames are not sent any more."""
+    """Anomalies that show a finding in a frame by themselves: such frames are not sent any more."""
     left_out: int = 0
     """Frames that were not sent for that."""
     kinds: dict[str, int] = {}
@@ -102,6 +121,8 @@ class Campaign:
     """Whether findings of a silent death are told apart by their frames, and such frames are not sent again."""
     aside: Callable[[list[Step], Effect], None] | None = None
     """Takes effects, which otherwise are made small and kept at once."""
+    own_id: bytes = b""
+    """The identifier of the node."""
     on_effect: Callable[[Effect], None] | None = None
     on_progress: Callable[[Progress], None] | None = None
     on_finding: Callable[[Artefact], None] | None = None
@@ -110,6 +131,8 @@ class Campaign:
     reached_states: Counter[tuple[str, str]] = field(default_factory=Counter)
     _history: deque[Step] = field(default_factory=lambda: deque(maxlen=_HISTORY))
     """What was sent since the last effect."""
+    _left: list[Step] | None = None
+    """A test that was not carried out to its end."""
 
     def __post_init__(self) -> None:
         self.state = State(self.codec.profile.name, self.saved_target.mode, self.seed)
@@ -156,8 +179,11 @@ class Campaign:
             if self.after_case is not None:
                 self.after_case(steps)
             if effect is not None:
+                avoided = len(state.avoided)
                 self._seen(steps, effect)
                 self._history.clear()
+                # What came after the effect was not sent, or not heard.
+                self._left = steps if len(state.avoided) > avoided else None
             elif self.fresh is not None:
                 self._history.extend(steps)
             now = time.monotonic()
@@ -213,44 +239,60 @@ class Campaign:
             if found.minimised and self._is_known(found.steps, found.effect):
                 self.state.again += 1
             else:
-                self.keep(found.steps, found.effect, minimised=found.minimised, confirmed=found.confirmed)
+                self.keep(found)
 
     def reduction(self, effect: Effect) -> Reduction:
         """What makes an effect of this target small."""
-        alike = self.by_cause and effect.kind in _SILENT
         return Reduction(
             self.target.run,
-            self.codec,
+            None if self.saved_target.mode == "codec" else self.codec,
             fresh=self.fresh,
             model=self.model.run if self.model is not None else None,
             budget=self.budget,
             seconds=self.seconds,
-            known=self._is_known if alike else None,
-            cause=partial(cause_of, self.codec) if alike else None,
+            known=self._is_known if self.by_cause and effect.kind in _SILENT else None,
+            own_id=self.own_id,
         )
 
-    def keep(self, steps: list[Step], effect: Effect, *, minimised: bool = False, confirmed: bool = False) -> None:
+    def keep(self, found: Finding) -> None:
         """Keep a finding: as an artefact, and as known from now on. Raises :class:`UsageError`."""
         artefact = make_artefact(
             self.codec,
-            steps,
-            effect,
+            found,
             self.saved_target,
             seed=self.seed,
             directory=self.directory or Path(),
             profile_text=self.profile_text,
-            minimised=minimised,
-            confirmed=confirmed,
         )
-        self.state.findings[self._key(steps, effect)] = artefact.id
+        self.state.findings[self._key(found.steps, found.effect)] = artefact.id
         self.artefacts.append(artefact)
-        frames = [step for step in steps if isinstance(step, Frame)]
-        if self.by_cause and confirmed and len(steps) == len(frames) == 1:
-            self.state.avoided += problems_of(self.codec, frames[0].octets)[:1]
+        if found.cause is not None:
+            self._count(artefact, found.cause)
+            self._avoid(found, found.cause)
         if self.directory is not None:
             save(artefact, self.directory)
         if self.on_finding is not None:
             self.on_finding(artefact)
+
+    def _count(self, artefact: Artefact, cause: Cause) -> None:
+        counted = self.state.causes.setdefault(
+            cause.group, CauseCount(cause.title, cause.reaction, requirements=cause.requirements)
+        )
+        counted.findings += 1
+        size = artefact.frames, artefact.octets
+        if not counted.smallest or size < (counted.frames, counted.octets):
+            counted.smallest, (counted.frames, counted.octets), counted.title = artefact.id, size, cause.title
+
+    def _avoid(self, found: Finding, cause: Cause) -> None:
+        """Send no frames any more that show by themselves what was found."""
+        frames = [step for step in found.steps if isinstance(step, Frame)]
+        if not (self.by_cause and found.confirmed and len(frames) == len(found.steps) == 1):
+            return
+        odd = anomalies(self.codec, frames[0].octets)
+        if odd:
+            self.state.avoided.append(_JOINED.join(dict.fromkeys(each.kind for each in odd)))
+        if len({each.group for each in odd}) == 1 and self.state.causes[cause.group].findings == _ENOUGH:
+            self.state.avoided.append(odd[0].group)
 
     # -- telling findings apart --------------------------------------------------------------------------------
 
@@ -265,17 +307,19 @@ class Campaign:
 
     def _drawn(self) -> list[Step]:
         """The next test, without the frames that show what is known already."""
-        steps = self.generator.draw()
+        steps, self._left = self._left or self.generator.draw(), None
         if not self.state.avoided:
             return steps
-        avoided = set(self.state.avoided)
-        kept = [
-            step
-            for step in steps
-            if not isinstance(step, Frame) or avoided.isdisjoint(problems_of(self.codec, step.octets))
-        ]
+        avoided = [set(each.split(_JOINED)) for each in self.state.avoided]
+        kept = [step for step in steps if not isinstance(step, Frame) or not self._has(step.octets, avoided)]
         self.state.left_out += len(steps) - len(kept)
         return kept
+
+    def _has(self, octets: bytes, avoided: list[set[str]]) -> bool:
+        """Whether a frame has all anomalies of a finding."""
+        found = anomalies(self.codec, octets)
+        names = {each.kind for each in found} | {each.group for each in found}
+        return any(each <= names for each in avoided)
 
 
 def read_state(directory: Path) -> State:

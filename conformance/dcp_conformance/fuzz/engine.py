@@ -21,6 +21,7 @@ from dcp_conformance.errors import UsageError
 
 from .atheris_child import ChildSettings
 from .campaign import Campaign, Limits
+from .reduction import as_it_was
 from .steps import Effect, Frame, Step
 
 #: Octets of an input, as libFuzzer may make them; a beacon is at most that long.
@@ -72,7 +73,7 @@ def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[byte
     campaign.state.seconds += time.monotonic() - begun
     for octets in hangs:
         # Doing it again here would end here.
-        campaign.keep([Frame(octets, b"", part)], Effect("hang", f"{part}: it ended atheris", 0, part))
+        campaign.keep(as_it_was([Frame(octets, b"", part)], Effect("hang", f"{part}: it ended atheris", 0, part)))
     campaign.generator = _Gathered(part, inputs)
     campaign.run(Limits(cases=len(inputs)))
     if interrupted is not None:

@@ -12,6 +12,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.texts import payload_line
 
 from .artefact import Artefact
+from .causes import Cause
 from .steps import Frame, Step, Wait
 
 #: Steps that are shown; all of them are in the file.
@@ -28,8 +29,17 @@ def evidence_lines(codec: Codec, artefact: Artefact) -> Iterator[str]:
         yield _step_line(codec, step)
     if len(steps) > _STEPS:
         yield f"... and {len(steps) - _STEPS} more steps"
+    if artefact.cause is not None:
+        yield from _cause_lines(artefact.cause)
     for identifier in artefact.effect.requirements:
         yield f"decides   {requirement(identifier).cite()}"
+
+
+def _cause_lines(cause: Cause) -> Iterator[str]:
+    sure = "" if not cause.places else " (without it nothing shows)" if cause.proven else " (probably)"
+    yield f"cause     {cause.title}{sure}"
+    if cause.also:
+        yield f"not this  {_shortened(', '.join(cause.also))} (also there at first, not needed)"
 
 
 def _step_line(codec: Codec, step: Step) -> str:
@@ -41,7 +51,7 @@ def _step_line(codec: Codec, step: Step) -> str:
 
 
 def _frame_text(codec: Codec, octets: bytes) -> str:
-    """The messages of a beacon, and the first thing that is wrong with it."""
+    """The messages of a beacon, and its first problem."""
     dissection = codec.dissect(octets)
     payloads = dissection.root.child("payloads")
     text = "  ".join(payload_line(payload) for payload in payloads.children) if payloads is not None else ""

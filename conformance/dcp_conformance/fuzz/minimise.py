@@ -7,15 +7,14 @@ with less. What it returns has shown the same effect (by its signature) when it 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 import msgspec
 
 from dcp_codec.codec import Codec
-from dcp_codec.dissect import Field
-from dcp_codec.errors import DecodeError, EncodeError
 
+from .shrinking import shrinker_of
 from .steps import Effect, Frame, Step, Wait
 
 #: What does not come back counts for as many attempts more: it takes all the time that a test may have.
@@ -23,7 +22,6 @@ _HANGING: Final = 20
 
 Run = Callable[[list[Step]], Effect | None]
 Known = Callable[[list[Step], Effect], bool]
-Cause = Callable[[list[Step]], str]
 
 
 class Minimised(NamedTuple):
@@ -50,20 +48,18 @@ class Minimiser:
         budget: int = 600,
         seconds: float | None = None,
         known: Known | None = None,
-        cause: Cause | None = None,
     ) -> None:
-        """``budget``, ``seconds``: how often steps may be carried out, and how long. ``codec``: takes beacons apart;
-        octets are octets without. ``known``: whether what is left after leaving out steps is worth no more work.
-        ``cause``: what octets may be at fault for; effects that look alike must not turn into each other on the way.
+        """``budget``, ``seconds``: how often steps may be carried out, and how long. ``codec``: of frames that are
+        beacons; without it, octets have no structure. ``known``: whether what is left after leaving out steps is worth
+        no more work.
         """
         self._run = run
         self._first = effect
         self._signature = effect.signature
-        self._codec = codec
+        self._shrinker = shrinker_of(codec) if codec is not None else None
         self._budget = budget
         self._deadline = None if seconds is None else time.monotonic() + seconds
         self._known = known
-        self._cause = cause
         self._tries = self._hangs = 0
         """Attempts, and those of them that did not come back."""
         self._in_vain: set[int] = set()
@@ -89,8 +85,7 @@ class Minimiser:
                 self._fewer()
                 self._single()
             if self._known is None or not self._known(self._steps, self._effect):
-                for _ in range(2):
-                    self._smaller()
+                self._smaller()
                 self._fewer()
         except _Spent:
             pass
@@ -100,6 +95,17 @@ class Minimiser:
     def found(self) -> Minimised | None:
         """The best so far, also when :meth:`minimise` was interrupted; None if nothing has shown the effect again."""
         return None if self._best is None else Minimised(self._steps, self._effect, self._tries)
+
+    def is_proven(self) -> bool:
+        """Whether no anomaly of what was found can be repaired without the effect being gone."""
+        if self._shrinker is None or self._best is None:
+            return False
+        repaired = [
+            [msgspec.structs.replace(each, octets=octets) if each == frame else each for each in self._steps]
+            for frame in dict.fromkeys(step for step in self._steps if isinstance(step, Frame))
+            for octets in self._shrinker.sound_forms(frame.octets)
+        ]
+        return bool(repaired) and all(hash(repr(steps)) in self._in_vain for steps in repaired)
 
     @property
     def _steps(self) -> list[Step]:
@@ -173,22 +179,15 @@ class Minimiser:
                 self._smaller_frame(at)
 
     def _replaced(self, at: int, step: Step) -> bool:
-        steps = self._steps
-        return self._shows([*steps[:at], step, *steps[at + 1 :]])
+        """Try another step instead of this one and of all that are like it."""
+        before = self._steps[at]
+        return self._shows([step if each == before else each for each in self._steps])
 
-    def _with(self, at: int, octets: bytes, *, other: bool = False) -> bool:
-        """Try other octets in a frame. ``other``: the cause may be another one then, but none that is known."""
+    def _with(self, at: int, octets: bytes) -> bool:
+        """Try other octets in a frame."""
         frame = self._steps[at]
         assert isinstance(frame, Frame)
-        if octets == frame.octets:
-            return False
-        steps = self._steps
-        tried = [*steps[:at], msgspec.structs.replace(frame, octets=octets), *steps[at + 1 :]]
-        if self._cause is not None and not other and self._cause(tried) != self._cause(steps):
-            return False
-        if other and self._known is not None and self._known(tried, self._effect):
-            return False
-        return self._shows(tried)
+        return octets != frame.octets and self._replaced(at, msgspec.structs.replace(frame, octets=octets))
 
     def _octets(self, at: int) -> bytes:
         frame = self._steps[at]
@@ -198,65 +197,13 @@ class Minimiser:
     def _smaller_frame(self, at: int) -> None:
         frame = self._steps[at]
         assert isinstance(frame, Frame)
-        if frame.valid and self._with(at, frame.valid, other=True):
-            frame = msgspec.structs.replace(frame, octets=frame.valid)
-        if frame.valid:
-            for octets in self._towards(at, frame.valid):
-                self._with(at, octets, other=True)
-        going = True
-        while going:
-            going = any(self._with(at, octets) for octets in self._parts_left_out(self._octets(at)))
-        self._shorter(at)
-
-    def _towards(self, at: int, valid: bytes) -> Iterator[bytes]:
-        """Each field that differs from the valid message as it is there."""
-        if self._codec is None or len(valid) != len(self._octets(at)):
-            return
-        for field in self._codec.dissect(valid).root.walk():
-            octets = self._octets(at)
-            stop = field.offset + field.length
-            if _is_leaf(field) and octets[field.offset : stop] != valid[field.offset : stop]:
-                yield octets[: field.offset] + valid[field.offset : stop] + octets[stop:]
-
-    def _parts_left_out(self, octets: bytes) -> Iterator[bytes]:
-        """A beacon that can be decoded, without one of its payloads, containers or records."""
-        if self._codec is None:
-            return
-        try:
-            beacon = self._codec.decode(octets)
-        except DecodeError:
-            return
-        replace = msgspec.structs.replace
-        for number, payload in enumerate(beacon.payloads):
-            others = beacon.payloads[:number], beacon.payloads[number + 1 :]
-
-            def around(content: Any, payload: Any = payload, others: Any = others) -> Any:
-                block = replace(payload, content=content)
-                return replace(beacon, payloads=(*others[0], block, *others[1]))
-
-            candidates: list[Any] = []
-            if len(beacon.payloads) > 1:
-                candidates.append(replace(beacon, payloads=others[0] + others[1]))
-            if isinstance(payload.content, tuple):
-                containers = payload.content
-                for place, container in enumerate(containers):
-                    if len(containers) > 1:
-                        candidates.append(around(containers[:place] + containers[place + 1 :]))
-                    for size in (len(container.records) // 2, 1):
-                        if not 0 < size < len(container.records):
-                            continue
-                        for start in range(0, len(container.records), size):
-                            records = container.records[:start] + container.records[start + size :]
-                            changed = replace(container, records=records)
-                            candidates.append(around((*containers[:place], changed, *containers[place + 1 :])))
-            for candidate in candidates:
-                try:
-                    yield self._codec.encode(candidate)
-                except EncodeError:
-                    continue
+        if self._shrinker is None:
+            self._shorter(at)
+        else:
+            self._shrinker.shrink(frame.octets, lambda octets: self._with(at, octets), frame.valid)
 
     def _shorter(self, at: int) -> None:
-        """Octets left out, from half of them down to single ones; in short messages also from the middle."""
+        """Leave out octets, from half of them down to single ones; in short messages also from the middle."""
         size = max(1, len(self._octets(at)) // 2)
         while size:
             octets = self._octets(at)
@@ -267,7 +214,3 @@ class Minimiser:
                     break
             else:
                 size //= 2
-
-
-def _is_leaf(field: Field) -> bool:
-    return not field.children and field.length > 0

@@ -1,4 +1,4 @@
-"""The ways in which a finding is made small and confirmed, the cheap ones first."""
+"""The ways in which a finding is made small, confirmed and explained, the cheap ones first."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dcp_codec.codec import Codec
+from dcp_codec.errors import CodecError
+from dcp_conformance.errors import ConformanceError
 
-from .minimise import Cause, Known, Minimised, Minimiser, Run
+from .causes import Cause, explained
+from .experiments import culprit_by_message, forms
+from .minimise import Known, Minimised, Minimiser, Run
 from .steps import Effect, Step
 
 
@@ -19,12 +23,16 @@ class Finding(NamedTuple):
     minimised: bool
     confirmed: bool
     """Whether it was seen again from the beginning."""
+    cause: Cause | None = None
+    """Why it shows; None for what is no sequence of frames."""
 
 
-def as_it_was(steps: list[Step], effect: Effect) -> Finding:
-    """An effect that nobody has made small."""
+def as_it_was(steps: list[Step], effect: Effect, codec: Codec | None = None) -> Finding:
+    """An effect that was not made small. With a codec, its cause is told as far as the steps show it."""
     # What came after it cannot have been it.
-    return Finding(steps[: effect.step + 1], effect, minimised=False, confirmed=False)
+    shown = steps[: effect.step + 1]
+    cause = explained(codec, shown, effect) if codec is not None else None
+    return Finding(shown, effect, minimised=False, confirmed=False, cause=cause)
 
 
 class Reduction:
@@ -32,20 +40,21 @@ class Reduction:
 
     ``run`` carries steps out on the target. ``fresh`` does so on a target that was just restarted, where ``run`` does
     not always; ``model`` on something fast, on which findings may show, too. ``budget`` (attempts) and ``seconds`` are
-    for one way; ways that restart before each attempt have four times the seconds.
+    for one way; ways that restart before each attempt have four times the seconds. ``codec`` is None for octets that
+    are no beacons. ``own_id`` is the identifier of the node.
     """
 
     def __init__(
         self,
         run: Run,
-        codec: Codec,
+        codec: Codec | None,
         *,
         fresh: Run | None = None,
         model: Run | None = None,
         budget: int = 600,
         seconds: float | None = None,
         known: Known | None = None,
-        cause: Cause | None = None,
+        own_id: bytes = b"",
     ) -> None:
         self._run = run
         self._codec = codec
@@ -54,9 +63,12 @@ class Reduction:
         self._budget = budget
         self._seconds = seconds
         self._known = known
-        self._cause = cause
+        self._own_id = own_id
         self._minimiser: Minimiser | None = None
         self._found: Minimised | None = None
+        self._judge: Minimiser | None = None
+        """What has made it small in the end."""
+        self._culprit = ""
         self.confirmed = False
         """Whether what is left was seen again from the beginning."""
 
@@ -67,15 +79,28 @@ class Reduction:
 
     def outcome(self, steps: list[Step], effect: Effect) -> Finding:
         """What there is to keep of an effect of ``steps``, however far it has come."""
-        if self.found is not None:
-            return Finding(self.found.steps, self.found.effect, minimised=True, confirmed=self.confirmed)
-        return as_it_was(steps, effect)
+        found = self.found
+        if found is None:
+            return as_it_was(steps, effect, self._codec)
+        cause = None
+        if self._codec is not None:
+            judge = self._judge or self._minimiser
+            proven = judge is not None and judge.is_proven()
+            first = steps[: effect.step + 1]
+            cause = explained(self._codec, found.steps, found.effect, first, proven=proven, culprit=self._culprit)
+        return Finding(found.steps, found.effect, minimised=True, confirmed=self.confirmed, cause=cause)
 
     def reduce(self, steps: list[Step], effect: Effect, history: Sequence[Step] = ()) -> None:
-        """Try one way after the other until one is confirmed. ``history``: what was sent before the steps.
+        """Try one way after the other until one is confirmed, and find out which rule is broken.
 
-        Raises what the target raises.
+        ``history``: what was sent before the steps. Raises what the target raises.
         """
+        self._make_small(steps, effect, history)
+        found = self.found
+        if self.confirmed and found is not None and self._codec is not None and found.effect.kind in ("said", "state"):
+            self._culprit = self._broken_rule(self._codec, found)
+
+    def _make_small(self, steps: list[Step], effect: Effect, history: Sequence[Step]) -> None:
         if self._model is not None and self._in_process(self._model, steps, effect):
             return
         if self._by_itself(self._run, steps, effect, self._seconds) or self._fresh is None:
@@ -91,15 +116,7 @@ class Reduction:
 
     def _by_itself(self, run: Run, steps: list[Step], effect: Effect, seconds: float | None, least: int = 1) -> bool:
         self._found = self.found
-        self._minimiser = Minimiser(
-            run,
-            effect,
-            self._codec,
-            budget=self._budget,
-            seconds=seconds,
-            known=self._known,
-            cause=self._cause,
-        )
+        self._minimiser = Minimiser(run, effect, self._codec, budget=self._budget, seconds=seconds, known=self._known)
         found = self._minimiser.minimise(steps, least)
         self.confirmed = found is not None and self._shows_again(found)
         return self.confirmed
@@ -109,11 +126,13 @@ class Reduction:
         like = model(steps)
         if like is None:
             return False
-        found = Minimiser(model, like, self._codec, budget=self._budget).minimise(steps)
+        minimiser = Minimiser(model, like, self._codec, budget=self._budget)
+        found = minimiser.minimise(steps)
         again = self._run(found.steps) if found is not None else None
         if found is None or again is None or again.signature != effect.signature:
             return False
         self._found = Minimised(found.steps, again, found.tries + 1)
+        self._judge = minimiser
         self.confirmed = True
         return True
 
@@ -123,3 +142,21 @@ class Reduction:
             return True
         again = self._fresh(found.steps)
         return again is not None and again.signature == found.effect.signature
+
+    def _broken_rule(self, codec: Codec, found: Minimised) -> str:
+        """The requirement that an experiment finds to be broken; empty if the effect's own stands."""
+        run = self._fresh or self._run
+        try:
+            for form in forms(codec, found.steps):
+                if run(form.steps) is None:
+                    return form.requirement
+        except ConformanceError:
+            # The finding stays what it is.
+            return ""
+        try:
+            return culprit_by_message(codec, found.steps, found.effect, self._own_id)
+        except CodecError:
+            return ""
+
+
+__all__ = ["Finding", "Reduction", "as_it_was"]

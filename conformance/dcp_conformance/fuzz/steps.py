@@ -46,7 +46,7 @@ class Wait(msgspec.Struct, frozen=True, gc=False, tag="wait"):
 
 
 Step = Frame | Call | Wait
-_NUMBERS = re.compile(r"0x[0-9a-f]+|\d+|'[^']*'|b\"[^\"]*\"")
+NUMBERS: Final = re.compile(r"0x[0-9a-f]+|\d+|'[^']*'|b\"[^\"]*\"")
 
 
 class Effect(NamedTuple):
@@ -60,7 +60,7 @@ class Effect(NamedTuple):
     @property
     def signature(self) -> str:
         """Equal for effects that have most likely the same cause: numbers in the text do not count."""
-        return f"{self.kind}: {self.place or _NUMBERS.sub('#', self.detail)}"
+        return f"{self.kind}: {self.place or NUMBERS.sub('#', self.detail)}"
 
 
 class Generator(Protocol):

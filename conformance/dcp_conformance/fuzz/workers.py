@@ -38,7 +38,7 @@ from dcp_conformance.errors import WorkerError
 
 from .campaign import Campaign, Limits, Progress, State
 from .reduction import Finding, as_it_was
-from .steps import Effect
+from .steps import Effect, Step
 from .worker import SLOT_SIZE, Failure, Make, Order, Report, Settings, Shown, Slot, Stop, Totals, work
 
 #: Rounds that are under way at a time.
@@ -185,7 +185,7 @@ class _Workers:
         steps = member.slot.steps()
         effect = Effect("dead", f"its process was ended by {by}", max(0, len(steps) - 1), by)
         if steps and effect.signature not in self._campaign.state.findings:
-            self._campaign.keep(steps, effect)
+            self._campaign.keep(self._as_it_was(steps, effect))
 
     def _gather(self) -> None:
         """Let all workers end, and take their last reports."""
@@ -283,7 +283,11 @@ class _Workers:
         signature = finding.effect.signature
         self._pending.pop(signature, None)
         self._kept.add(signature)
-        self._campaign.keep(finding.steps, finding.effect, minimised=finding.minimised, confirmed=finding.confirmed)
+        self._campaign.keep(finding)
+
+    def _as_it_was(self, steps: list[Step], effect: Effect) -> Finding:
+        campaign = self._campaign
+        return as_it_was(steps, effect, None if campaign.saved_target.mode == "codec" else campaign.codec)
 
     def _progress(self) -> None:
         now = time.monotonic()
@@ -299,7 +303,7 @@ class _Workers:
         left = [(number, report) for number, member in enumerate(self._members) for report in member.reports]
         self._keep_findings(left)
         for _, shown in [*enumerate(self._pending.values()), *self._new(left)]:
-            self._keep(as_it_was(shown.steps, shown.effect))
+            self._keep(self._as_it_was(shown.steps, shown.effect))
         campaign, state = self._campaign, self._campaign.state
         kinds, effects, lines = Counter(state.kinds), Counter[str](), set[tuple[str, int]]()
         for totals in (member.totals for member in self._members):
