@@ -103,7 +103,9 @@ def test_a_finding_is_kept_when_minimising_is_interrupted(tmp_path):
                 raise KeyboardInterrupt
             return super().run(steps)
 
-    campaign = campaign_of(Interrupted(lambda octets: octets[:1] == b"\x02"), Drawn([b"\x01", b"\x02" * 40, b"\x01"] * 8))
+    campaign = campaign_of(
+        Interrupted(lambda octets: octets[:1] == b"\x02"), Drawn([b"\x01", b"\x02" * 40, b"\x01"] * 8)
+    )
     campaign.directory = tmp_path
     with pytest.raises(KeyboardInterrupt):
         campaign.run(Limits(cases=1))

@@ -124,6 +124,14 @@ def _chance(options: dict[str, Any]) -> random.Random:
     return random.Random(f"{options['seed']}/{done}")  # noqa: S311 - the same every time, no secret
 
 
+def swept(options: dict[str, Any]) -> int:
+    """How many tests of the sweep the campaign that goes on has done."""
+    from dcp_conformance.fuzz.campaign import read_state
+    from dcp_conformance.fuzz.sweep import NAME
+
+    return read_state(options["artefacts"]).kinds.get(NAME, 0) if options["resume"] else 0
+
+
 def _recorded(codec: Codec, options: dict[str, Any]) -> list[bytes]:
     from dcp_conformance.replay import beacons_of
 

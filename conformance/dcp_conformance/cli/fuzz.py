@@ -15,7 +15,7 @@ import click
 
 from dcp_conformance.errors import UsageError
 
-from .campaigns import campaign_options, jobs_option, material, no_jobs, profile_text, run_campaign, write_tests
+from .campaigns import campaign_options, jobs_option, material, no_jobs, profile_text, run_campaign, swept, write_tests
 from .options import target_of, target_options
 
 if TYPE_CHECKING:
@@ -28,7 +28,9 @@ EXIT_STATUS = (
     "did not come back; 4 the tester's own trouble; 130 stopped by Ctrl-C or SIGTERM, nothing found so far."
 )
 #: Seconds for minimising a finding of an implementation on the air.
-_MINIMISING = 30.0
+_MINIMISING = 60.0
+#: Sequences of a sweep in one comparison with the model: each begins with a reset, which may be a restart.
+_SWEPT_AT_ONCE = 40
 
 
 @click.group("fuzz", epilog=EXIT_STATUS)
@@ -133,11 +135,15 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
     from dcp_conformance.fuzz.directed import Directed
     from dcp_conformance.fuzz.replaying import stack_target
     from dcp_conformance.fuzz.sequences import Sequences
+    from dcp_conformance.fuzz.sweep import Swept
 
     codec, rng, mutator, recorded = material(options, seed)
     target = stack_target(codec, options["mutant"] or "")
     reached: Counter[tuple[str, str]] = Counter()
-    sequences = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
+    directed = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
+    # Workers have seeds that end with their number.
+    share = (0, 1) if seed is None else (int(seed.rpartition("/")[2]), options["jobs"])
+    sequences = Swept(directed, codec, done=swept(options), share=share)
     saved = SavedTarget("stack", target.name, options["mutant"] or "")
     yield Campaign(
         codec,
@@ -149,6 +155,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
         states=lambda: target.observer.reached,
         reached_states=reached,
         profile_text=profile_text(options),
+        own_id=target.own_id,
     )
 
 
@@ -161,6 +168,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     from dcp_conformance.fuzz.live import RATE, LiveTarget, UnhealthyError
     from dcp_conformance.fuzz.replaying import stack_target
     from dcp_conformance.fuzz.sequences import Sequences
+    from dcp_conformance.fuzz.sweep import Swept
     from dcp_conformance.target import describe, open_target
 
     where = target_of(options)
@@ -175,7 +183,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     size = 1 if differential else options["batch"]
     mode: Any = "differential" if differential else "live"
     if options["dry_run"]:
-        drawn = Sequences(codec, rng, NOBODY, mutator, recorded)
+        drawn = Swept(Sequences(codec, rng, NOBODY, mutator, recorded), codec)
         saved = SavedTarget(mode, "nothing")
         return write_tests(Campaign(codec, stack_target(codec), Batches(drawn, size), saved, options["seed"]), options)
     with open_target(where) as opened:
@@ -188,13 +196,17 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         except UnhealthyError as error:
             click.echo(f"dcp-conformance: {error}", err=True)
             return 3
-        sequences = Sequences(codec, rng, opened.runner.session.sut_id or NOBODY, mutator, recorded)
+        own_id = opened.runner.session.sut_id or NOBODY
+        sequences = Sequences(codec, rng, own_id, mutator, recorded)
+        done = swept(options)
         reached: Counter[tuple[str, str]] = Counter()
         saved = SavedTarget(mode, target.name, options=_target_words(where, own_node=options["own_node"]))
         campaign = Campaign(
             codec,
             target,
-            Directed(sequences, reached) if differential else Batches(sequences, size),
+            Swept(Directed(sequences, reached), codec, done=done, size=_SWEPT_AT_ONCE)
+            if differential
+            else Batches(Swept(sequences, codec, done=done), size),
             saved,
             options["seed"],
             mutator=mutator,
@@ -204,6 +216,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
             budget=200,
             seconds=_MINIMISING,
             by_cause=not differential,
+            own_id=own_id,
         )
         if target.control is not None and target.control.can_restart:
             campaign.fresh = target.run_afresh

@@ -107,8 +107,7 @@ class Anatomy:
 
     def replaced(self, field: Field, octets: bytes) -> bytes:
         """The frame with other octets in the place of a field."""
-        within = self._parents.get(id(field), field)
-        return self.edited([Edit(field.offset, field.offset + field.length, octets, within)])
+        return self.edited([Edit(field.offset, field.offset + field.length, octets, field)])
 
     def set_right(self, announced: Announced) -> bytes:
         """The frame with a length or a count that tells the truth."""

@@ -28,7 +28,8 @@ from dcp_codec.values import (
 OTHER_PROTOCOL: Final = 0x77
 #: The station that sends them.
 _STATION: Final = b"\x02\xdc\x90\x00\x00\x01"
-_TEXT: Final = b"a"
+#: Descriptions and values.
+TEXT: Final = b"a"
 
 
 class Samples:
@@ -52,7 +53,7 @@ class Samples:
             case ICType.SUMMARIES:
                 return VarSumm(var_id, 0)
             case ICType.UPDATES:
-                return VarUpdate(var_id, 0, _TEXT)
+                return VarUpdate(var_id, 0, TEXT)
             case ICType.REQUEST_VARUPDATES:
                 return VarReqUpdate(var_id, 0)
             case ICType.REQUEST_VARCREATES:
@@ -61,8 +62,8 @@ class Samples:
                 return VarDelete(var_id)
         fields = self.codec.profile.vardis.var_spec
         creation = 1 if "creationTime" in fields else None
-        spec = VarSpec(var_id, self.node(), 1, _TEXT, creation, 0 if "timeout" in fields else None)
-        return VarCreate(spec, VarUpdate(var_id, 0, _TEXT))
+        spec = VarSpec(var_id, self.node(), 1, TEXT, creation, 0 if "timeout" in fields else None)
+        return VarCreate(spec, VarUpdate(var_id, 0, TEXT))
 
     def container(self, kind: ICType, count: int = 1) -> Container:
         """A container of ``count`` records of a kind, about different variables as long as there are any."""
@@ -106,4 +107,4 @@ class Samples:
         return [*found, self.beacon(self.other())]
 
 
-__all__ = ["OTHER_PROTOCOL", "Samples"]
+__all__ = ["OTHER_PROTOCOL", "TEXT", "Samples"]

@@ -19,6 +19,7 @@ from dcp_codec.plan import Rest, Scalar, Text
 from .anatomy import Anatomy, Edit
 from .anomalies import Anomaly, Kinds, anomalies, kinds_of
 from .repairs import Repairs
+from .samples import TEXT
 
 Attempt = Callable[[bytes], bool]
 """Tries a frame: whether it still shows the effect."""
@@ -103,12 +104,19 @@ class Shrinker:
         """What shortens strings and other octets without a structure, the longest first."""
         found: list[tuple[int, Change]] = []
         for field in anatomy.root.walk():
-            if isinstance(field.layout, Text) and field.value is not None and field.name not in _ADDRESSES:
+            if not isinstance(field.layout, Text | Rest) or field.name in _ADDRESSES:
+                continue
+            if isinstance(field.layout, Rest):
+                found += [(1 - field.length, (field.path, b"\0"))] * (field.length > 1)
+            elif field.value is not None:
                 short = self.repairs.part(anatomy, field)
+                if short is not None and field.layout.human and not _is_utf8(field.value):
+                    short = short.replace(TEXT, b"\xff")
                 if short is not None and len(short) < field.length:
                     found.append((len(short) - field.length, (field.path, short)))
-            elif isinstance(field.layout, Rest) and field.length > 1:
-                found.append((1 - field.length, (field.path, b"\0")))
+            elif (data := field.child("data")) is not None and data.length > 1:
+                # It is cut off, and stays so: what announces its octets is lowered, too.
+                found.append((1 - data.length, (data.path, data.raw[:1])))
         return [change for _, change in sorted(found)]
 
     def values(self, anatomy: Anatomy) -> list[Change]:
@@ -256,12 +264,20 @@ def shrinker_of(codec: Codec) -> Shrinker:
     return Shrinker(codec)
 
 
+def _is_utf8(octets: bytes) -> bool:
+    try:
+        octets.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
 def _changed(anatomy: Anatomy, changes: Sequence[Change]) -> bytes:
     edits = []
     for path, new in changes:
         field = anatomy.at(path)
         if field is not None:
-            edits.append(Edit(field.offset, field.offset + field.length, new, anatomy.parent(field) or field))
+            edits.append(Edit(field.offset, field.offset + field.length, new, field))
     return anatomy.edited(edits)
 
 
