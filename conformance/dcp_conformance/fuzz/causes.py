@@ -28,6 +28,8 @@ GENERAL: Final = frozenset({"VD-SCP-01", "VD-SCP-02", "VD-SCP-03", "VD-UPD-10", 
 _WHY: Final = re.compile(
     r"error|exception|fatal|abort|assert|panic|terminate|overflow|violation|corrupt|invalid|fault|traceback", re.I
 )
+#: Words of :class:`~dcp_conformance.process.ProcessControl` about an end.
+_ENDED: Final = "it ended with "
 _SAID: Final = "; it said: "
 
 
@@ -106,12 +108,13 @@ def decided_by(effect: Effect, found: Sequence[Anomaly] = (), culprit: str = "")
 
 def death_of(effect: Effect) -> str:
     """How an implementation has stopped, without what differs from death to death."""
-    how, _, words = effect.detail.partition(_SAID)
-    lines = [line for line in words.split(" | ") if _WHY.search(line)]
     if effect.kind != "dead":
         return effect.signature if effect.kind == "raised" else effect.kind
+    how, _, words = effect.detail.partition(_SAID)
+    lines = [line for line in words.split(" | ") if _WHY.search(line)]
+    # An exit status is no accident; other numbers (processes, addresses, times) are.
+    how = how if how.startswith(_ENDED) else NUMBERS.sub("#", how)
     said = NUMBERS.sub("#", lines[-1].strip()) if lines else ""
-    how = re.sub(r"process \d+", "process", how.partition(";")[0])
     return ", ".join(filter(None, (effect.kind, how, said)))
 
 
