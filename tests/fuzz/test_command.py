@@ -62,11 +62,17 @@ def test_findings_are_saved_replayed_and_gone_on_from(tmp_path):
     options = ("--seed", "1", "--artefacts", str(folder), "--mutant", "M-BP-RX-15-dies")
     done = fuzz("stack", "--max-cases", "60", *options)
     assert done.returncode == 1
-    assert "field x class of value" in done.stdout
-    assert "state of a variable x message" in done.stdout
-    assert "  sent      " in done.stdout
-    assert "  decides   BP-RX-16 (dcp-bp.md" in done.stdout
     [artefact] = folder.glob("raised-*.json")
+    # Coverage is shown when it is asked for: what was found comes last, and is not scrolled away.
+    assert "pairs" not in done.stdout
+    told = done.stdout.splitlines()
+    assert told[-7].startswith("beacon-overrun at bp.length: raised: IndexError")
+    assert told[-6].startswith(f"  {artefact.stem}: IndexError")
+    assert told[-5].startswith("  sent      ")
+    assert told[-4] == "  cause     beacon-overrun at bp.length (without it nothing shows)"
+    assert told[-3].startswith("  decides   BP-RX-15 (dcp-bp.md")
+    assert told[-2] == f"  again     dcp-conformance fuzz replay {artefact}"
+    assert told[-1].startswith("60 cases, ")
     again = fuzz("replay", str(folder))
     assert again.returncode == 1
     assert again.stdout.startswith("failed ")
@@ -90,7 +96,10 @@ def test_coverage_is_written_with_what_is_missing(tmp_path):
     assert done.returncode == 0, done.stderr
     coverage = json.loads(path.read_text())
     assert len(coverage["missing_states"]) > 10
-    assert f"message: {coverage['possible_states'] - len(coverage['missing_states'])} of" in done.stdout
+    assert f"variable: {coverage['possible_states'] - len(coverage['missing_states'])} of" in done.stdout
+    shown = fuzz("stack", "--max-cases", "5", "--coverage")
+    assert shown.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]
+    assert fuzz("codec", "--coverage", "beacon").returncode == 2
     done = fuzz("stack", "--max-cases", "1", "--coverage", "/nonexistent/x")
     assert done.returncode == 2
     assert "1 cases" in done.stdout
@@ -99,7 +108,7 @@ def test_coverage_is_written_with_what_is_missing(tmp_path):
 def test_a_recording_and_lines_of_code_guide(tmp_path):
     out = tmp_path / "frames.mcap"
     assert fuzz("stack", "--dry-run", "--max-cases", "20", "--out", str(out)).returncode == 0
-    done = fuzz("stack", "--guided", "--recording", str(out), "--max-cases", "30")
+    done = fuzz("stack", "--guided", "--recording", str(out), "--max-cases", "30", "--coverage")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "lines of the target: " in done.stdout
     assert fuzz("codec", "beacon", "--guided", "--max-cases", "50", "-q").returncode == 0

@@ -60,11 +60,12 @@ def test_the_tables_say_how_much_was_reached_and_what_was_not():
     assert coverage.missing == ["message bomb"]
     assert coverage.missing_states == ["alive own: summary newer"]
     assert shown(coverage) == [
-        "field x class of value: 1 of 2 pairs",
-        "                 0    1 max-1  max   +1   -1 unknown swapped  bit  cut",
+        "field x what was done to it: 1 of 2 pairs; how often each",
+        "                        below      plus minus           bytes  bit  cut",
+        "              zero  one   top  top  one   one unknown swapped flip  off",
         "    bp.length                    3",
-        "  whole message: bomb 0",
-        "state of a variable x message: 1 of 2 pairs",
+        "  whole message: all counts raised 0",
+        "message x state of the variable: 1 of 2 pairs",
         "                        alive   alive deleted deleted",
         "                unknown   own foreign     own foreign",
         "  delete              2",

@@ -365,9 +365,9 @@ def test_workers_that_make_no_sense_are_refused_in_one_line(words, says):
 
 def test_a_campaign_by_workers_is_told_like_any_other(tmp_path):
     options = ("--mutant", ALWAYS, "--artefacts", str(tmp_path), "--max-cases", "40")
-    done = fuzz("stack", "--jobs", "2", *options)
+    done = fuzz("stack", "--jobs", "2", *options, "--coverage")
     assert done.returncode == 1
-    assert "state of a variable x message" in done.stdout
+    assert "message x state of the variable" in done.stdout
     assert "known findings have shown again 39 times" in done.stdout
     assert "making it small" in done.stderr
     assert fuzz("replay", str(tmp_path)).stdout.startswith("failed ")

@@ -27,6 +27,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 #: Tests that are written when nothing is said about how many.
 _DRY_RUN = 1000
+#: Value of ``--coverage`` without a file.
+SHOWN = ""
 #: Exit status of what was stopped, as shells give it.
 _STOPPED = 130
 
@@ -78,9 +80,10 @@ def campaign_options(function: F) -> F:
             click.option("--resume", is_flag=True, help="Go on with the campaign in --artefacts."),
             click.option(
                 "--coverage",
-                type=click.Path(path_type=Path),
-                metavar="FILE",
-                help="Write what was reached, how often, and what was not (JSON).",
+                is_flag=False,
+                flag_value=SHOWN,
+                metavar="[FILE]",
+                help="Show what was reached and what was not; also write it to FILE (JSON).",
             ),
             click.option("--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Where findings go."),
             click.option("--quiet", "-q", is_flag=True, help="Only the findings."),
@@ -170,8 +173,9 @@ def run_campaign(
     ``run``: what runs it, unless it does so itself; ``make``: makes another one in a worker, if there may be some.
     """
     from dcp_conformance.errors import LowerTesterError, WorkerError
-    from dcp_conformance.fuzz.evidence import evidence_lines
+    from dcp_conformance.fuzz.evidence import headline
     from dcp_conformance.fuzz.live import UnhealthyError
+    from dcp_conformance.upper.channels import printable
 
     jobs = options["jobs"] if make is not None else 1
     if options["dry_run"]:
@@ -211,18 +215,12 @@ def run_campaign(
     def finding(artefact: Artefact) -> None:
         if terminal:
             click.echo("", err=True)
-        kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
-        frames = f"{artefact.frames} frame{'' if artefact.frames == 1 else 's'}"
-        click.echo(f"{artefact.id}: {artefact.effect.detail} ({frames}{kept})")
-        for line in evidence_lines(campaign.codec, artefact):
-            click.echo(f"  {line}")
-        if options["artefacts"] is not None:
-            click.echo(f"  again     {artefact.command}")
+        click.echo(headline(artefact))
 
     def effect(now: Any) -> None:
         if terminal:
             click.echo("", err=True)
-        click.echo(f"{now.kind}: {now.detail}; making it small", err=True)
+        click.echo(f"{now.kind}: {printable(now.detail)}; making it small", err=True)
 
     campaign.on_progress = None if quiet else progress
     campaign.on_finding = finding
@@ -243,29 +241,33 @@ def run_campaign(
     if terminal and not quiet:
         click.echo("", err=True)
     try:
-        if options["coverage"] is not None:
-            _write_coverage(campaign.state.coverage, options["coverage"])
+        if options["coverage"] not in (None, SHOWN):
+            _write_coverage(campaign.state.coverage, Path(options["coverage"]))
     finally:
         # Also where there is no room for a file: what a long campaign has found is not lost.
-        _tell_end(campaign, quiet=quiet)
+        _tell_end(campaign, quiet=quiet, coverage=options["coverage"] is not None)
     return 1 if campaign.state.findings else status
 
 
-def _tell_end(campaign: Campaign, *, quiet: bool) -> None:
-    """What was reached, and how much was done."""
+def _tell_end(campaign: Campaign, *, quiet: bool, coverage: bool) -> None:
+    """How much was done, and in the end what was found: nothing scrolls that away."""
     from dcp_conformance.fuzz.coverage import shown
+    from dcp_conformance.fuzz.evidence import summary_lines
 
     state = campaign.state
-    if not quiet:
+    if coverage:
         for line in shown(state.coverage):
             click.echo(line)
-        kinds = ", ".join(f"{name} {count}" for name, count in sorted(state.kinds.items()))
-        click.echo(f"kinds: {kinds}")
+        click.echo(f"sequences: {', '.join(f'{name} {count}' for name, count in sorted(state.kinds.items()))}")
+    if not quiet:
         if state.again:
             click.echo(f"known findings have shown again {state.again} times")
         if state.left_out:
-            avoided = ", ".join(state.avoided)
-            click.echo(f"{state.left_out} frames were not sent, since they show known findings: {avoided}")
+            click.echo(f"{state.left_out} frames were not sent, since they show known findings:")
+            for each in state.avoided:
+                click.echo(f"  {each}")
+    for line in summary_lines(campaign):
+        click.echo(line)
     click.echo(
         f"{state.cases} cases, {state.frames} frames, {state.seconds:.1f} s, {len(state.findings)} findings "
         f"({shlex.join(['--seed', str(campaign.seed)])})"

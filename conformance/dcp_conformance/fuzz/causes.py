@@ -73,7 +73,7 @@ def explained(
 ) -> Cause:
     """The cause of a finding of which ``steps`` are left.
 
-    ``first``: the steps it was found with; ``proven``: whether each anomaly is needed; ``culprit``: the requirement
+    ``first``: the same steps before their frames were made small; ``proven``: whether each anomaly is needed; ``culprit``: the requirement
     that an experiment has found to be violated.
     """
     found = _anomalies_in(codec, steps)

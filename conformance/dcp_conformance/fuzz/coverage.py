@@ -13,6 +13,13 @@ from dcp_codec.mutation import FIELD_CLASSES
 Cells = dict[tuple[str, str], int]
 _ELEMENTS = ("twice", "drop", "reorder", "splice")
 _VALUES = (*FIELD_CLASSES, "cut")
+#: Classes as the heads of columns and in lines name them.
+_WORDS = {
+    "0": "zero", "1": "one", "max-1": "below top", "max": "top", "+1": "plus one", "-1": "minus one",
+    "swapped": "bytes swapped", "bit": "bit flip", "cut": "cut off",
+    "twice": "repeated", "drop": "left out", "reorder": "moved", "splice": "from another",
+    "trail": "octets added", "bomb": "all counts raised",
+}  # fmt: skip
 #: States of a variable, as they are told apart.
 STATES = ("unknown", "alive own", "alive foreign", "deleted own", "deleted foreign")
 
@@ -71,11 +78,11 @@ def counter_of(pairs: Iterable[Pair]) -> Counter[tuple[str, str]]:
 
 
 def shown(coverage: Coverage) -> list[str]:
-    """The tables as lines of text, at most 80 columns wide; 0 is what was not reached, nothing what does not exist."""
+    """The tables as lines of text, at most 80 columns wide; 0: not reached, blank: there is no such pair."""
     lines: list[str] = []
     if coverage.possible:
         reached = coverage.possible - len(coverage.missing)
-        lines.append(f"field x class of value: {reached} of {coverage.possible} pairs")
+        lines.append(f"field x what was done to it: {reached} of {coverage.possible} pairs; how often each")
         cells = {(each.what, each.how): each.count for each in coverage.fields}
         cells |= {
             (what.removeprefix("message"), how): 0
@@ -84,7 +91,7 @@ def shown(coverage: Coverage) -> list[str]:
         lines += _fields(cells)
     if coverage.possible_states:
         reached = coverage.possible_states - len(coverage.missing_states)
-        lines.append(f"state of a variable x message: {reached} of {coverage.possible_states} pairs")
+        lines.append(f"message x state of the variable: {reached} of {coverage.possible_states} pairs")
         cells = {(each.how, each.what): each.count for each in coverage.states if each.what in STATES}
         cells |= {(how, what): 0 for what, _, how in (each.partition(": ") for each in coverage.missing_states)}
         lines += _states(cells)
@@ -111,18 +118,20 @@ def _fields(cells: Cells) -> list[str]:
         lines += [*_heading(_ELEMENTS, first), *_rows(elements, _ELEMENTS, first)]
     whole = sorted((how, count) for (path, how), count in cells.items() if not path)
     if whole:
-        lines.append(f"  whole message: {', '.join(f'{how} {_short(count)}' for how, count in whole)}")
+        lines.append(f"  whole message: {', '.join(f'{_worded(how)} {_short(count)}' for how, count in whole)}")
     return lines
 
 
 def _states(cells: Cells) -> list[str]:
     first = max(len(message) for message, _ in cells)
-    return [*_heading(STATES, first), *_rows(cells, STATES, first)]
+    rows = _rows(cells, STATES, first)
+    opposite = any("opposite" in message for message, _ in cells)
+    return [*_heading(STATES, first), *rows, *["  (opposite: half the circle of numbers away)"] * opposite]
 
 
 def _heading(columns: tuple[str, ...], first: int) -> list[str]:
     """The names of columns; those of two words take two lines."""
-    words = [(column.rpartition(" "), _width(column)) for column in columns]
+    words = [(_worded(column).rpartition(" "), _width(column)) for column in columns]
     upper = " " * (first + 2) + "".join(word.rjust(wide) for (word, _, _), wide in words)
     lower = " " * (first + 2) + "".join(word.rjust(wide) for (_, _, word), wide in words)
     return [upper, lower] if upper.strip() else [lower]
@@ -140,7 +149,11 @@ def _rows(cells: Cells, columns: tuple[str, ...], first: int) -> list[str]:
 
 
 def _width(column: str) -> int:
-    return 1 + max(4, *map(len, column.split()))
+    return 1 + max(4, *map(len, _worded(column).split()))
+
+
+def _worded(how: str) -> str:
+    return _WORDS.get(how, how)
 
 
 def _short(count: int) -> str:

@@ -1,19 +1,24 @@
-"""A finding as people read it: what was sent, and what the specification says about what came of it."""
+"""Findings as people read them: what was sent, why it shows, and what the specification says about it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 from dcp_spec.requirements import requirement
 
 from dcp_codec.codec import Codec
 from dcp_codec.texts import payload_line
+from dcp_conformance.errors import UsageError
+from dcp_conformance.upper.channels import printable
 
-from .artefact import Artefact
+from .artefact import Artefact, load
 from .causes import Cause
 from .steps import Frame, Step, Wait
+
+if TYPE_CHECKING:
+    from .campaign import Campaign, CauseCount
 
 #: Steps that are shown; all of them are in the file.
 _STEPS: Final = 5
@@ -21,8 +26,14 @@ _STEPS: Final = 5
 _WIDTH: Final = 200
 
 
+def headline(artefact: Artefact) -> str:
+    """A finding in one line."""
+    kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
+    return f"{artefact.id}: {printable(artefact.effect.detail)} ({_size(artefact.frames, artefact.octets)}{kept})"
+
+
 def evidence_lines(codec: Codec, artefact: Artefact) -> Iterator[str]:
-    """What was done, one line for each of the first steps, and which requirements decide."""
+    """What was done, one line for each of the first steps, why it shows, and which requirements decide."""
     # Inputs of functions are of any form.
     steps = [] if artefact.target.mode == "codec" else artefact.as_steps()
     for step in steps[:_STEPS]:
@@ -33,6 +44,56 @@ def evidence_lines(codec: Codec, artefact: Artefact) -> Iterator[str]:
         yield from _cause_lines(artefact.cause)
     for identifier in artefact.effect.requirements:
         yield f"decides   {requirement(identifier).cite()}"
+
+
+def summary_lines(campaign: Campaign) -> Iterator[str]:
+    """The findings of a campaign by probable cause, the smallest artefact of each with its evidence."""
+    state = campaign.state
+    known = {each.id: each for each in campaign.artefacts}
+    if len(state.findings) > 1 and state.causes:
+        found = sum(each.findings for each in state.causes.values())
+        yield f"{found} findings, {len(state.causes)} probable {'cause' if len(state.causes) == 1 else 'causes'}:"
+    told: set[str] = set()
+    for counted in sorted(state.causes.values(), key=lambda each: -each.findings):
+        told.add(counted.smallest)
+        yield from _one_cause(campaign, counted, known.get(counted.smallest))
+    for artefact in campaign.artefacts:
+        # Functions in process have no frames, and so no causes.
+        if artefact.cause is None:
+            yield from _one_artefact(campaign, artefact)
+
+
+def _one_cause(campaign: Campaign, counted: CauseCount, artefact: Artefact | None) -> Iterator[str]:
+    times = f"{counted.findings} findings; the smallest: " if counted.findings > 1 else ""
+    yield ""
+    yield f"{printable(counted.title)}: {printable(counted.reaction)}"
+    if artefact is None and campaign.directory is not None:
+        # Found by the campaign that this one goes on with.
+        try:
+            artefact = load(campaign.directory / f"{counted.smallest}.json")
+        except UsageError:
+            artefact = None
+    if artefact is None:
+        yield f"  {times}{counted.smallest} ({_size(counted.frames, counted.octets)})"
+        return
+    yield f"  {times}{headline(artefact)}"
+    yield from _details(campaign, artefact)
+
+
+def _one_artefact(campaign: Campaign, artefact: Artefact) -> Iterator[str]:
+    yield headline(artefact)
+    yield from _details(campaign, artefact)
+
+
+def _details(campaign: Campaign, artefact: Artefact) -> Iterator[str]:
+    for line in evidence_lines(campaign.codec, artefact):
+        yield f"  {printable(line)}"
+    if campaign.directory is not None:
+        yield f"  again     {artefact.command}"
+
+
+def _size(frames: int, octets: int) -> str:
+    return f"{frames} frame{'' if frames == 1 else 's'}, {octets} octets"
 
 
 def _cause_lines(cause: Cause) -> Iterator[str]:

@@ -65,6 +65,8 @@ class Minimiser:
         self._in_vain: set[int] = set()
         """Steps that have not shown the effect."""
         self._best: tuple[list[Step], Effect] | None = None
+        self.whole: list[Step] = []
+        """The steps that are left, with their frames as they were; empty before that is known."""
 
     def minimise(self, steps: list[Step], least: int = 1) -> Minimised | None:
         """The smallest that was found; None if the steps do not show the effect at all.
@@ -85,6 +87,7 @@ class Minimiser:
                 self._fewer()
                 self._single()
             if self._known is None or not self._known(self._steps, self._effect):
+                self.whole = self._steps
                 self._smaller()
                 self._fewer()
         except _Spent:

@@ -86,7 +86,7 @@ class Reduction:
         if self._codec is not None:
             judge = self._judge or self._minimiser
             proven = judge is not None and judge.is_proven()
-            first = steps[: effect.step + 1]
+            first = judge.whole if judge is not None else []
             cause = explained(self._codec, found.steps, found.effect, first, proven=proven, culprit=self._culprit)
         return Finding(found.steps, found.effect, minimised=True, confirmed=self.confirmed, cause=cause)
 

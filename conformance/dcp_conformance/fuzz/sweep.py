@@ -266,17 +266,14 @@ class Sweep:
 class Swept:
     """A generator that begins with a sweep, ``size`` sequences of it at a time.
 
-    ``done`` tests of it were drawn in an earlier campaign. ``share``: the number of this worker and of how many; they
-    sweep together.
+    ``done`` tests of it were drawn in an earlier campaign.
     """
 
-    def __init__(
-        self, sequences: Generator, codec: Codec, *, done: int = 0, size: int = 1, share: tuple[int, int] = (0, 1)
-    ) -> None:
+    def __init__(self, sequences: Generator, codec: Codec, *, done: int = 0, size: int = 1) -> None:
         self._sequences = sequences
-        mine = Sweep(codec).sequences()[share[0] :: share[1]]
-        tests = [list(itertools.chain(*mine[start : start + size])) for start in range(0, len(mine), size)]
-        self._left = tests[done // share[1] :][::-1]
+        swept = Sweep(codec).sequences()
+        tests = [list(itertools.chain(*swept[start : start + size])) for start in range(0, len(swept), size)]
+        self._left = tests[done:][::-1]
         self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
