@@ -73,8 +73,8 @@ def explained(
 ) -> Cause:
     """The cause of a finding of which ``steps`` are left.
 
-    ``first``: the same steps before their frames were made small; ``proven``: whether each anomaly is needed; ``culprit``: the requirement
-    that an experiment has found to be violated.
+    ``first``: the same steps before their frames were made small; ``proven``: whether each anomaly is needed;
+    ``culprit``: the requirement that an experiment has found to be violated.
     """
     found = _anomalies_in(codec, steps)
     left = {each.kind for each in found}
