@@ -64,7 +64,7 @@ class Salvaged(msgspec.Struct, frozen=True, gc=False):
 
     ``beacon`` is None if nothing could be read. ``problems`` is empty if and only if strict decoding succeeds. The
     content of a ``damaged`` payload is its octets, but for VarDis, where it is the containers before the fault.
-    ``clear`` is false if the position of blocks is not known up to the last: then the header may be misread as well.
+    ``clear`` is false if the blocks do not add up in any reading: then the header may be misread as well.
     """
 
     beacon: Beacon | None
@@ -133,13 +133,14 @@ class Salvager:
         except _IncompleteError:
             return Salvaged(None, problems, clear=False)
         attempt = self._attempt("length", tree)
-        if header is not None and (attempt.cut_off or any(each.reason == "count-mismatch" for each in tree.errors)):
+        disputed = attempt.cut_off or any(each.reason == "count-mismatch" for each in tree.errors)
+        if header is not None and disputed:
             attempt = min([attempt, *self._others(octets)], key=lambda each: each.faults)
         if attempt.reading != "length":
             wrong = [each for each in tree.errors if each.path.startswith("bp.")] or tree.errors[:1]
             problems = (*wrong, *(each.problem for each in attempt.damaged))
         payloads = attempt.blocks if envelope else attempt.payloads
-        clear = bool(payloads) and not attempt.cut_off
+        clear = bool(payloads) and not attempt.cut_off and not (disputed and any(attempt.tree.padding))
         return Salvaged(Beacon(bp, payloads), problems, attempt.damaged, attempt.reading, clear)
 
     # -- readings -----------------------------------------------------------------------------------------------

@@ -110,7 +110,10 @@ class Findings:
         this case: they may follow from the same loss.
         """
         verdict = Verdict.PASS if holds else Verdict.FAIL
-        if not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
+        if not holds and not shown and not numbers and (why := self.unreadable(requirements or self.case.requirements)):
+            # Nothing of the tester's is lost: what was received and is wrong stays a failure, in this case too.
+            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {why}"
+        elif not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
             self._excused = True
         proved = bool(shown) and verdict is Verdict.FAIL
@@ -220,6 +223,21 @@ class Findings:
         if not shown and (lost := self.own_losses(numbers=numbers)):
             return f"the tester has lost something: {lost}"
         return self.assumed()
+
+    def unreadable(self, requirements: Iterable[str]) -> str:
+        """Why something may have been sent and not be seen: beacons of this case that cannot be read to their end.
+
+        Empty if all can be read that matter for ``requirements``: a bad state report hides nothing but itself. What is
+        wrong with such a beacon is for the cases about formats to say.
+        """
+        reports = all(each.startswith("SRP-") for each in requirements)
+        bad = [
+            heard
+            for heard in self.heard
+            if heard.problems
+            and (not heard.salvaged.clear or (heard.report_problems if reports else heard.vardis_problems))
+        ]
+        return f"{len(bad)} of its {len(self.heard)} beacons cannot be read: {bad[0].problem}" if bad else ""
 
     def own_losses(self, *, numbers: bool = False) -> str:
         """What the tester has missed in this case, in words; empty if nothing is known.

@@ -67,7 +67,9 @@ def judge(
     # No sender counts to zero: where numPayloads should be there is something else.
     nothing = any(each.reason == "zero-count" and not _inside(each) for each in salvaged.problems)
     if salvaged.clear and not nothing:
-        return [*_of_the_header(octets, codec, tree, salvaged), *_of_payloads(salvaged)]
+        header = list(_of_the_header(octets, codec, tree, salvaged))
+        if len(header) < 2:
+            return [*header, *_of_payloads(salvaged)]
     network_id = codec.profile.bp.network_id if network_id is None else network_id
     fault = explanation(octets, codec, network_id, source)
     if fault is not None:

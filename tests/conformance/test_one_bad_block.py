@@ -17,6 +17,7 @@ HEADERS = {
     "M-BP-HDR-06-with-header": {"BP-HDR-06"},
     "M-BP-HDR-06-payloads-only": {"BP-HDR-06"},
     "M-BP-HDR-10-seqno-first": {"BP-HDR-10"},
+    "M-DATA-01-all-swapped": {"DATA-01", "BP-HDR-02"},
     "M-BP-FMT-01-block-with-header": {"BP-FMT-01"},
 }
 

@@ -218,7 +218,9 @@ def other_network(bench: Bench) -> None:
             bench.check(asked, "a beacon of the new network is processed", "it is not", "BP-PAR-05", "BP-RX-05")
             heard = [each for each in (*bench.heard, *bench.beacons(3)) if each.time >= from_now]
             numbers = {
-                each.beacon.bp.network_id for each in heard if each.beacon is not None and each.beacon.bp is not None
+                each.beacon.bp.network_id
+                for each in heard
+                if each.beacon is not None and each.beacon.bp is not None and each.salvaged.clear
             }
             said = f"networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
             bench.check(
