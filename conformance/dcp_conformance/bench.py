@@ -11,7 +11,7 @@ hearing), and here what is done to the implementation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -171,15 +171,31 @@ class Bench(Listening):
     def expect_status(self, status: str, method: str, /, *requirements: str, **params: Any) -> Answer:
         """Call a service that must answer with this status; a check, which does not stop the case."""
         answer = self.call(method, **params)
-        matches = answer.code is None and answer.status.replace("_", "-") == status.replace("_", "-")
-        self.check(matches, f"{method} answers {status}", f"{answer}", *requirements, shown=True)
+        self.check_status(answer, (status,), method, *requirements)
         return answer
+
+    def check_status(self, answer: Answer, statuses: Collection[str], method: str, /, *requirements: str) -> bool:
+        """Check that the answer to a service is one of these statuses; one that the specification lacks fails.
+
+        Stops as inconclusive if the upper tester could not ask the implementation.
+        """
+        expected = f"{method} answers {' or '.join(statuses)}"
+        self.require_asked(answer, expected, *requirements)
+        matches = any(map(answer.is_status, statuses))
+        return self.check(matches, expected, f"{answer}", *requirements, shown=True)
+
+    def require_asked(self, answer: Answer, expected: str, /, *requirements: str) -> None:
+        """Stop as inconclusive unless the answer is the implementation's own."""
+        if not answer.asked:
+            self.inconclusive(expected, f"the upper tester could not ask: {answer}", *requirements)
 
     def must(self, method: str, /, **params: Any) -> Answer:
         """Call a service whose success the case needs, but does not judge; stops as inconclusive without it."""
         answer = self.call(method, **params)
+        expected = f"{method} succeeds, which this case needs"
+        self.require_asked(answer, expected)
         if not answer.ok:
-            self.inconclusive(f"{method} succeeds, which this case needs", str(answer))
+            self.inconclusive(expected, str(answer))
         return answer
 
     @contextmanager

@@ -19,6 +19,14 @@ class UpperTesterError(ConformanceError):
     """The upper tester cannot be reached, does not answer, or does not keep to its contract."""
 
 
+class NoAnswerError(UpperTesterError):
+    """A request was made, and no answer came in time: the implementation or the upper tester is silent."""
+
+
+class CouldNotAskError(UpperTesterError):
+    """The upper tester has no way to make this request: it says nothing of the implementation."""
+
+
 class WorkerError(ConformanceError):
     """A process that works for the tester has ended before its work was done."""
 

@@ -168,6 +168,10 @@ class Findings:
         self.readings[identifier] = observed
         self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
 
+    def all_hold(self) -> bool:
+        """Whether no check of this case has failed so far."""
+        return not any(each.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) for each in self.checks)
+
     def verdict(self) -> Verdict:
         """What the checks come to; ``inconclusive`` for a case that has checked nothing."""
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, Literal
 
 import msgspec
 from dcp_spec.profile import Profile
+from dcp_spec.readings import differs_from_reference, reading
 from dcp_spec.version import __version__
 
 from .pics import Pics
@@ -37,8 +38,8 @@ def assemble(
     cases = tuple(cases)
     observed: dict[str, dict[str, None]] = {}
     for case in cases:
-        for identifier, reading in case.readings.items():
-            observed.setdefault(identifier, {})[reading] = None
+        for identifier, name in case.readings.items():
+            observed.setdefault(identifier, {})[name] = None
     return RunResult(
         tool=TOOL,
         kind=kind,
@@ -54,8 +55,19 @@ def assemble(
         requirements=requirement_verdicts(cases),
         summary=summarise(cases),
         readings={identifier: tuple(names) for identifier, names in sorted(observed.items())},
+        reference_readings=_references(observed),
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _references(observed: Mapping[str, Iterable[str]]) -> dict[str, str]:
+    """The reference's readings of the texts that were read otherwise."""
+    found: dict[str, str] = {}
+    for identifier, names in sorted(observed.items()):
+        if any(differs_from_reference(identifier, each) for each in names):
+            default = reading(identifier).default
+            found[identifier] = "" if default is None else default.name
+    return found
 
 
 def exit_status(cases: Iterable[CaseResult], *, unexpected: bool | None = None) -> int:

@@ -124,6 +124,8 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """By table, then by verdict: number of cases."""
     readings: dict[str, tuple[str, ...]] = {}
     """Disputed texts and the readings that were observed."""
+    reference_readings: dict[str, str] = {}
+    """Of those texts for which another reading than the reference's was observed: the reference's."""
     notes: tuple[str, ...] = ()
     """What the reader should know of the run as a whole: losses of the tester, restarts, a fallback of the link."""
 

@@ -16,7 +16,7 @@ from .attribution import Trial, attribute, blamed, likely_stimulus
 from .bench import Bench, Session
 from .case import SANITY, Case
 from .control import SutControl
-from .errors import LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
+from .errors import CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
 from .life import Life
 from .node_id import node_id_octets
 from .reaction import prepare
@@ -236,6 +236,9 @@ class Runner:
             trial.used_up = True
         except StopCase:
             pass
+        except CouldNotAskError as error:
+            what = "the upper tester can ask the implementation"
+            bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, f"it could not: {error}"))
         except UpperTesterError as error:
             self.life.hung_up = str(error)
             bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, "the upper tester answers", str(error)))

@@ -93,9 +93,10 @@ def learn(bench: Bench, peer: Peer, name: int, timeout_ms: int, rep_cnt: int = 1
 
 
 def not_by_consumers(bench: Bench, name: int) -> None:
-    """The other reading of X26 is that only producers scrub. Stops the case if that seems to be it."""
-    bench.reading("X26", "producer-only")
+    """The other reading of X26 is that only producers scrub; reported if the variable still lives."""
     still = bench.until_instruction(ICType.SUMMARIES, name, 8)
+    if still:
+        bench.reading("X26", "producer-only")
     text = "it is summarised still" if still else "neither VarDelete nor summary"
     bench.info("whether a consumer deletes a variable whose time has run out", text)
 

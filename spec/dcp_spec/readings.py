@@ -58,6 +58,26 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 _CATALOGUE: Final = Catalogue("readings.toml", "reading", Reading, UnknownReadingError)
 
 
+def differs_from_reference(reading_id: str, observed: str) -> bool:
+    """Whether an observed alternative of a reading is another one than ours.
+
+    False for an observation in free words, and for a reading that is not in the catalogue.
+    """
+    entry = readings().get(reading_id)
+    if entry is None or entry.default is None:
+        return False
+    return observed != entry.default.name and any(observed == each.name for each in entry.alternatives)
+
+
+def told(reading_id: str, observed: str) -> str:
+    """An observation for people, with our reading beside it where that is another one."""
+    if not differs_from_reference(reading_id, observed):
+        return observed
+    default = reading(reading_id).default
+    assert default is not None
+    return f"{observed} (reference: {default.name})"
+
+
 def readings() -> Mapping[str, Reading]:
     """All readings by id: X01, X02, ... and then H1, H2, ..."""
     return _CATALOGUE.entries()

@@ -4,7 +4,7 @@ from collections import Counter
 from importlib import resources
 
 import pytest
-from dcp_spec.readings import UnknownReadingError, reading, readings
+from dcp_spec.readings import UnknownReadingError, differs_from_reference, reading, readings, told
 from dcp_spec.requirements import depending_on
 
 ENTRIES = list(readings().values())
@@ -77,3 +77,21 @@ def test_entries_cannot_be_changed():
         reading("X01").reading = "as you like it"
     with pytest.raises(TypeError):
         readings()["X01"] = reading("X02")
+
+
+@pytest.mark.parametrize(
+    ("reading_id", "observed", "differs", "said"),
+    [
+        ("X03", "write-then-increment", False, "write-then-increment"),
+        ("X03", "increment-then-write", True, "increment-then-write (reference: write-then-increment)"),
+        ("X03", "in words", False, "in words"),
+        ("X15", "the current sequence number", False, "the current sequence number"),
+        ("H1", "without end", False, "without end"),
+        ("X99", "anything", False, "anything"),
+    ],
+)
+def test_an_observed_alternative_is_compared_with_the_reference(
+    reading_id: str, observed: str, differs: bool, said: str
+):
+    assert differs_from_reference(reading_id, observed) is differs
+    assert told(reading_id, observed) == said

@@ -52,7 +52,8 @@ def block_in_padding(bench: Bench) -> None:
     check_processed(bench, [inside], start, "the block in front of the end")
     bench.require_alive("a block behind the end of its beacon")
     parsed = bench.instructions(ICType.REQUEST_VARCREATES, outside, since=start)
-    bench.reading("X02", "frame-size" if parsed else "length-field")
+    if parsed or bench.instructions(ICType.REQUEST_VARCREATES, inside, since=start):
+        bench.reading("X02", "frame-size" if parsed else "length-field")
 
 
 @case(

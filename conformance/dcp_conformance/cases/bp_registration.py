@@ -288,10 +288,14 @@ def two_faults(bench: Bench, fault: tuple[str, Callable[[Bench], dict[str, Any]]
 def unknown_mode(bench: Bench, mode: str) -> None:
     client = BPClient(bench, mode)
     answer = client.register()
+    if not answer.asked:
+        bench.info("a queueing mode that the upper tester cannot ask for", str(answer))
+        return
     if not answer.ok:
         bench.check(True, "the registration is refused", "", "BP-QM-06")
         bench.reading("X06", "refuse-at-registration")
         return
-    bench.reading("X06", "refuse-at-clear")
-    bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06", "BP-CLR-04", protId=client.prot_id)
+    cleared = bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06", "BP-CLR-04", protId=client.prot_id)
+    if cleared.is_status(UNKNOWN_MODE):
+        bench.reading("X06", "refuse-at-clear")
     bench.call(DEREGISTER, protId=client.prot_id)

@@ -57,7 +57,7 @@ def check_first_number(bench: Bench, heard: Heard) -> None:
     if bench.features.first_beacon_seqno == 1:
         bench.check(first == 1, "the first beacon has seqno 1", f"it has {first}", "BP-INI-02", frames=[heard])
         return
-    bench.check(first in (0, 1), "the first beacon has seqno 0", f"it has {first}", frames=[heard])
+    bench.check(first in (0, 1), "the first beacon has seqno 0, or 1 (X03)", f"it has {first}", frames=[heard])
     if first in (0, 1):
         bench.reading("X03", "increment-then-write" if first else "write-then-increment")
 

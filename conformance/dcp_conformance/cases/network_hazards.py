@@ -32,16 +32,16 @@ def mutual_requests(bench: Bench) -> None:
     if not bench.features.rerequest_unknown:
         bench.require_alive("a request for an unknown variable")
         found = bench.instructions(_ASK_CREATE, name, mark)
-        bench.check(not found, "no request: 1.0 ignores it", f"{len(found)} came", frames=found[:4], shown=True)
-        bench.reading("X29", "nothing")
-        bench.reading("H1", "does not arise in 1.0")
+        if bench.check(not found, "no request: 1.0 ignores it", f"{len(found)} came", frames=found[:4], shown=True):
+            bench.reading("X29", "nothing")
+            bench.reading("H1", "does not arise in 1.0")
         return
     rounds = 0
     while rounds < 6 and bench.until_instruction(_ASK_CREATE, name) is not None:
         rounds += 1
         peer.send(peer.request_create(name))
-    bench.check(rounds, "a request for the variable that it is asked for", "none")
-    bench.reading("X29", "requests it itself" if rounds else "nothing")
+    bench.require(rounds, "a request for the variable that it is asked for", "none")
+    bench.reading("X29", "requests it itself")
     lasting = "without end" if rounds == 6 else f"for {rounds} rounds"
     bench.reading("H1", f"two nodes request the variable from each other {lasting} (6 were tried)")
 
@@ -70,8 +70,9 @@ def forgotten_variable(bench: Bench) -> None:
     bench.check(
         not found, "a VarCreate with the own identifier is ignored", f"{len(found)} passed on", "VD-PC-03", shown=True
     )
-    again = "again with each summary" if rounds == 3 else f"{rounds} times"
-    bench.reading("H2", f"a forgotten variable is requested {again}, and what comes is ignored")
+    if rounds and not found:
+        again = "again with each summary" if rounds == 3 else f"{rounds} times"
+        bench.reading("H2", f"a forgotten variable is requested {again}, and what comes is ignored")
 
 
 @case(
@@ -164,7 +165,8 @@ def clock_ahead(bench: Bench) -> None:
     bench.check(
         record == ahead, "the creation with the time in the future stays", f"{state!r}", shown=record is not None
     )
-    bench.reading("H5", "later creations with the right time are ignored")
+    if record == ahead:
+        bench.reading("H5", "later creations with the right time are ignored")
     wrong.send(wrong.delete(name))
 
 
@@ -193,7 +195,8 @@ def starts_again(bench: Bench) -> None:
     bench.check(
         numbers == {50}, "the stored value with number 50", f"{numbers}", "VD-PU-06", frames=found, shown=numbers - {50}
     )
-    bench.reading("H6", "the producer's values are ignored until its number passes 50")
+    if bench.all_hold():
+        bench.reading("H6", "the producer's values are ignored until its number passes 50")
 
 
 @case(
@@ -217,7 +220,8 @@ def missed_creation(bench: Bench) -> None:
     found = bench.instructions(_UPDATE, name, quiet)
     bench.check(not found, "nothing in answer to the number that it has", f"{len(found)} came", "VD-PS-02", shown=True)
     asked = bench.instructions(_ASK_CREATE, name, mark)
-    bench.reading("H7", "asks for the VarCreate" if asked else "keeps the first creation and does not ask")
+    if asked or bench.all_hold():
+        bench.reading("H7", "asks for the VarCreate" if asked else "keeps the first creation and does not ask")
 
 
 @case(
@@ -241,7 +245,8 @@ def earlier_update(bench: Bench) -> None:
     bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
     record = held(bench, name)
     state = "nothing" if record is None else f"{record.upd.value.decode(errors='replace')!r}"
-    bench.reading("H8", f"holds {state} behind an update of the first creation")
+    if bench.all_hold():
+        bench.reading("H8", f"holds {state} behind an update of the first creation")
 
 
 @case(
@@ -267,4 +272,5 @@ def far_behind(bench: Bench) -> None:
         bench.check(
             values == {b"stale"}, "the stored value", f"{values}", requirement, frames=found, shown=values - {b"stale"}
         )
-    bench.reading("H9", "sends its stale value and stays behind")
+    if bench.all_hold():
+        bench.reading("H9", "sends its stale value and stays behind")

@@ -28,7 +28,6 @@ from dcp_conformance.services import (
     max_repetitions,
     nanoseconds,
     produced,
-    same_status,
     taught,
     timed,
 )
@@ -207,7 +206,7 @@ def producer(bench: Bench) -> None:
     if answer.code is not None:
         bench.info("prodId as a parameter of RTDB-Create", f"refused: {answer}")
         return
-    bench.check(answer.ok, f"RTDB-Create answers {OK}", str(answer), shown=True)
+    bench.check_status(answer, (OK,), "RTDB-Create")
     record = bench.until_instruction(_V, var_id)
     if record is None:
         bench.fail("a VarCreate of the variable is sent", "none is")
@@ -228,7 +227,7 @@ def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None
         # Beyond what the field can hold there is nothing that VarDis could be asked.
         bench.info(f"a request that the profile cannot express, in place of {status}", str(answer), requirement)
     else:
-        bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer), requirement, shown=True)
+        bench.check_status(answer, (status,), "RTDB-Create", requirement)
     bench.expect_status(UNKNOWN, "RTDB-Read", requirement, varId=var_id)
 
 
@@ -345,7 +344,7 @@ def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]])
     if answer.code == NOT_EXPRESSIBLE:
         bench.info("a request that the profile cannot express", str(answer))
         return
-    bench.check(same_status(answer, status), f"RTDB-Create answers {status}", str(answer), shown=True)
+    bench.check_status(answer, (status,), "RTDB-Create")
 
 
 @case(
@@ -359,6 +358,7 @@ def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]])
 def empty_description(bench: Bench) -> None:
     var_id = bench.own_var_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, descr=""))
+    bench.require_asked(answer, "RTDB-Create answers")
     bench.reading("X21", "accept-locally" if answer.ok else "refuse-locally")
     bench.require_alive("a variable without a description")
     claimed = bench.pics.empty_description

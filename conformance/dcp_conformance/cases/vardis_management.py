@@ -15,7 +15,6 @@ from dcp_conformance.services import (
     create_request,
     max_repetitions,
     produced,
-    same_status,
     taught,
 )
 
@@ -144,8 +143,7 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
     """The service must answer INACTIVE between deactivation and activation; what it returned."""
     with bench.deactivated("VD"):
         answer = bench.call(method, **params)
-        holds = same_status(answer, INACTIVE)
-        bench.check(holds, f"{method} answers {INACTIVE}", str(answer), requirement, "VD-MGT-04", shown=True)
+        bench.check_status(answer, (INACTIVE,), method, requirement, "VD-MGT-04")
     return answer.result
 
 

@@ -137,7 +137,12 @@ def value_length_and_payload(bench: Bench) -> None:
         bench.check(
             taken == answer.ok, f"{_VALUE} = {bound} is taken exactly if the confirm says so", str(answer), shown=True
         )
-        bench.reading("X23", "literal-bound" if taken else "record-bound")
+        # The longest value for which a VarCreate with the longest description fits.
+        fits = bench.parameter(_VALUE) + 8
+        if taken:
+            bench.reading("X23", "literal-bound")
+        elif bench.call(_SET, name=_VALUE, value=fits).ok and _in_force(bench, _VALUE) == fits:
+            bench.reading("X23", "record-bound")
         _check_refused(bench, _VALUE, bound + 1)
 
 

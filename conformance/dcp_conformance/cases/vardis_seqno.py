@@ -186,8 +186,10 @@ def half_the_range(bench: Bench) -> None:
         heard[name] = "/".join(dict.fromkeys(kinds))
         bench.info(f"what follows a {name} half the range away from the stored number", heard[name])
     own = ICType.UPDATES.label
+    answers = {own: "half-range-answered", "nothing": "half-range-neither"}
     if heard["VarUpdate"] == "stored" and heard["summary"] == ICType.REQUEST_VARUPDATES.label:
-        bench.reading("X28", "half-range-answered" if heard["VarReqUpdate"] == own else "half-range-neither")
+        if heard["VarReqUpdate"] in answers:
+            bench.reading("X28", answers[heard["VarReqUpdate"]])
     elif heard["VarUpdate"] == own and heard["summary"] == own:
         bench.reading("X28", "half-range-older")
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Self
 
-from dcp_spec.readings import readings
+from dcp_spec.readings import readings, told
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -154,7 +154,7 @@ def _readings(run: RunResult) -> Iterator[str]:
         entry = known.get(identifier)
         names = {each.name for each in entry.alternatives} if entry is not None else set()
         if names.intersection(observed):
-            named.append(f"{identifier} {'/'.join(observed)}")
+            named.append(f"{identifier}: {'/'.join(told(identifier, each) for each in observed)}")
         else:
             others.append(identifier)
     if named:

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from itertools import groupby
 from typing import Any
 
-from dcp_spec.readings import readings
+from dcp_spec.readings import readings, told
 from dcp_spec.reasons import REASONS
 from dcp_spec.requirements import requirements
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -72,7 +72,7 @@ def render(run: RunResult, codec: Codec | None) -> str:
             failing=_failing(cases),
             requirement_counts=_counts(run),
             readings=[
-                {"id": key, "title": readings()[key].title, "observed": names}
+                {"id": key, "title": readings()[key].title, "observed": [told(key, each) for each in names]}
                 for key, names in run.readings.items()
                 if key in readings()
             ],

@@ -2,16 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import msgspec
+from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
+
+METHOD_NOT_FOUND: Final = -32601
+INTERNAL_ERROR: Final = -32603
+NOT_A_VALUE: Final = -32001
+NO_RESPONSE: Final = -32002
+#: Errors with which the implementation itself has answered: it made a mistake, refuses a value, or keeps silent.
+_OF_THE_IMPLEMENTATION: Final = frozenset({INTERNAL_ERROR, NOT_A_VALUE, NO_RESPONSE})
+
+
+def known_status(status: str) -> bool:
+    """Whether a status is spelt as in the specification, or with underscores instead of hyphens."""
+    if status.replace("_", "-") == "UT-STATUS-OK":
+        return True
+    for kind in (BPStatus, SRPStatus, VardisStatus):
+        try:
+            kind.parse(status)
+        except ValueError:
+            continue
+        return True
+    return False
 
 
 class Answer(msgspec.Struct, frozen=True):
     """What came back: a result with its status, or a JSON-RPC error (``code`` is then not None)."""
 
     status: str = ""
-    """The status in the spelling of the implementation; empty for an error."""
+    """The status in the spelling of the implementation, also one that the specification lacks; empty for an error."""
     result: dict[str, Any] = msgspec.field(default_factory=dict)
     code: int | None = None
     message: str = ""
@@ -20,10 +41,26 @@ class Answer(msgspec.Struct, frozen=True):
     @property
     def ok(self) -> bool:
         """Whether the service reports success."""
-        return self.code is None and self.status.replace("_", "-").endswith("-STATUS-OK")
+        return self.known and self.status.replace("_", "-").endswith("-STATUS-OK")
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a status, and one that the specification has."""
+        return self.code is None and known_status(self.status)
+
+    @property
+    def asked(self) -> bool:
+        """Whether the implementation itself has answered, and not the upper tester, which could not ask it."""
+        return self.code is None or self.code in _OF_THE_IMPLEMENTATION
+
+    def is_status(self, status: str) -> bool:
+        """Whether this is the status; hyphens and underscores are equal."""
+        return self.code is None and self.status.replace("_", "-") == status.replace("_", "-")
 
     def __str__(self) -> str:
-        return self.status if self.code is None else f"error {self.code}: {self.message}"
+        if self.code is not None:
+            return f"error {self.code}: {self.message}"
+        return self.status if self.known else f"{self.status!r}, a status that the specification does not have"
 
 
 class Notification(msgspec.Struct, frozen=True):

@@ -14,7 +14,7 @@ import msgspec
 
 from dcp_conformance.errors import UsageError
 
-from .stream import known_status
+from .base import known_status
 
 Kind = Literal["text", "int", "hex", "bool", "octets", "text-octets", "utc"]
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
