@@ -21,10 +21,17 @@ from typing import Any, NoReturn
 import click
 from dcp_spec.version import __version__
 
+from .plain import plain
+
 #: The status of wrong usage, and of input that cannot be used, in every command.
 UNUSABLE = 2
 #: The status of a command that was interrupted, as shells give it.
 _INTERRUPTED = 130
+
+
+def say(text: str, *, err: bool = False, nl: bool = True) -> None:
+    """Write a line to standard output, or standard error; what could control a terminal is shown as an escape."""
+    click.echo(plain(text, keep="\t"), err=err, nl=nl)
 
 
 class ExpectedError(Exception):
@@ -116,7 +123,7 @@ class CommandLine:
 
     def note(self, message: str) -> None:
         """Tell something on stderr, where it does not disturb output that is piped on."""
-        click.echo(f"{self.name}: {message}", err=True)
+        click.echo(plain(f"{self.name}: {message}", keep="\n"), err=True)
 
     def __call__(self, args: Sequence[str] | None = None) -> NoReturn:
         """Run with ``args`` (None: those of the process), and exit: every failure is one line on stderr and a status.
@@ -141,7 +148,9 @@ class CommandLine:
         except click.exceptions.Exit as stop:
             return stop.exit_code
         except click.ClickException as error:
-            error.show()
+            told = io.StringIO()
+            error.show(told)
+            click.echo(plain(told.getvalue(), keep="\n"), err=True, nl=False)
             return UNUSABLE
         except click.Abort:
             return _INTERRUPTED
@@ -166,7 +175,7 @@ class CommandLine:
             self.note(f"{package} is not installed: pip install 'dcp-conformance-kit[{extra}]'")
             return UNUSABLE
         if not isinstance(error, OSError):
-            traceback.print_exception(error)
+            click.echo(plain("".join(traceback.format_exception(error)), keep="\n"), err=True, nl=False)
             return self.fault_status
         # What a subcommand did not foresee of the system: most often the place where the output goes is full.
         self.note(_reason(error))

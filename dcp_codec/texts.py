@@ -9,6 +9,7 @@ from dcp_spec.profile import Profile
 
 from dcp_codec.fields import Field
 from dcp_codec.jsonform import node_id_text
+from dcp_codec.plain import plain
 from dcp_codec.plan import Fill, Group, Many, Rest, Scalar, Text
 
 PROTOCOLS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
@@ -44,7 +45,7 @@ def octets_text(octets: bytes, limit: int = 32) -> str:
 def quoted(octets: bytes) -> str:
     """Text octets in quotes, whatever they hold; nothing in them can move the cursor or change colours."""
     text = octets.decode(errors="backslashreplace")
-    return '"' + "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text) + '"'
+    return f'"{plain(text)}"'
 
 
 def value_text(profile: Profile, field: Field) -> str:

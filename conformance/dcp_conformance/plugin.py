@@ -16,6 +16,8 @@ from typing import Any
 
 import pytest
 
+from dcp_codec.plain import plain
+
 from .case import CASES, Case, cases_of
 from .errors import UsageError
 from .results import CaseResult
@@ -146,9 +148,9 @@ class CaseItem(pytest.Item):
         if self.surprise or self.result.verdict is Verdict.ERROR:
             raise CaseVerdictError(self.result, self.surprise)
         if self.result.verdict in (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE):
-            pytest.skip(f"{self.result.verdict}: {self.result.reason}")
+            pytest.skip(plain(f"{self.result.verdict}: {self.result.reason}"))
         if self.result.verdict is Verdict.FAIL:
-            pytest.xfail(f"as expected: {self.result.reason}")
+            pytest.xfail(plain(f"as expected: {self.result.reason}"))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Show a verdict as what was expected and what came instead, not as a traceback."""
@@ -173,7 +175,7 @@ class CaseVerdictError(Exception):
         lines.append(f"  again:    {result.rerun}")
         if result.error_detail:
             lines.append(result.error_detail)
-        super().__init__("\n".join(lines))
+        super().__init__(plain("\n".join(lines), keep="\n"))
 
 
 _RUN = pytest.StashKey[ConformanceRun]()

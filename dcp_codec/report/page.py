@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from dcp_codec.plain import plain
+
 from . import analysis, figures, variables
 from .analysis import Sender, Steps, Time
 from .canvas import Plot
 from .easel import Easel
 from .figures import DRAWN
 from .recorded import Recorded
-from .series import seconds_text, shown
+from .series import seconds_text
 
 #: Anomalies of each kind that are listed; octets of a value that are shown.
 _LISTED, _OCTETS = 10, 16
@@ -107,7 +109,7 @@ def chapter(recorded: Recorded, number: int = 0, *, png: bool = False) -> Chapte
     for section in sections:
         section.id = f"{section.id}-{number}"
     return Chapter(
-        name=shown(Path(outcome.path).name),
+        name=plain(Path(outcome.path).name),
         facts=_facts(recorded, time),
         tiles=_tiles(recorded, time, senders, steps),
         problems=_problems(recorded, steps),
@@ -121,8 +123,8 @@ def chapter(recorded: Recorded, number: int = 0, *, png: bool = False) -> Chapte
 def _facts(recorded: Recorded, time: Time) -> list[tuple[str, str]]:
     outcome = recorded.outcome
     facts = [
-        ("recording", shown(outcome.path)),
-        ("profile", shown(", ".join(outcome.notes).removeprefix("profile ") or outcome.profile)),
+        ("recording", plain(outcome.path)),
+        ("profile", plain(", ".join(outcome.notes).removeprefix("profile ") or outcome.profile)),
     ]
     if outcome.frames > outcome.other:
         facts.append(("from", stamp(time.first_ns)))
@@ -145,7 +147,7 @@ def _tiles(recorded: Recorded, time: Time, senders: Sequence[Sender], steps: Ste
 
 def _problems(recorded: Recorded, steps: Steps) -> list[str]:
     outcome = recorded.outcome
-    found = [shown(problem) for problem in outcome.problems]
+    found = [plain(problem) for problem in outcome.problems]
     if outcome.other == outcome.frames:
         listed = ", ".join(f"{kind} ({many})" for kind, many in list(outcome.others.items())[:6])
         nothing = f"All {outcome.frames:,} are other traffic." if outcome.frames else "There are no frames at all."
@@ -252,7 +254,7 @@ def _variables(
         [
             Cell(str(line.number), series=easel.variables.index(line.number)),
             Cell(names[line.producer] if line.producer >= 0 else "not heard", mono=line.producer >= 0),
-            Cell(shown(line.description)),
+            Cell(plain(line.description)),
             _number(f"{line.values:,}"),
             _number(line.sizes),
             Cell(line.value[:_OCTETS].hex(" ", 4) + (" …" if len(line.value) > _OCTETS else ""), mono=True),

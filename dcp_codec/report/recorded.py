@@ -11,11 +11,10 @@ import pyarrow as pa
 from dcp_spec.profile import SafetyField
 
 from dcp_codec.codec import Codec
+from dcp_codec.plain import plain
 from dcp_codec.table.decoding import Batch, ColumnDecoder
 from dcp_codec.table.job import Advance, Outcome, others, resolve
 from dcp_codec.table.sources import Recording
-
-from .series import shown
 
 Column = npt.NDArray[Any]
 
@@ -295,7 +294,7 @@ def gather(
         codec=codec,
         tables={name: gatherer.table(name) for name in _KEPT},
         # Where identifiers are texts, anything may be in them.
-        nodes=[shown(text) for text in gatherer.nodes.texts],
+        nodes=[plain(text) for text in gatherer.nodes.texts],
         reasons=gatherer.reasons.texts,
         contents=gatherer.contents.texts,
         variables=gatherer.variables,

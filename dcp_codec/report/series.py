@@ -62,8 +62,3 @@ def si(value: float) -> str:
 def in_unit(unit: str | None) -> str:
     """ " (m)", or nothing for a unit that the profile does not know."""
     return f" ({unit})" if unit else ""
-
-
-def shown(text: str) -> str:
-    """A text from elsewhere with what cannot be printed as an escape."""
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import click
 
 from dcp_codec.commandline import UNUSABLE, ExpectedError
+from dcp_codec.plain import plain
 from dcp_stack.control.client import ControlClient, ControlError, Notification, ServiceError
 from dcp_stack.control.jsonrpc import INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR
 
@@ -238,5 +239,4 @@ def shown_value(hexadecimal: str, limit: int = 64) -> str:
 
 def printable(text: str, limit: int = 60) -> str:
     """Text from the air for a terminal: what is not printable is escaped."""
-    safe = "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
-    return clipped(safe, limit)
+    return clipped(plain(text), limit)

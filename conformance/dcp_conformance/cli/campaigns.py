@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
@@ -175,7 +176,6 @@ def run_campaign(
     from dcp_conformance.errors import LowerTesterError, WorkerError
     from dcp_conformance.fuzz.evidence import headline
     from dcp_conformance.fuzz.live import UnhealthyError
-    from dcp_conformance.upper.channels import printable
 
     jobs = options["jobs"] if make is not None else 1
     if options["dry_run"]:
@@ -215,12 +215,12 @@ def run_campaign(
     def finding(artefact: Artefact) -> None:
         if terminal:
             click.echo("", err=True)
-        click.echo(headline(artefact))
+        say(headline(artefact))
 
     def effect(now: Any) -> None:
         if terminal:
             click.echo("", err=True)
-        click.echo(f"{now.kind}: {printable(now.detail)}; making it small", err=True)
+        say(f"{now.kind}: {now.detail}; making it small", err=True)
 
     campaign.on_progress = None if quiet else progress
     campaign.on_finding = finding
@@ -233,10 +233,10 @@ def run_campaign(
         click.echo("stopped", err=True)
         status = _STOPPED
     except UnhealthyError as error:
-        click.echo(f"dcp-conformance: {error}", err=True)
+        say(f"dcp-conformance: {error}", err=True)
         status = 3
     except (LowerTesterError, WorkerError) as error:
-        click.echo(f"dcp-conformance: {error}", err=True)
+        say(f"dcp-conformance: {error}", err=True)
         status = 4
     if terminal and not quiet:
         click.echo("", err=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
 
@@ -42,14 +43,13 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
                     for each in changes
                 ],
                 indent=2,
-                ensure_ascii=False,
             )
         )
     else:
         for each in changes:
             was, is_now = each.old or "not run", each.new or "not run"
-            click.echo(f"{each.kind:<10}  {each.id}  {was} -> {is_now}" + (f"  {each.reason}" if each.reason else ""))
+            say(f"{each.kind:<10}  {each.id}  {was} -> {is_now}" + (f"  {each.reason}" if each.reason else ""))
         counts = {kind: sum(each.kind == kind for each in changes) for kind in dict.fromkeys(c.kind for c in changes)}
         shown = ", ".join(f"{count} {kind}" for kind, count in counts.items())
-        click.echo(f"{sum(case.counted for case in after.cases)} cases: {shown or 'no verdict differs'}")
+        say(f"{sum(case.counted for case in after.cases)} cases: {shown or 'no verdict differs'}")
     return int(any(each.kind in WORSE for each in changes))

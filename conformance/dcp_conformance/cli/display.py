@@ -6,14 +6,16 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from dcp_spec.readings import readings, told
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
+from dcp_codec.plain import plain
 from dcp_conformance.case import Case
 from dcp_conformance.results import CaseResult, RunResult
 from dcp_conformance.verdict import Verdict
@@ -44,14 +46,27 @@ _OBSERVATIONS = 12
 _HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl."}
 
 
+class SafeConsole(Console):
+    """A console whose strings can colour themselves with markup only: control characters in them are escaped."""
+
+    def render_str(self, text: str, **more: Any) -> Text:
+        """Render a string with markup, as print and cells of tables do."""
+        return super().render_str(plain(text, keep="\n\t"), **more)
+
+
 def console(stream: object = None) -> Console:
     """A console on standard output, or on another stream, that does not colour what is piped."""
-    return Console(file=stream or sys.stdout, highlight=False, emoji=False, soft_wrap=True)  # type: ignore[arg-type]
+    return SafeConsole(file=stream or sys.stdout, highlight=False, emoji=False, soft_wrap=True)  # type: ignore[arg-type]
+
+
+def data(text: object) -> str:
+    """Text that is not ours, for a string with markup: neither markup nor control characters in it have an effect."""
+    return escape(plain(str(text)))
 
 
 def progress_bar(*, quiet: bool) -> Progress:
     """A bar on standard error that goes away when it is done; none with ``quiet``, or where that is no terminal."""
-    bar = Console(stderr=True, emoji=False)
+    bar = SafeConsole(stderr=True, emoji=False)
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),
@@ -89,7 +104,7 @@ class Display:
     def result(self, case: Case, result: CaseResult, surprise: str) -> None:
         """One of them is done."""
         if self._task is not None:
-            self._progress.update(self._task, advance=1, description=case.id)
+            self._progress.update(self._task, advance=1, description=data(case.id))
         notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)
         if self._quiet or not (notable or self._verbose):
             return
@@ -102,11 +117,11 @@ class Display:
     def _line(self, result: CaseResult, surprise: str) -> str:
         style = STYLES[result.verdict]
         word = _HEADINGS.get(result.verdict, str(result.verdict)).rstrip(".")
-        text = f"[{style}]{word:<8}[/] {escape(result.id)}"
+        text = f"[{style}]{word:<8}[/] {data(result.id)}"
         detail = result.reason if result.verdict is not Verdict.PASS else result.purpose
         if surprise and surprise not in detail and not surprise.startswith("unexpected fail"):
             detail = f"{surprise}; {detail}"
-        return f"{text}  {escape(detail)}"
+        return f"{text}  {data(detail)}"
 
 
 def print_summary(run: RunResult, *, report: str = "") -> None:
@@ -122,19 +137,19 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     shown = [f"{counts[each]} {each}" for each in _COLUMNS if counts[each] and each is not Verdict.NOT_APPLICABLE]
     decided = f"requirements: {', '.join(shown)}" if shown else "no requirement was decided"
     sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
-    where = f" over {escape(run.sut.link)}" if run.kind != "check" and run.sut.link else ""
-    out.print(f"\n{escape(sut)} as {run.profile}{where}: {decided}", soft_wrap=True)
+    where = f" over {data(run.sut.link)}" if run.kind != "check" and run.sut.link else ""
+    out.print(f"\n{data(sut)} as {data(run.profile)}{where}: {decided}", soft_wrap=True)
     if run.kind != "check" and (failing := _failing(run)):
-        out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {failing}", soft_wrap=True)
+        out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {data(failing)}", soft_wrap=True)
     for line in _readings(run):
         out.print(line, soft_wrap=True)
     for note in run.notes[:_NOTES]:
-        out.print(f"note: {escape(note)}", soft_wrap=True)
+        out.print(f"note: {data(note)}", soft_wrap=True)
     if len(run.notes) > _NOTES:
         out.print(f"      ... and {len(run.notes) - _NOTES} more, which the report shows")
     count = sum(case.counted for case in run.cases)
     number = f"{count} case" + ("" if count == 1 else "s")
-    out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {escape(report)}" if report else ""))
+    out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {data(report)}" if report else ""))
 
 
 def _failing(run: RunResult) -> str:
@@ -158,9 +173,9 @@ def _readings(run: RunResult) -> Iterator[str]:
         else:
             others.append(identifier)
     if named:
-        yield f"readings: {escape(', '.join(named))}"
+        yield f"readings: {data(', '.join(named))}"
     if others:
-        yield f"observed, see the report: {' '.join(others)}"
+        yield f"observed, see the report: {data(' '.join(others))}"
 
 
 def _print_observations(out: Console, run: RunResult) -> None:
@@ -169,7 +184,7 @@ def _print_observations(out: Console, run: RunResult) -> None:
     if seen:
         out.print("\n[cyan]observed[/]")
     for _, check in seen[:_OBSERVATIONS]:
-        out.print(f"  {escape(check.expected)}: {escape(check.observed)}", soft_wrap=True)
+        out.print(f"  {data(check.expected)}: {data(check.observed)}", soft_wrap=True)
     if len(seen) > _OBSERVATIONS:
         out.print(f"  ... and {len(seen) - _OBSERVATIONS} more, which the report shows")
 
@@ -195,7 +210,7 @@ def _sections(run: RunResult) -> Table:
         table.add_row(f"[bold]{kind}[/]")
         total = totals.setdefault(kind, dict.fromkeys(Verdict, 0))
         for section, row in rows:
-            table.add_row(f"  {escape(section)}", *_cells(row))
+            table.add_row(f"  {data(section)}", *_cells(row))
             for verdict, count in row.items():
                 total[verdict] += count
         table.add_row("  [bold]all[/]", *_cells(total))
@@ -207,19 +222,19 @@ def _cells(row: dict[Verdict, int]) -> list[str]:
 
 
 def _print_finding(out: Console, case: CaseResult) -> None:
-    out.print(f"\n[{STYLES[case.verdict]}]{case.verdict}[/] [bold]{escape(case.id)}[/]: {escape(case.purpose)}")
+    out.print(f"\n[{STYLES[case.verdict]}]{case.verdict}[/] [bold]{data(case.id)}[/]: {data(case.purpose)}")
     bad = [check for check in case.checks if check.verdict in (Verdict.FAIL, Verdict.ERROR)]
     previous = ""
     for check in bad[:_CHECKS]:
         frames = ", ".join(dict.fromkeys(str(mark.frame) for mark in check.frames[:8]))
         where = f" (frame{'s' if ', ' in frames else ''} {frames})" if frames else ""
         if check.expected != previous:
-            out.print(f"  expected  {escape(check.expected)}", soft_wrap=True)
-        out.print(f"  instead   {escape(check.observed)}{where}", soft_wrap=True)
+            out.print(f"  expected  {data(check.expected)}", soft_wrap=True)
+        out.print(f"  instead   {data(check.observed)}{where}", soft_wrap=True)
         previous = check.expected
     if len(bad) > _CHECKS:
         out.print(f"            ... and {len(bad) - _CHECKS} more, which the report shows")
     decided = dict.fromkeys(each for check in bad for each in check.requirements)
     if decided:
-        out.print(f"  decides   {', '.join(decided)}", soft_wrap=True)
-    out.print(f"  again     {escape(case.rerun)}", soft_wrap=True)
+        out.print(f"  decides   {data(', '.join(decided))}", soft_wrap=True)
+    out.print(f"  again     {data(case.rerun)}", soft_wrap=True)

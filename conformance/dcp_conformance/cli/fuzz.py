@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
 from .campaigns import campaign_options, jobs_option, material, no_jobs, profile_text, run_campaign, swept, write_tests
@@ -195,7 +196,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         try:
             target.prepare()
         except UnhealthyError as error:
-            click.echo(f"dcp-conformance: {error}", err=True)
+            say(f"dcp-conformance: {error}", err=True)
             return 3
         own_id = opened.runner.session.sut_id or NOBODY
         sequences = Sequences(codec, rng, own_id, mutator, recorded)
@@ -286,7 +287,7 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
         live = _live_target(options, stack)
         for path in found_in(list(artefacts)):
             found = replay(path, live or target_in_process, attempts=attempts)
-            click.echo(f"{found.status:6} {found.path}: {found.detail}")
+            say(f"{found.status:6} {found.path}: {found.detail}")
             statuses.append(found.status)
     if "error" in statuses:
         return 4

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from dcp_codec.commandline import say
+
 from .options import selection_of, selection_options
 
 
@@ -48,19 +50,20 @@ def command(**options: Any) -> int:
             }
             for case in chosen
         ]
-        click.echo(json.dumps(entries, indent=2, ensure_ascii=False))
+        click.echo(json.dumps(entries, indent=2))
     elif options["by_requirement"]:
         for identifier, entry in requirements().items():
             deciding = [case.id for case in chosen if identifier in case.requirements]
             if deciding:
-                click.echo(f"{identifier}  {entry.statement}")
+                say(f"{identifier}  {entry.statement}")
                 for each in deciding:
-                    click.echo(f"    {each}")
+                    say(f"    {each}")
     else:
         section = ""
         for case in chosen:
             if case.section != section:
                 section = case.section
-                click.echo(f"\n{section}" if case is not chosen[0] else section)
-            click.echo(f"  {case.id:<28}  {case.purpose}  [{' '.join(case.requirements)}]")
+                click.echo("" if case is chosen[0] else "\n", nl=False)
+                say(section)
+            say(f"  {case.id:<28}  {case.purpose}  [{' '.join(case.requirements)}]")
     return 0

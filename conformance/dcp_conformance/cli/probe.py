@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
 from .options import target_of, target_options
@@ -57,6 +58,6 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
     write_pics(pics, output, remarks)
     if output is not None:
         for remark in remarks:
-            click.echo(remark, err=True)
+            say(remark, err=True)
     heard = not any(remark.startswith("nothing was heard") for remark in remarks)
     return 0 if heard or upper is not None else 3

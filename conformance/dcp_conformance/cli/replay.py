@@ -10,6 +10,7 @@ from typing import Any
 import click
 import msgspec
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 from dcp_conformance.node_id import node_id_octets
 
@@ -87,7 +88,7 @@ def _warn_of_length(seconds: float, speed: float) -> None:
     if speed and seconds / speed > _LONG:
         minutes = round(seconds / speed / 60)
         told = f"playing takes {minutes // 60} h {minutes % 60} min; --speed 0 plays in step, without the pauses"
-        click.echo(f"dcp-conformance: {told}", err=True)
+        say(f"dcp-conformance: {told}", err=True)
 
 
 def _node_id(text: str | None) -> bytes | None:

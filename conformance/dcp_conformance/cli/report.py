@@ -31,22 +31,21 @@ def command(results: tuple[Path, ...], output: Path | None) -> int:
             _write(output, render(runs[0], codec_of(runs[0])))
         print_summary(runs[0], report=str(output or ""))
         return 0
-    from rich.markup import escape
     from rich.table import Table
 
-    from .display import STYLES, console
+    from .display import STYLES, console, data
 
     if output is not None:
         _write(output, render_matrix(runs))
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("requirement", no_wrap=True)
     for label in labels(runs):
-        table.add_column(escape(label))
+        table.add_column(data(label))
     for identifier, verdicts in matrix(runs):
         cells = [
             f"[{STYLES[verdict]}]{verdict}[/]" if verdict is not None else "[dim]not run[/]" for verdict in verdicts
         ]
-        table.add_row(identifier, *cells)
+        table.add_row(data(identifier), *cells)
     console().print(table)
     return 0
 

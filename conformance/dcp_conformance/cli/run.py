@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dcp_codec.commandline import say
+
 from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
 
 if TYPE_CHECKING:
@@ -66,7 +68,7 @@ def command(**options: Any) -> int:
     )
     if options["dry_run"]:
         for case in run.selected:
-            click.echo(f"{case.id}  {case.purpose}")
+            say(f"{case.id}  {case.purpose}")
         return 0
     report = options["report_dir"]
     if report is not None:
@@ -101,4 +103,4 @@ def _report(run: ConformanceRun, folder: Path | None) -> None:
     finally:
         print_summary(result, report=page)
     if run.trouble:
-        click.echo(f"dcp-conformance: {run.trouble}", err=True)
+        say(f"dcp-conformance: {run.trouble}", err=True)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
     picked = chosen(mutants)
     if options["listing"]:
         for each in picked:
-            click.echo(f"{each.id:<44}  {each.what}  [{', '.join(each.requirements)}; {each.since} to {each.until}]")
+            say(f"{each.id:<44}  {each.what}  [{', '.join(each.requirements)}; {each.since} to {each.until}]")
         return 0
     with progress_bar(quiet=options["quiet"]) as progress:
         task = progress.add_task("mutants", total=None)
@@ -100,7 +101,7 @@ def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
         raise UsageError(f"no change of the node's source contains {' or '.join(map(repr, patterns))}")
     if options["listing"]:
         for site in chosen:
-            click.echo(f"{site.key}  {site}")
+            say(f"{site.key}  {site}")
         return 0
     with progress_bar(quiet=options["quiet"]) as progress:
         task = progress.add_task("changes", total=len(chosen))

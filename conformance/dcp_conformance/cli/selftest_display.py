@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.markup import escape
 from rich.table import Table
 
 from dcp_conformance.generated.campaign import GeneratedResult
 from dcp_conformance.selftest import Baseline, SelftestResult, Trial
 
-from .display import console
+from .display import console, data
 
 #: Columns of the terminal from which on the table of mutants has all of its columns.
 _WIDE = 110
@@ -26,17 +25,17 @@ def print_selftest(result: SelftestResult, *, verbose: bool, quiet: bool) -> Non
     for each in result.baselines:
         for finding in each.findings:
             out.print(
-                f"[bold red]{finding.verdict}[/] {finding.case} on {each.profile}: {escape(finding.reason)}",
+                f"[bold red]{finding.verdict}[/] {finding.case} on {each.profile}: {data(finding.reason)}",
                 soft_wrap=True,
             )
     for trial in result.survivors:
-        out.print(f"[bold red]survives[/] {trial.mutant} ({trial.profile}): {escape(trial.what)}", soft_wrap=True)
+        out.print(f"[bold red]survives[/] {trial.mutant} ({trial.profile}): {data(trial.what)}", soft_wrap=True)
         also = f"; noticed by {', '.join(each.case for each in trial.also[:3])}" if trial.also else ""
         names = " ".join(trial.requirements)
         out.print(f"         {trial.candidates} cases name {names}{also}", soft_wrap=True)
     for trial in result.mutants:
         for finding in trial.errors:
-            reason = escape(finding.reason)
+            reason = data(finding.reason)
             out.print(f"[bold magenta]error[/] {finding.case} with {trial.mutant}: {reason}", soft_wrap=True)
     killed = len(result.mutants) - len(result.survivors)
     how = "every case" if result.full else "the cases that name the requirement"
@@ -84,7 +83,7 @@ def _mutants(result: SelftestResult, width: int) -> Table:
         killers = [each.case for each in trial.killers]
         more = f" and {len(killers) - 1} more" if len(killers) > 1 else ""
         cells = [trial.mutant, *([trial.requirements[0]] if wide else [])]
-        cells.append(f"[green]{escape(killers[0])}[/]{more}" if killers else "[bold red]nobody[/]")
+        cells.append(f"[green]{data(killers[0])}[/]{more}" if killers else "[bold red]nobody[/]")
         table.add_row(*cells, *([str(len(trial.also)) if trial.also else "."] if result.full else []))
     return table
 
@@ -95,17 +94,17 @@ def print_generated(result: GeneratedResult, *, verbose: bool) -> None:
     for trial in result.trials:
         if verbose and trial.killed:
             by = f"  {trial.outcome.by}" if trial.outcome.by else ""
-            out.print(f"[green]{trial.outcome.fate}[/] {escape(str(trial.site))}{escape(by)}", soft_wrap=True)
+            out.print(f"[green]{trial.outcome.fate}[/] {data(str(trial.site))}{data(by)}", soft_wrap=True)
         if verbose and trial.excused:
-            out.print(f"[dim]ledger[/] {escape(str(trial.site))}  {escape(trial.excused)}", soft_wrap=True)
+            out.print(f"[dim]ledger[/] {data(str(trial.site))}  {data(trial.excused)}", soft_wrap=True)
     for trial in result.misplaced:
-        out.print(f"[bold red]not invisible[/] {trial.site.key} {escape(str(trial.site))}", soft_wrap=True)
-        out.print(f"              the ledger says: {escape(trial.excused)}", soft_wrap=True)
-        out.print(f"              killed by {escape(trial.outcome.by)}", soft_wrap=True)
+        out.print(f"[bold red]not invisible[/] {trial.site.key} {data(str(trial.site))}", soft_wrap=True)
+        out.print(f"              the ledger says: {data(trial.excused)}", soft_wrap=True)
+        out.print(f"              killed by {data(trial.outcome.by)}", soft_wrap=True)
     for trial in result.survivors:
-        out.print(f"[bold red]survives[/] {trial.site.key} {escape(str(trial.site))}", soft_wrap=True)
+        out.print(f"[bold red]survives[/] {trial.site.key} {data(str(trial.site))}", soft_wrap=True)
         if trial.outcome.fate == "noticed":
-            out.print(f"         only noticed by {escape(trial.outcome.by)}", soft_wrap=True)
+            out.print(f"         only noticed by {data(trial.outcome.by)}", soft_wrap=True)
     judged, excused = len(result.judged), len(result.trials) - len(result.judged)
     out.print(
         f"\n{judged - len(result.survivors)} of {judged} random changes killed ({result.score:.1%}); {excused} more "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 
+from dcp_codec.plain import plain
 from dcp_conformance.results import CaseResult, RunResult
 from dcp_conformance.verdict import Verdict
 
@@ -18,16 +19,17 @@ _OUTCOMES = {
 
 def junit_xml(run: RunResult) -> bytes:
     """One suite for each section; requirement ids and the verdict are properties of the case."""
-    root = ET.Element("testsuites", _counts(run.cases) | {"name": f"dcp-conformance {run.profile}"})
-    for section in dict.fromkeys(case.section for case in run.cases):
-        cases = [case for case in run.cases if case.section == section]
+    counted = [case for case in run.cases if case.counted]
+    root = ET.Element("testsuites", _counts(counted) | {"name": f"dcp-conformance {run.profile}"})
+    for section in dict.fromkeys(case.section for case in counted):
+        cases = [case for case in counted if case.section == section]
         attributes = _counts(cases) | {"name": section, "timestamp": run.started.removesuffix("Z")}
         suite = ET.SubElement(root, "testsuite", attributes)
         for case in cases:
             _add(suite, case)
     for element in root.iter():
-        element.attrib = {name: _clean(value) for name, value in element.attrib.items()}
-        element.text = _clean(element.text) if element.text else element.text
+        element.attrib = {name: plain(value) for name, value in element.attrib.items()}
+        element.text = plain(element.text, keep="\n\t") if element.text else element.text
     ET.indent(root)
     octets: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return octets + b"\n"
@@ -73,8 +75,3 @@ def _counts(cases: Iterable[CaseResult]) -> dict[str, str]:
         "skipped": str(outcomes.count("skipped")),
         "time": f"{sum(case.duration for case in cases):.3f}",
     }
-
-
-def _clean(text: str) -> str:
-    """Without what XML has no place for."""
-    return "".join(char if char in "\t\n" or char.isprintable() else "\ufffd" for char in text)

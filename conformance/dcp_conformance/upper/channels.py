@@ -17,6 +17,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
+from dcp_codec.plain import plain
 from dcp_conformance.errors import UpperTesterError, UsageError
 
 #: Octets of the longest line that is taken: the contract allows 16 MiB for the answer to a batch.
@@ -269,10 +270,7 @@ class LastLines:
 
 def printable(text: str) -> str:
     """Text of others for a message: what is no printable character is escaped."""
-    return "".join(
-        char if char.isprintable() else " | " if char == "\n" else char.encode("unicode_escape").decode()
-        for char in text
-    )
+    return plain(text, keep="\n").replace("\n", " | ")
 
 
 def split(name: str, command: str) -> list[str]:
