@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Any, Self
 
-from dcp_spec.readings import readings, told
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -17,6 +16,7 @@ from rich.text import Text
 
 from dcp_codec.plain import plain
 from dcp_conformance.case import Case
+from dcp_conformance.reporting.overview import Death, bad_checks, deaths, observed_readings
 from dcp_conformance.results import CaseResult, RunResult
 from dcp_conformance.verdict import Verdict
 
@@ -128,8 +128,12 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     """The end of a run: a table by section, what failed and how to run it again, and where the report is."""
     out = console()
     out.print(_sections(run))
+    alike = deaths(run)
+    for group in alike:
+        _print_death(out, group)
+    told = {id(case) for group in alike for case in group.cases}
     for case in run.cases:
-        if case.verdict in (Verdict.FAIL, Verdict.ERROR):
+        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in told:
             _print_finding(out, case)
     if run.kind == "check":
         _print_observations(out, run)
@@ -163,17 +167,19 @@ def _failing(run: RunResult) -> str:
 
 def _readings(run: RunResult) -> Iterator[str]:
     """Which readings of disputed text were observed, by name where they have one, and which hazards."""
-    known = readings()
-    named, others = [], []
-    for identifier, observed in run.readings.items():
-        entry = known.get(identifier)
-        names = {each.name for each in entry.alternatives} if entry is not None else set()
-        if names.intersection(observed):
-            named.append(f"{identifier}: {'/'.join(told(identifier, each) for each in observed)}")
+    named: list[str] = []
+    differing: list[str] = []
+    others: list[str] = []
+    for each in observed_readings(run):
+        text = f"{each.id} {'/'.join(each.observed)}"
+        if not each.named:
+            others.append(each.id)
         else:
-            others.append(identifier)
+            (differing if each.differs else named).append(text)
     if named:
         yield f"readings: {data(', '.join(named))}"
+    if differing:
+        yield f"readings that differ from the reference reading: {data(', '.join(differing))}"
     if others:
         yield f"observed, see the report: {data(' '.join(others))}"
 
@@ -221,9 +227,21 @@ def _cells(row: dict[Verdict, int]) -> list[str]:
     return [f"[{STYLES[each]}]{row[each]}[/]" if row[each] else "[dim].[/]" for each in _COLUMNS]
 
 
+def _print_death(out: Console, death: Death) -> None:
+    """Cases of which the implementation died in the same way are one finding."""
+    named = ", ".join(case.id for case in death.cases[:_CHECKS])
+    more = f" and {len(death.cases) - _CHECKS} more" if len(death.cases) > _CHECKS else ""
+    style, first = STYLES[Verdict.FAIL], death.cases[0]
+    out.print(f"\n[{style}]fail[/] [bold]{len(death.cases)} cases[/]: the implementation {data(death.how)}")
+    out.print(f"  cases     {data(named)}{more}")
+    decided = dict.fromkeys(each for case in death.cases for check in bad_checks(case) for each in check.requirements)
+    out.print(f"  decides   {data(', '.join(decided))}")
+    out.print(f"  again     {data(first.rerun)}")
+
+
 def _print_finding(out: Console, case: CaseResult) -> None:
     out.print(f"\n[{STYLES[case.verdict]}]{case.verdict}[/] [bold]{data(case.id)}[/]: {data(case.purpose)}")
-    bad = [check for check in case.checks if check.verdict in (Verdict.FAIL, Verdict.ERROR)]
+    bad = bad_checks(case)
     previous = ""
     for check in bad[:_CHECKS]:
         frames = ", ".join(dict.fromkeys(str(mark.frame) for mark in check.frames[:8]))

@@ -99,7 +99,7 @@ def _report(run: ConformanceRun, folder: Path | None) -> None:
         if folder is not None:
             from dcp_conformance.reporting import write_report
 
-            page = str(write_report(result, folder))
+            page = str(write_report(result, folder, run.codec))
     finally:
         print_summary(result, report=page)
     if run.trouble:

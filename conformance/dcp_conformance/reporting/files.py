@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import msgspec
-from dcp_spec.profile_loading import ProfileError
+from dcp_spec.profile_loading import ProfileError, profile_names
 
 from dcp_codec.codec import Codec
 from dcp_codec.wholefile import write_whole
@@ -63,7 +63,12 @@ def load_results(path: Path) -> RunResult:
 
 
 def codec_of(run: RunResult) -> Codec | None:
-    """The codec of the profile that a run names, None if there is no such profile here."""
+    """The codec of the built-in profile that a run names, None if there is none.
+
+    Results are data: a path in them is not opened.
+    """
+    if run.profile not in profile_names():
+        return None
     try:
         return Codec(run.profile)
     except ProfileError:

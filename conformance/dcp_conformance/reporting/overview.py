@@ -1,0 +1,88 @@
+"""What a run comes to in a few words: for the page and for the terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from dcp_spec.readings import differs_from_reference, readings, told
+
+from dcp_conformance.results import CaseResult, Check, RunResult
+from dcp_conformance.verdict import Verdict
+
+#: What the tester says of an implementation that did not live through a case.
+SURVIVAL = "the implementation survives"
+BAD = (Verdict.FAIL, Verdict.ERROR)
+
+
+def headline(run: RunResult) -> str:
+    """The sentence that matters: how many requirements pass, and how many do not."""
+    count = Counter(run.requirements.values())
+    passed, failed = count[Verdict.PASS], count[Verdict.FAIL]
+    if not passed and not failed:
+        said = "No requirement was decided"
+    else:
+        one = "requirement passes" if passed == 1 else "requirements pass"
+        said = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
+    others = {Verdict.INCONCLUSIVE: "inconclusive", Verdict.ERROR: "in error", Verdict.INFO: "only reported"}
+    more = [f"{count[each]} {_are(count[each])} {word}" for each, word in others.items() if count[each]]
+    return "; ".join([said, *more])
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
+
+
+class Death(NamedTuple):
+    """Cases of which the implementation died in the same way."""
+
+    how: str
+    cases: tuple[CaseResult, ...]
+
+
+def deaths(run: RunResult) -> list[Death]:
+    """Ways to die that several cases share, the most frequent first."""
+    found: dict[str, list[CaseResult]] = {}
+    for case in run.cases:
+        if case.killed and case.death and only_died(case):
+            found.setdefault(case.death, []).append(case)
+    groups = [Death(how, tuple(cases)) for how, cases in found.items() if len(cases) > 1]
+    return sorted(groups, key=lambda group: -len(group.cases))
+
+
+def only_died(case: CaseResult) -> bool:
+    """Whether a death is all that went wrong in a case."""
+    bad = bad_checks(case)
+    return bool(bad) and all(check.expected == SURVIVAL for check in bad)
+
+
+def bad_checks(case: CaseResult) -> list[Check]:
+    """What went wrong in a case."""
+    return [check for check in case.checks if check.verdict in BAD]
+
+
+class Reading(NamedTuple):
+    """A disputed text, and the readings of it that were observed."""
+
+    id: str
+    title: str
+    observed: tuple[str, ...]
+    """With the reference reading beside those that differ from it."""
+    differs: bool
+    """Whether one of them is not the reading that this kit takes for the right one."""
+    named: bool
+    """Whether readings have names; otherwise what was observed is a sentence."""
+
+
+def observed_readings(run: RunResult) -> Iterator[Reading]:
+    """The disputed texts of which a reading was observed, in the order of the results."""
+    known = readings()
+    for identifier, observed in run.readings.items():
+        entry = known.get(identifier)
+        if entry is None:
+            continue
+        names = {each.name for each in entry.alternatives}
+        differs = any(differs_from_reference(identifier, each) for each in observed)
+        shown = tuple(told(identifier, each) for each in observed)
+        yield Reading(identifier, entry.title, shown, differs, bool(names.intersection(observed)))
