@@ -169,7 +169,7 @@ class Listening(Naming):
                 self.heard.append(heard)
                 if self._stimulus is not None and arrival.time >= self._stimulus:
                     self._stimulus = None
-                self.session.passive.heard(heard, arrival.frame, start, self.case.id)
+                self.session.passive.heard(heard, arrival.frame, start, self.case.id, self.traffic)
                 gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
                 self.session.identifiers.heard(heard.known - gone, gone, self.departure())
                 # What the case does next it does on account of this frame.

@@ -225,7 +225,7 @@ class Runner:
             self._measure()
             bench.mark()
             bench.heard.clear()
-            self.session.passive.begin(self.session.lower.now())
+            self.session.passive.begin(self.session.lower.now(), bench.traffic)
             # What was lost, or looked at late, before the case is no excuse in it.
             self.session.lower.health()
             try:

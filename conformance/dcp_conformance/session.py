@@ -78,7 +78,7 @@ class Session:
         """Time (ns) until which it is busy with what it was sent, if it takes one received payload at a time."""
         self.slowest_call = 0
         """ns that the slowest call of the upper tester has taken so far."""
-        self.passive = PassiveTester(codec, pics)
+        self.passive = PassiveTester(codec, pics, self.parameters)
         """Judges every beacon of the implementation, whatever the case is about."""
 
     def forget(self) -> None:

@@ -42,16 +42,18 @@ class Ear:
 
     def __init__(self, profile: str = "dcp-2.0", pics: Pics | None = None) -> None:
         self.air = Script(profile)
+        self.parameters: dict[str, int] = {}
+        """What the implementation has told of its own."""
         self.air.step = 100 * MS
-        self.tester = PassiveTester(self.air.codec, pics or Pics())
-        self.tester.begin(-1)
+        self.tester = PassiveTester(self.air.codec, pics or Pics(), self.parameters)
+        self.tester.begin(-1, self)
         self._heard = 0
 
     def listen(self, case: str = "TC_BP_HDR_BV_01") -> None:
         """Hear what was said since the last time."""
         for frame in self.air.frames[self._heard :]:
             heard = Heard(self.air.codec, frame.number, frame.time_ns, frame.time_ns, frame.data[14:], frame.data[6:12])
-            self.tester.heard(heard, frame.data, 14, case)
+            self.tester.heard(heard, frame.data, 14, case, self)
         self._heard = len(self.air.frames)
 
     def failed(self) -> dict[str, CaseResult]:
@@ -249,6 +251,34 @@ def test_a_period_that_is_not_the_stated_one():
     assert "the period is 150 ms" in found.reason
 
 
+def test_what_the_implementation_tells_of_itself_counts_more_than_what_is_assumed():
+    for told, wrong in ((100, False), (120, True)):
+        ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=150.0)))
+        ear.parameters["BPPAR_BEACON_PERIOD"] = told
+        for number in range(200):
+            ear.air.say(SUT, VarSumm(1, number))
+        assert ("CK_BP_PERIOD" in ear.failed()) is wrong
+
+
+@pytest.mark.parametrize(("told", "wrong"), [(8, False), (7, True)])
+def test_more_summaries_than_the_implementation_tells(told: int, wrong: bool):
+    ear = Ear()
+    ear.parameters["VARDISPAR_MAX_SUMMARIES"] = told
+    ear.air.say(SUT, *(VarSumm(number, 0) for number in range(8)))
+    found = ear.failed()
+    assert ("CK_VD_SUMMARIES" in found) is wrong
+    assert not wrong or named(found["CK_VD_SUMMARIES"]) == {"VD-CMP-02"}
+
+
+@pytest.mark.parametrize(("told", "wrong"), [(44, False), (43, True)])
+def test_beacons_that_are_longer_than_the_implementation_tells(told: int, wrong: bool):
+    ear = Ear()
+    ear.parameters["BPPAR_MAXIMUM_PACKET_SIZE"] = told
+    ear.air.say(SUT, *(VarSumm(number, 0) for number in range(10)))
+    assert len(ear.air.frames[0].data) - 14 == 44
+    assert ("CK_BP_SIZE" in ear.failed()) is wrong
+
+
 def test_jitter_that_begins_again_is_reported_and_no_failure():
     ear = Ear()
     for _ in range(2):
@@ -347,14 +377,14 @@ class TestRun:
     def test_lanes_are_joined(self):
         run = a_run("TC_VD_CRE_BV_01")
         ends = [LaneEnd(None, (), "", usage=False, passive=(a_finding(),)) for _ in range(3)]
-        run.close_lanes(ends, 3)
+        run.close_lanes(ends, 3, [])
         (found,) = run.passive
         assert len(found.checks) == 3
         frames = [mark.frame for each in found.checks for mark in each.frames]
         assert frames == list(range(1, len(found.evidence) + 1))
 
     def test_what_fails_in_one_lane_only_fails(self):
-        holds = PassiveTester(codec_of("dcp-2.0"), Pics()).results("x")
+        holds = PassiveTester(codec_of("dcp-2.0"), Pics(), {}).results("x")
         found = joined([*holds, a_finding(), *holds])
         assert {each.id: each.verdict for each in found if each.verdict is Verdict.FAIL} == {
             "CK_BP_FORMAT": Verdict.FAIL

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 from dcp_spec.constants import Features, features
 from dcp_spec.profile import Profile
@@ -127,6 +127,8 @@ class Context:
         self.pics = pics
         self.period_known = period_known
         self.restarts_known = restarts_known
+        self.parameters: Mapping[str, Any] = {}
+        """What the implementation itself has told of its parameters."""
         self.cite: Callable[[str, Mark], Mark | None] = lambda _rule, mark: mark
         """What a finding of a rule shows for a place in a frame; None: the frame cannot be shown."""
         self.senders = Senders(MOST_SENDERS)

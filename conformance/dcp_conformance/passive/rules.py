@@ -5,9 +5,10 @@ nobody ever created. The tester also resets and restarts the implementation and 
 judged is what no stimulus can excuse: the octets that the implementation sends, its own counters, and what it composes
 from one state of its database. Of the invariants of ``check``:
 
-* Used as they are: ``CK_BP_FORMAT``, ``CK_UWB_BROADCAST``, ``CK_BP_SIZE``, ``CK_BP_NETWORK``, ``CK_BP_SEQNO``,
+* Used as they are: ``CK_BP_FORMAT``, ``CK_UWB_BROADCAST``, ``CK_BP_NETWORK``, ``CK_BP_SEQNO``,
   ``CK_SRP_OWN``, ``CK_VD_ORDER``, ``CK_VD_PAYLOAD``.
-* Used with a change: ``CK_BP_PERIOD`` (pauses are frequent in a run, so that only short intervals are judged),
+* Used with a change: ``CK_BP_PERIOD`` (pauses are frequent in a run, so that only short intervals are judged, and the
+  implementation may have told its period), ``CK_BP_SIZE`` (it may have told its limit),
   ``CK_DATA_ORDER`` (only time stamps of the implementation's own state reports; peers send creation times of any kind),
   ``CK_SRP_SEQNO`` (only reports under the implementation's own name).
 * Not used: ``CK_DATA_PACKED`` (the profile itself declares the octets that belong to no field), ``CK_BP_SENDER``
@@ -87,8 +88,8 @@ class UndisturbedPeriod(BeaconPeriod):
 
     def finish(self) -> None:
         """Compare mean and median; both are off if the period is."""
-        pixit = self.context.pics.pixit
-        period, tolerance = pixit.beacon_period_ms, pixit.period_tolerance * pixit.beacon_period_ms
+        period = float(self.context.parameters.get("BPPAR_BEACON_PERIOD", self.context.pics.pixit.beacon_period_ms))
+        tolerance = self.context.pics.pixit.period_tolerance * period
         for sender, intervals in self._intervals.items():
             median = statistics.median(intervals)
             kept = [each for each in intervals if 0 <= each < self._LONGEST * median]
@@ -156,6 +157,17 @@ class RepeatedJitter(Invariant):
             self._starts.setdefault(unit, []).append(run)
 
 
+class OwnPacketSize(PacketSize):
+    """The limit on beacons that the implementation has told, or that the PIXIT gives."""
+
+    def feed(self, seen: Seen) -> None:
+        """Compare with what is known of the limit by now."""
+        told = self.context.parameters.get("BPPAR_MAXIMUM_PACKET_SIZE")
+        if isinstance(told, int):
+            self._limit = told
+        super().feed(seen)
+
+
 class DistinctVariables(Invariant):
     """One record for each variable in a container."""
 
@@ -216,12 +228,15 @@ class MostSummaries(Invariant):
 
     def applies(self) -> str:
         """Only with a maximum that somebody has stated: what a profile assumes blames nobody."""
-        stated = self.context.pics.pixit.max_summaries is not None
-        return "" if stated else "nobody has stated VARDISPAR_MAX_SUMMARIES (pixit.max_summaries)"
+        return "" if self._most() is not None else "nobody has stated VARDISPAR_MAX_SUMMARIES (pixit.max_summaries)"
+
+    def _most(self) -> int | None:
+        told = self.context.parameters.get("VARDISPAR_MAX_SUMMARIES")
+        return int(told) if isinstance(told, int) else self.context.pics.pixit.max_summaries
 
     def feed(self, seen: Seen) -> None:
         """Count."""
-        count, most = len(seen.heard.instructions(ICType.SUMMARIES)), self.context.pics.pixit.max_summaries
+        count, most = len(seen.heard.instructions(ICType.SUMMARIES)), self._most()
         if most is None or not count:
             return
         self.exercised()
@@ -238,7 +253,7 @@ RULES: Final[tuple[type[Invariant], ...]] = (
     OwnByteOrder,
     BeaconFormat,
     Broadcast,
-    PacketSize,
+    OwnPacketSize,
     NetworkIdentifier,
     SequenceNumbers,
     UndisturbedPeriod,

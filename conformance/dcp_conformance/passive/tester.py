@@ -20,7 +20,7 @@ from dcp_conformance.pics import Pics
 from dcp_conformance.results import CaseResult, Check, EventRecord, Mark
 from dcp_conformance.verdict import Verdict, worst
 
-from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, RepeatedJitter
+from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, MostSummaries, RepeatedJitter
 
 if TYPE_CHECKING:
     from dcp_conformance.bench import Bench
@@ -53,16 +53,20 @@ class PassiveTester:
     Frames of others are never given to it. It must be told of every reset and restart, since numbers start again then.
     """
 
-    def __init__(self, codec: Codec, pics: Pics) -> None:
+    def __init__(self, codec: Codec, pics: Pics, parameters: Mapping[str, Any]) -> None:
+        """``parameters``: what the implementation has told of its own so far; later entries count, too."""
         self._codec = codec
         self._context = Context(codec, pics, restarts_known=True)
         self._context.cite = self._cite
+        self._context.parameters = parameters
         self._rules = [rule(self._context) for rule in RULES]
-        self._active = [rule for rule in self._rules if not rule.applies()]
+        # Some apply once the implementation has told a parameter.
+        self._active = [rule for rule in self._rules if not rule.applies() or isinstance(rule, MostSummaries)]
         self._suspended: frozenset[str] = frozenset()
         self._deal()
         self._since = -1
         """What came until then, in ns of the lower tester's clock, belongs to what was before."""
+        self._traffic: object = None
         self._recent: deque[_Place] = deque(maxlen=_RECENT)
         self._evidence: dict[str, list[_Place]] = {}
         self.frames = 0
@@ -70,8 +74,12 @@ class PassiveTester:
 
     # -- what the run tells --------------------------------------------------------------------------------------------
 
-    def begin(self, now: int) -> None:
-        """A case begins; ``now`` is the lower tester's clock. Frames that came before it are not judged."""
+    def begin(self, now: int, traffic: object) -> None:
+        """A case begins; ``now`` is the lower tester's clock. Frames that came before it are not judged.
+
+        ``traffic`` is what the case's recording is made from: only frames that go there are judged.
+        """
+        self._traffic = traffic
         if self._suspended:
             self._suspended = frozenset()
             self._deal()
@@ -108,9 +116,9 @@ class PassiveTester:
         self._fed_instructions = [rule for rule in fed if rule.id in OF_INSTRUCTIONS]
         self._fed = [rule for rule in fed if rule.id not in OF_REPORTS | OF_INSTRUCTIONS]
 
-    def heard(self, heard: Heard, frame: bytes, start: int, case: str) -> None:
+    def heard(self, heard: Heard, frame: bytes, start: int, case: str, traffic: object) -> None:
         """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
-        if heard.time <= self._since:
+        if heard.time <= self._since or traffic is not self._traffic:
             return
         self.frames += 1
         self._recent.append(_Place(case, heard, frame, start))
@@ -167,9 +175,7 @@ class PassiveTester:
             checks.append(Check(Verdict.PASS if holds else Verdict.NOT_APPLICABLE, (), text))
         verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
         decisive = next(check for check in checks if check.verdict is verdict)
-        cited = (kept[mark.frame - 1].case for check in checks for mark in check.frames)
-        # The tester also listens between the cases, and before them to measure.
-        again = next((each for each in cited if each.startswith("TC_")), None)
+        cited = next((kept[mark.frame - 1].case for check in checks for mark in check.frames), None)
         return CaseResult(
             id=rule.id,
             purpose=rule.purpose,
@@ -185,7 +191,7 @@ class PassiveTester:
             left_out=rule.left_out,
             # What holds is no case beside the others; what does not is a finding.
             counted=verdict is Verdict.FAIL,
-            rerun=rerun if again is None else f"{rerun} {shlex.quote(again)}",
+            rerun=rerun if cited is None else f"{rerun} {shlex.quote(cited)}",
         )
 
 
