@@ -55,7 +55,7 @@ def pytest_configure() -> None:
         os.environ.pop(name, None)
     # For the workers of pytest-xdist and for commands that tests start.
     os.environ.setdefault("PYTHONHASHSEED", "0")
-    os.environ["TERM"] = "dumb"
+    os.environ["TERM"] = "xterm-256color"
     # Compiled decoders and fonts: kept from run to run, as they would be in the user's cache.
     os.environ["XDG_CACHE_HOME"] = str(ROOT / ".pytest_cache" / "xdg")
     # Programs that tests start inherit what is ignored: SIGINT in background jobs of a shell, SIGHUP after nohup.
