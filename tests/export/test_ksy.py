@@ -102,8 +102,9 @@ def plain(value: Any) -> Any:
 def compare(dissected: Field, root: Any) -> int:
     """Compare every field of a message; returns how many there were."""
     compared = 0
-    for field in dissected.walk():
-        path, layout = field.path, field.layout
+    fields = {field.path: field for field in dissected.walk()}
+    for path, field in fields.items():
+        layout = field.layout
         if isinstance(layout, Text) and field.name == "data":
             continue
         if isinstance(layout, Many):
@@ -114,7 +115,7 @@ def compare(dissected: Field, root: Any) -> int:
         if field.value is None:
             continue
         if length := re.fullmatch(r"(.*?)([^.]+)\.length(\d*)", path):
-            text, name = dissected.find(f"{length[1]}{length[2]}"), f"len_{kaitai_name(length[2])}"
+            text, name = fields.get(f"{length[1]}{length[2]}"), f"len_{kaitai_name(length[2])}"
             if text is not None and isinstance(text.layout, Text):
                 path = f"{length[1]}{name}" + (f"_{length[3]}" if length[3] else "")
         assert plain(reached(root, path)) == plain(field.value), path
