@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture.providers import HypothesisProvider
 from hypothesis.internal.constants_ast import Constants
 
-from .chance import FACTOR, FRESH
+from .chance import FRESH, examples
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Variables of the user's environment that change what commands print, import or find.
@@ -32,12 +32,15 @@ STRAY = (
 # deadline=None: how long an example takes depends on the machine. derandomize draws the same examples in every run and
 # keeps no database, in which one failing example would fail a clone for ever.
 settings.register_profile(
-    "default", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, print_blob=True
+    "default",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=True,
+    print_blob=True,
+    max_examples=examples(50),
 )
-# Other examples for each seed (--hypothesis-seed), and more of them.
-settings.register_profile(
-    "fresh", parent=settings.get_profile("default"), derandomize=False, database=None, max_examples=100 * FACTOR
-)
+# Other examples for each seed (--hypothesis-seed), and more of them: this is what finds something new.
+settings.register_profile("fresh", parent=settings.get_profile("default"), derandomize=False, database=None)
 settings.load_profile("fresh" if FRESH else "default")
 # Hypothesis also draws constants that it finds in modules of ours, of which a test process may have imported any
 # number: the same test would draw other examples alone than beside others. There is no setting for this;

@@ -23,18 +23,19 @@ from dcp_codec.export.ksy import kaitai_name, kaitai_struct
 from dcp_codec.frames import DissectedFrame, FrameDissector
 from dcp_codec.plan import Many, Text
 
+from ..odd_profiles import NAMES, codec_of
 from .beacons import RECORDINGS, drawn, everything, malformed
 
 ROOT = Path(__file__).parent.parent.parent
 COMPILER = ROOT / "node_modules" / "kaitai-struct-compiler"
 
-#: Reads a .ksy as JSON, writes {file name: source}; the YAML itself is read by PyYAML.
+#: Reads a list of .ksy as JSON, writes {file name: source} for each; the YAML itself is read by PyYAML.
 COMPILE = """
 const compiler = require(process.argv[1]);
 const chunks = [];
 process.stdin.on("data", (chunk) => chunks.push(chunk)).on("end", () =>
-    compiler.compile("python", JSON.parse(Buffer.concat(chunks)), null, false)
-        .then((files) => process.stdout.write(JSON.stringify(files)))
+    Promise.all(JSON.parse(Buffer.concat(chunks)).map((each) => compiler.compile("python", each, null, false)))
+        .then((all) => process.stdout.write(JSON.stringify(all)))
         .catch((error) => { process.stderr.write(String(error)); process.exitCode = 1; }));
 """
 
@@ -60,14 +61,20 @@ def compiler() -> Path:
     return COMPILER
 
 
-def compiled(codec: Codec, compiler: Path) -> Any:
-    """The root class that Kaitai generates for a profile."""
-    document = json.dumps(yaml.safe_load(kaitai_struct(codec)))
-    done = subprocess.run(
-        ["node", "-e", COMPILE, str(compiler)], input=document, capture_output=True, text=True, timeout=600
-    )
+@pytest.fixture(scope="session")
+def root_types(compiler: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The root class that Kaitai generates for each profile; all at once, since most of the time is for starting."""
+    folder = tmp_path_factory.mktemp("profiles")
+    documents = [yaml.safe_load(kaitai_struct(codec_of(name, folder))) for name in NAMES]
+    command = ["node", "-e", COMPILE, str(compiler)]
+    done = subprocess.run(command, input=json.dumps(documents), capture_output=True, text=True, timeout=600)
     assert (done.returncode, done.stderr) == (0, "")
-    [(name, source)] = json.loads(done.stdout).items()
+    return {name: loaded(files) for name, files in zip(NAMES, json.loads(done.stdout), strict=True)}
+
+
+def loaded(files: dict[str, str]) -> Any:
+    """The root class of a generated module."""
+    [(name, source)] = files.items()
     module = ModuleType(name.removesuffix(".py"))
     sys.modules[module.__name__] = module
     exec(compile(source, name, "exec"), module.__dict__)
@@ -75,8 +82,8 @@ def compiled(codec: Codec, compiler: Path) -> Any:
 
 
 @pytest.fixture(scope="module")
-def root_type(codec: Codec, compiler: Path) -> Any:
-    return compiled(codec, compiler)
+def root_type(codec: Codec, root_types: dict[str, Any]) -> Any:
+    return root_types[codec.profile.name]
 
 
 def reached(root: Any, path: str) -> Any:
@@ -144,9 +151,9 @@ def refusal(codec: Codec, octets: bytes) -> str | None:
 
 @pytest.mark.tool("node", "npm")
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.stem)
-def test_every_field_of_the_recordings_agrees(recording: Path, compiler: Path) -> None:
+def test_every_field_of_the_recordings_agrees(recording: Path, root_types: dict[str, Any]) -> None:
     codec = get_codec("cpp-1.3" if "v1.3" in recording.stem else "cpp-2.0")
-    root_type, dissector, compared = compiled(codec, compiler), FrameDissector(codec), 0
+    root_type, dissector, compared = root_types[codec.profile.name], FrameDissector(codec), 0
     with open_capture(recording) as frames:
         for frame in frames:
             ours = dissector.dissect(frame)
