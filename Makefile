@@ -29,8 +29,10 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 unit: $(STAMP) $(KAITAI)
-	@echo "13,000 tests: about 8 minutes on two processors, longer on a busy machine."
-	$(BIN)/pytest -n auto
+	@echo "About 6 minutes of tests on two processors, longer on a busy machine."
+	$(BIN)/pytest -n auto -m "not real_time"
+	@echo "Tests in real time, by themselves: about one minute."
+	$(BIN)/pytest -n 3 --dist loadfile -m real_time
 
 FOR  ?= 3600
 N    ?= 10

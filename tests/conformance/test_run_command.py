@@ -354,6 +354,7 @@ class TestPytest:
         assert run.exit_status() == AS_EXPECTED
 
 
+@pytest.mark.real_time
 class TestLanes:
     """Our own node as a process; over UDP, so that no privilege is needed."""
 
