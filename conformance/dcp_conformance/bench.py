@@ -21,6 +21,7 @@ from dcp_codec.values import VarCreate
 
 from .case import Case
 from .changes import Changes
+from .contact import Question
 from .errors import ConformanceError, UpperTesterError
 from .findings import MS
 from .forge import Forge
@@ -97,10 +98,40 @@ class Bench(Listening):
             self.not_learnt(missing)
 
     def probe(self, periods: float | None = None) -> bool:
-        """Whether VarDis answers: a summary of an unknown variable must bring a request for it (VD-PS-01)."""
-        peer, var_id = self.peer(), self.unknown_id()
-        peer.send(peer.summary(var_id, 1))
-        return self.until_instruction(ICType.REQUEST_VARCREATES, var_id, periods) is not None
+        """Ask VarDis something that it must answer; whether it does.
+
+        The question is a summary of an unknown variable, unless the implementation was shown not to answer summaries
+        when the run began: then it is one that it answered.
+        """
+        return self.ask(self.session.contact.question if self.session.contact is not None else "summary", periods)
+
+    def ask(self, kind: Question, periods: float | None = None) -> bool:
+        """Ask VarDis by a stimulus of this kind; whether the answer comes in time.
+
+        ``summary`` of an unknown variable: a request for it (VD-PS-01). ``create`` of a variable: it is passed on
+        (VD-PC-09); a request for an older one is no answer. ``request``: for a variable that the tester has created
+        the variable, for an unknown one a request (VD-RC-01, VD-RC-03).
+        """
+        peer = self.peer()
+        if kind == "summary":
+            var_id = self.unknown_id()
+            peer.send(peer.summary(var_id, 1))
+            return self.until_instruction(ICType.REQUEST_VARCREATES, var_id, periods) is not None
+        if kind == "create":
+            peer.send(peer.create(self.var_id()))
+            return self.until(self._passed_on, periods) is not None
+        wanted = [*sorted(self.created)[:1], *(self.unknown_ids(1) if self.has_unknown_ids() else ())]
+        peer.send(*map(peer.request_create, wanted))
+
+        def answered(heard: Heard) -> bool:
+            return self._passed_on(heard) or any(heard.about(ICType.REQUEST_VARCREATES, each) for each in wanted)
+
+        return bool(wanted) and self.until(answered, periods) is not None
+
+    def _passed_on(self, heard: Heard) -> bool:
+        """Whether there is a VarCreate of one of the case's peers."""
+        ours = [peer.node_id for peer in self.peers_made]
+        return any(each.record.spec.prod_id in ours for each in heard.instructions(ICType.CREATE_VARIABLES))
 
     def require_alive(self, after: str, *requirements: str) -> None:
         """Stop as failed unless VarDis still answers."""

@@ -14,7 +14,7 @@ A failed check is one of two kinds, and each call says which it is:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NoReturn
 
 from dcp_spec.constants import BP_SEQNO_MODULUS, Features, features
@@ -116,6 +116,8 @@ class Findings:
         elif not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
             self._excused = True
+        elif not holds and not shown and (excuse := self.out_of_reach(*requirements)):
+            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
         proved = bool(shown) and verdict is Verdict.FAIL
         self._add(verdict, expected, "" if holds else observed, requirements, frames, shown=proved)
         return bool(holds)
@@ -242,6 +244,23 @@ class Findings:
             and (not heard.salvaged.clear or (heard.report_problems if reports else heard.vardis_problems))
         ]
         return f"{len(bad)} of its {len(self.heard)} beacons cannot be read: {bad[0].problem}" if bad else ""
+
+    def out_of_reach(self, *requirements: str) -> str:
+        """Why something missing is no news, in words; empty if it counts.
+
+        The basic interconnection test has shown that the implementation does not answer what this case has sent, and
+        blamed it for that. ``requirements``: those of the failed check, by default all of the case.
+        """
+        contact = self.session.contact
+        if contact is None or contact.good:
+            return ""
+        decided = requirements or self.case.requirements
+        return contact.excuse(self.codec, self.traffic.events, self.heard, self.made, decided)
+
+    @property
+    def made(self) -> Collection[int]:
+        """The variables that the case has created, or is about to."""
+        return ()
 
     def own_losses(self, *, numbers: bool = False) -> str:
         """What the tester has missed in this case, in words; empty if nothing is known.

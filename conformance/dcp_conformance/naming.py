@@ -43,6 +43,11 @@ class Naming(Findings):
         self.produced: set[int] = set()
         """Those of the variables that the implementation's application has created."""
 
+    @property
+    def made(self) -> Collection[int]:
+        """The variables that the case has created, or is about to."""
+        return self.created
+
     # -- what is known -------------------------------------------------------------------------------------------------
 
     @property

@@ -274,7 +274,10 @@ class Runner:
             return
         passed = trial.verdict is Verdict.PASS
         self.life.learn(trial.bench, answered=passed and trial.bench.pics.vardis is not False)
-        if passed or trial.bench.heard or self.life.serves():
+        contact = self.session.contact
+        # Of what is heard through wrong settings nothing can be judged.
+        heard = trial.bench.heard and not (contact is not None and contact.mistaken)
+        if passed or heard or self.life.serves():
             return
         reason = next((check.observed for check in trial.checks if check.verdict is trial.verdict), "")
         self.dead = f"the implementation does not take part: {reason}"

@@ -9,6 +9,7 @@ from dcp_spec.constants import features
 
 from dcp_codec.codec import Codec
 
+from .contact import Contact
 from .identifiers import Identifiers
 from .lower import LowerTester
 from .passive import PassiveTester
@@ -60,6 +61,8 @@ class Session:
         """The implementation's node identifier, once it is known."""
         self.parameters: dict[str, Any] = {}
         """Initial values of parameters, as the upper tester told them."""
+        self.contact: Contact | None = None
+        """What the basic interconnection test has found; None before it, and where it is left out."""
         self.can_restart = False
         self.restart: Callable[[], None] | None = None
         """Starts the implementation again, from its initial state; None where that cannot be done."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
 
 
 class Arrival(NamedTuple):
@@ -71,4 +71,21 @@ class LowerTester(Protocol):
 
     def close(self) -> None:
         """Let go of the link; may be called twice."""
+        ...
+
+
+@runtime_checkable
+class HearsEveryType(Protocol):
+    """A lower tester whose frames have a type, and that can listen to all types for a moment."""
+
+    @property
+    def ether_type(self) -> int:
+        """The EtherType of its beacons."""
+        ...
+
+    def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
+        """Send whole frames, and listen for ``duration`` ns afterwards; the frames of other types that arrived.
+
+        Frames of :attr:`ether_type` are left for :meth:`LowerTester.receive`. Empty where this is not possible.
+        """
         ...

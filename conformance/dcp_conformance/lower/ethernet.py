@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import select
 import socket
 import struct
+from collections.abc import Iterable
 
 from dcp_spec.profile import Link
 
@@ -16,6 +19,8 @@ from dcp_conformance.errors import LowerTesterError, UsageError
 from .sockets import Echoes, SocketLowerTester
 
 BROADCAST = b"\xff" * 6
+#: Frames of other types that are kept when all types are listened to.
+_MOST_OVERHEARD = 1000
 
 
 def open_ethernet(interface: str, link: Link, *, ether_type: int | None = None) -> EthernetLowerTester:
@@ -75,6 +80,38 @@ class EthernetLowerTester(SocketLowerTester):
                 ) from None
             self._discard()
             raise self._gone(error) from None
+
+    @property
+    def ether_type(self) -> int:
+        """The EtherType of its beacons."""
+        return int.from_bytes(self._type)
+
+    def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
+        """Send whole frames, and listen for ``duration`` ns; the frames of other EtherTypes that arrived, whole.
+
+        Raises ``LowerTesterError`` if the frames cannot be sent; empty if all types cannot be listened to.
+        """
+        with contextlib.ExitStack() as stack:
+            try:
+                every = sockets.open_ethernet(self.interface, sockets.EVERY_ETHER_TYPE, promiscuous=True)
+            except (sockets.OpeningError, OSError):
+                return []
+            stack.callback(every.close)
+            own = set()
+            for frame in asked:
+                self.send_frame(frame)
+                own.add(frame)
+            found: list[bytes] = []
+            deadline = self.now() + duration
+            while (left := deadline - self.now()) > 0 and len(found) < _MOST_OVERHEARD:
+                if not select.select([every.raw], [], [], left / 1e9)[0]:
+                    break
+                with contextlib.suppress(OSError):
+                    frame, _, _, (_, _, kind, *_) = every.raw.recvmsg(LONGEST, ANCILLARY)
+                    # On loopback interfaces what was sent comes in again.
+                    if kind != OUTGOING and len(frame) > ETHERNET_HEADER and frame[12:14] != self._type:
+                        found += [frame] if frame not in own else []
+            return found
 
     def _open(self) -> socket.socket:
         try:

@@ -115,7 +115,7 @@ class OneMore(Wire):
     field = "numPayloads"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return bytes([len(blocks) + 1])
+        return bytes([(len(blocks) + 1) % 256])
 
 
 @mutant("seqno-first", "BP-HDR-10", "sends the sequence number in front of numPayloads")

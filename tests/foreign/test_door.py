@@ -1,0 +1,64 @@
+"""The basic interconnection test against real processes: what is set up wrongly is named, and what is broken."""
+
+from __future__ import annotations
+
+import pytest
+
+from .rig import foreign
+
+SANITY = "TC_DCP_SANITY_BV_01"
+ONE = "TC_VD_UPD_BV_01"
+#: What it looks at is the answer of a service, which needs no beacon.
+SERVICE = "TC_VD_REA_BI_01"
+
+
+def test_another_ether_type_is_named():
+    with foreign(link="ethernet", ether_type=0x88B5, adapter=False) as target, target.started():
+        run = target.run(SANITY, start=False)
+        assert run.status == 3, run.text
+        assert "the tester listens to 0x4953: give --ether-type 0x88b5" in run.text
+        again = target.run(SANITY, "--ether-type", "0x88b5", start=False)
+        assert again.status == 0, again.text
+
+
+@pytest.mark.parametrize("own_variable", [None, 7])
+def test_another_network_identifier_is_named(own_variable: int | None):
+    # An upper tester would tell the number.
+    with foreign(network_id=3, own_variable=own_variable, adapter=False) as target, target.started():
+        run = target.run("TC_BP_RX_BI_01-00", start=False)
+        assert run.status == 3, run.text
+        assert "its beacons carry networkId 3, the tester uses 4369: give [pixit] network_id = 3" in run.text
+        assert {case["verdict"] for case in run.cases} == {"inconclusive"}
+
+
+@pytest.mark.parametrize(
+    ("fault", "requirement"),
+    [("magic-swapped", "BP-HDR-02"), ("length-with-header", "BP-HDR-06"), ("one-payload-more", "BP-HDR-07"),
+     ("block-length-with-header", "BP-FMT-01")],
+)  # fmt: skip
+def test_the_first_faults_of_an_implementer_are_named(fault: str, requirement: str):
+    with foreign(faults=[fault]) as target:
+        run = target.run(SANITY)
+        assert run.status == 1
+        assert run.failed_requirements() == {requirement}, run.text
+
+
+def test_with_a_broken_header_the_run_goes_on():
+    with foreign(faults=["magic-swapped"]) as target:
+        run = target.run(SERVICE)
+        assert run.failed_requirements(SANITY) == {"BP-HDR-02"}, run.text
+        assert run.verdict(SERVICE) == "pass"
+        assert target.starts() == 1
+
+
+def test_one_kind_of_stimulus_that_is_not_answered():
+    with foreign(faults=["no-requests-for-summaries"]) as target:
+        run = target.run("TC_BP_RX_BI_01-00", ONE)
+        assert run.failed_requirements() == {"VD-PS-01"}, run.text
+        assert run.verdict(ONE) == "pass"
+
+
+def test_an_srp_block_of_garbage_is_no_reason_to_stop():
+    with foreign(faults=["garbage-srp"]) as target:
+        run = target.run(SANITY, ONE)
+        assert not run.failed_requirements(SANITY), run.text
