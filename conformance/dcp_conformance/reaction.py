@@ -41,12 +41,11 @@ _CASE: Final = Case(
 
 
 def prepare(session: Session) -> Reaction | None:
-    """Measure once in a session, unless the PIXIT says how long reactions take; what was measured now.
+    """Measure once in a session; what was measured now. The ``reaction_periods`` of the PIXIT override its periods.
 
     Does nothing (None) if it is known already, or if there is no VarDis to ask. Raises ``LowerTesterError``.
     """
-    pixit, pics = session.pics.pixit, session.pics.pics
-    if session.reaction is not None or pixit.reaction_periods is not None or pics.vardis is False:
+    if session.reaction is not None or session.pics.pics.vardis is False:
         return None
     found = measure(Bench(session, _CASE))
     if found.samples:

@@ -265,7 +265,8 @@ class Runner:
         if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
             self._measured += 1
             found = prepare(self.session)
-            if found is not None and (found.periods > FLOOR or found.per_payload):
+            told = self.session.pics.pixit.reaction_periods is not None
+            if found is not None and not told and (found.periods > FLOOR or found.per_payload):
                 self.remarks.append(f"reactions are waited for {found}; pixit.reaction_periods overrides this")
 
     def _refuse(self, case: Case, trial: Trial) -> None:

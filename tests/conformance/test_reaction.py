@@ -65,12 +65,19 @@ def test_it_is_measured_once_and_told_if_it_matters():
     assert runner.notes == []
 
 
-@pytest.mark.parametrize("pics", [Pics(pixit=Testing(reaction_periods=2.5)), Pics(pics=Capabilities(vardis=False))])
-def test_it_is_not_measured_where_it_is_told_or_there_is_nobody_to_ask(pics: Pics):
-    bench = bench_of(pics=pics)
+def test_what_the_pixit_tells_overrides_what_is_measured():
+    bench = bench_of(pics=Pics(pixit=Testing(reaction_periods=2.5)), make=polling(120))
+    prepare(bench.session)
+    assert bench.one_by_one
+    bench.wait(50)
+    assert bench.reaction == 2.5
+
+
+def test_it_is_not_measured_where_there_is_nobody_to_ask():
+    bench = bench_of(pics=Pics(pics=Capabilities(vardis=False)))
     assert prepare(bench.session) is None
     assert bench.session.reaction is None
-    assert bench.reaction == (pics.pixit.reaction_periods or FLOOR)
+    assert bench.reaction == FLOOR
 
 
 def test_who_does_not_answer_gets_the_floor_and_may_be_asked_again():

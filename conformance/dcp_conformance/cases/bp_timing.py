@@ -75,16 +75,15 @@ def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST
     After ``most`` intervals the estimate is returned as it is then.
     """
     tolerance = bench.pixit.period_tolerance * period
-    frames = bench.beacons(least + 1, 3 * least + bench.reaction)
-    while len(frames) >= 3:
+    start = bench.mark()
+    bench.beacons(least + 1, 3 * least + bench.reaction)
+    while len(frames := bench.heard[start:]) >= 3:
         found = estimate(frames)
         off = abs(found.mean - period)
         if off + found.margin <= tolerance or off - found.margin > tolerance or len(found.intervals) >= most:
             return found
-        more = bench.beacons(10, 30)
-        if not more:
+        if not bench.beacons(10, 30):
             break
-        frames += more
     return None
 
 

@@ -420,19 +420,21 @@ def other_type(bench: Bench, number: int) -> None:
     "TC_DCP_UWB_BV_02",
     "The bearer carries at least 256 octets, and BP knows how many",
     requirements="UWB-03",
-    stimulus="BP-GetParameters; something to send",
-    expect="UWB-MaxPacketSize of at least 256, no beacon that is larger",
+    stimulus="BP-GetParameters, where the upper tester offers it; something to send",
+    expect="UWB-MaxPacketSize of at least 256, no beacon that is larger; else BPPAR_MAXIMUM_PACKET_SIZE instead",
     window=6,
-    needs=Needs(since=V1_1, entities=(), ut=("BP-GetParameters",)),
+    needs=Needs(since=V1_1, entities=()),
 )
 def packet_size(bench: Bench) -> None:
-    known = bench.must("BP-GetParameters").result.get("parameters")
+    upper, known = bench.session.upper, None
+    if upper is not None and "BP-GetParameters" in upper.methods:
+        known = bench.must("BP-GetParameters").result.get("parameters")
     told = known.get("UWB-MaxPacketSize") if isinstance(known, dict) else None
     with talking(bench):
         sizes = sorted({len(heard.octets) for heard in some_beacons(bench, 4)})
     bench.info("How large are beacons?", f"{sizes[0]} to {sizes[-1]} octets", "UWB-05")
     if not isinstance(told, int):
         bench.info("Does the implementation say how much the bearer carries?", "no", "UWB-03")
-        told = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
+        told = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")
     bench.check(told >= UWB_MIN_MTU, f"{UWB_MIN_MTU} octets or more", f"{told}", "UWB-03", shown=True)
     bench.check(sizes[-1] <= told, f"beacons of at most {told} octets", f"one has {sizes[-1]}", "UWB-03", shown=True)

@@ -9,12 +9,12 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.filling import PAYLOAD_SIZE, longest
 from dcp_conformance.heard import Heard, Instruction
 from dcp_conformance.services import produced
 
-from .vardis_payload import PAYLOAD_SIZE, check_order_of_queue, longest, stock
+from .vardis_payload import check_order_of_queue, stock
 
-_PARAMETERS = Needs(ut=("UT-Reset", "VD-SetParameter"))
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SUMMARY, _ASK_UPDATE, _ASK_CREATE = ICType.SUMMARIES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
 
@@ -279,49 +279,6 @@ def described_after_the_last_delete(bench: Bench) -> None:
     bench.check(described.get("isDeleted") is True, "isDeleted is true", f"{described.get('isDeleted')}", shown=True)
     left = described.get("countDelete")
     bench.check(left == 0, "countDelete is 0 after the last repetition", f"{left}", shown=True)
-
-
-@case(
-    "TC_VD_CMP_BV_12",
-    "When the record at the head does not fit, its container is left out and others follow",
-    requirements="VD-CMP-08",
-    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE becomes smaller than the VarCreate of a variable, which is then requested,"
-    " with a summary of an unknown variable",
-    expect="a request for the unknown variable, no VarCreate of the other, no container without records",
-    window=10,
-    needs=_PARAMETERS,
-)
-def head_does_not_fit(bench: Bench) -> None:
-    peer, (value, description) = bench.peer(), longest(bench)
-    large, unknown = bench.var_id(), bench.unknown_id()
-    create = peer.create(large, value=value, descr=description)
-    bench.learn(peer, create)
-    limit = bench.forge.container_header_size + bench.forge.record_size(create) - 1
-    for name, least in (
-        ("VARDISPAR_MAX_SUMMARIES", 1),
-        ("VARDISPAR_MAX_DESCRIPTION_LENGTH", 2),
-        ("VARDISPAR_MAX_VALUE_LENGTH", 8),
-        (PAYLOAD_SIZE, limit),
-    ):
-        bench.must("VD-SetParameter", name=name, value=least)
-    bench.wait(3)
-    mark = bench.mark()
-    peer.send(peer.request_create(large), peer.summary(unknown, 1))
-    asked = bench.until_instruction(_ASK_CREATE, unknown)
-    bench.check(asked, "other containers, although the head of createQ does not fit", "no request for the unknown one")
-    bench.beacons(3)
-    found = bench.instructions(_CREATE, large, mark)
-    bench.check(
-        not found,
-        f"no VarCreate that needs more than {limit} octets",
-        f"{len(found)} came",
-        frames=found[:4],
-        shown=True,
-    )
-    broken = [each for each in bench.heard[mark:] if each.vardis_problems]
-    bench.check(
-        not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4], shown=True
-    )
 
 
 @case(

@@ -13,21 +13,10 @@ from dcp_spec.constants import IC_MAX_RECORDS, ICType
 from dcp_codec.values import VarCreate
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.filling import PAYLOAD_SIZE, longest
 from dcp_conformance.findings import part_of
 from dcp_conformance.heard import Heard
 from dcp_conformance.peers import Peer
-
-PAYLOAD_SIZE = "VARDISPAR_MAX_PAYLOAD_SIZE"
-_PARAMETERS = Needs(ut=("UT-Reset", "VD-SetParameter"))
-
-
-def longest(bench: Bench) -> tuple[bytes, bytes]:
-    """The longest value and the longest description that can be relied on."""
-    value = min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
-    description = min(bench.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
-    # The parameter of 1.0 counts the NUL behind the text.
-    nul = bench.features.string_format == "nul-terminated"
-    return b"v" * max(1, value), b"d" * max(1, description - nul)
 
 
 def stock(
@@ -178,16 +167,16 @@ def _kind(bench: Bench, number: int) -> ICType:
 def filled(bench: Bench, kind: ICType) -> None:
     peer = bench.peer()
     creates = stock(bench, peer, kind, seqno=9)
-    mark = _request(bench, peer, kind, creates)
-    _, frames = _all_of(bench, kind, creates, mark)
+    mark = request(bench, peer, kind, creates)
+    _, frames = all_of(bench, kind, creates, mark)
     if len(frames) < 2:
         bench.inconclusive("more records than fit into a payload", f"{len(creates)} of them came in one")
     check_filled(bench, kind, frames, "VD-PAY-02")
-    largest = max(frames, key=lambda heard: _size(bench, heard))
+    largest = max(frames, key=lambda heard: size_of(bench, heard))
     limit = bench.bound(PAYLOAD_SIZE)
-    text = f"{_size(bench, largest)} octets"
+    text = f"{size_of(bench, largest)} octets"
     bench.check(
-        _size(bench, largest) <= limit,
+        size_of(bench, largest) <= limit,
         f"payloads of at most {limit} octets",
         text,
         "VD-IC-05",
@@ -196,11 +185,11 @@ def filled(bench: Bench, kind: ICType) -> None:
     )
 
 
-def _size(bench: Bench, heard: Heard) -> int:
+def size_of(bench: Bench, heard: Heard) -> int:
     return len(bench.codec.encode_containers(heard.containers))
 
 
-def _request(bench: Bench, peer: Peer, kind: ICType, creates: Sequence[VarCreate]) -> int:
+def request(bench: Bench, peer: Peer, kind: ICType, creates: Sequence[VarCreate]) -> int:
     """Queue instructions about variables, all at once; the mark before."""
     mark = bench.mark()
     if kind is ICType.CREATE_VARIABLES:
@@ -212,7 +201,7 @@ def _request(bench: Bench, peer: Peer, kind: ICType, creates: Sequence[VarCreate
     return mark
 
 
-def _all_of(bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int) -> tuple[set[int], list[Heard]]:
+def all_of(bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int) -> tuple[set[int], list[Heard]]:
     """Wait for the records about variables: about which there were some, and in which frames."""
     wanted = {each.spec.var_id for each in creates}
 
@@ -342,55 +331,9 @@ def more_than_255(bench: Bench) -> None:
 def no_overtaking(bench: Bench, kind: ICType) -> None:
     peer = bench.peer()
     creates = stock(bench, peer, kind, mixed=True, seqno=9)
-    mark = _request(bench, peer, kind, creates)
-    _all_of(bench, kind, creates, mark)
+    mark = request(bench, peer, kind, creates)
+    all_of(bench, kind, creates, mark)
     check_order_of_queue(bench, kind, [each.spec.var_id for each in creates], mark)
-
-
-@case(
-    "TC_VD_PAY_BV_07",
-    "Two records that fill a payload to the last octet share it; with one octet less they do not ({variant})",
-    requirements="VD-PAY-02 VD-IC-05",
-    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to just that size, and both records are requested in one beacon",
-    expect="both in one payload; with one octet less in two",
-    window=10,
-    needs=_PARAMETERS,
-    variants={
-        "creates": (ICType.CREATE_VARIABLES, 0),
-        "creates-less": (ICType.CREATE_VARIABLES, 1),
-        "updates": (ICType.UPDATES, 0),
-        "updates-less": (ICType.UPDATES, 1),
-    },
-)
-def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
-    kind, less = variant
-    peer, (value, description) = bench.peer(), longest(bench)
-    creates = [peer.create(each, value=value, descr=description, seqno=9) for each in bench.var_ids(2)]
-    bench.learn(peer, *creates)
-    bench.must("VD-SetParameter", name="VARDISPAR_MAX_SUMMARIES", value=0)
-    records = creates if kind is ICType.CREATE_VARIABLES else [each.upd for each in creates]
-    sizes = [bench.forge.record_size(each) for each in records]
-    limit = bench.forge.container_header_size + sum(sizes) - less
-    # The bounds of other parameters depend on the size of a payload.
-    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
-    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
-    bench.wait(3)
-    mark = _request(bench, peer, kind, creates)
-    _, frames = _all_of(bench, kind, creates, mark)
-    share = 1 if less else 2
-    counts = [len(each.instructions(kind)) for each in frames]
-    bench.check(
-        counts == [share] * (2 // share),
-        f"{share} record{'s' if share > 1 else ''} of {sizes[0]} octets in a payload of at most {limit}",
-        f"{counts}",
-        "VD-PAY-02",
-        frames=frames,
-        shown=max(counts) > share,
-    )
-    largest = max(_size(bench, each) for each in frames)
-    bench.check(
-        largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames, shown=True
-    )
 
 
 @case(

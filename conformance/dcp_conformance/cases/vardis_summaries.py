@@ -6,14 +6,14 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.filling import settable
 from dcp_conformance.heard import Heard
 from dcp_conformance.services import produced
 
-from .vardis_payload import PAYLOAD_SIZE, longest
-
 SUMMARIES = "VARDISPAR_MAX_SUMMARIES"
 _SUMMARY = ICType.SUMMARIES
-_PARAMETERS = Needs(ut=("UT-Reset", "VD-SetParameter"))
+#: The most variables that a case makes known for their summaries.
+_MANY = 60
 
 
 def summarises(bench: Bench) -> str | None:
@@ -22,6 +22,13 @@ def summarises(bench: Bench) -> str | None:
 
 
 _WIRE = Needs(when=summarises)
+
+
+def _never_summarises(bench: Bench) -> str | None:
+    """For ``Needs.when``: why the parameter is not 0."""
+    if settable(bench) or not bench.parameter(SUMMARIES):
+        return None
+    return f"{SUMMARIES} is {bench.parameter(SUMMARIES)} and cannot be set (VD-SetParameter, UT-Reset)"
 
 
 def _know(bench: Bench, count: int) -> list[int]:
@@ -74,23 +81,28 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
 )
 def rotation(bench: Bench) -> None:
     most = bench.parameter(SUMMARIES)
-    names = _know(bench, min(max(3, most + most // 2), 60))
+    names = _know(bench, min(max(3, most + most // 2), _MANY))
     _check_rotation(bench, names, most, "VD-CMP-03")
 
 
 @case(
     "TC_VD_SUM_BV_02",
-    "A payload names at most VARDISPAR_MAX_SUMMARIES variables when that is {variant}",
+    "A payload names at most VARDISPAR_MAX_SUMMARIES variables ({variant} for ten variables, or as near as can be)",
     requirements="VD-CMP-02 VD-CMP-03 VD-PAY-02",
-    stimulus="ten variables are known; the parameter is set to {variant}",
-    expect="at most {variant} summaries in a payload, and all variables in turn",
+    stimulus="ten variables are known; the parameter is set to {variant}. Where it cannot be set, there are one, 3, "
+    "as many as the parameter says, or one more",
+    expect="at most as many summaries in a payload as the parameter says, and all variables in turn",
     window=24,
-    needs=_PARAMETERS,
+    needs=Needs(when=lambda bench: None if settable(bench) else summarises(bench)),
     variants={"1": 1, "3": 3, "10": 10, "11": 11},
 )
 def most_summaries(bench: Bench, most: int) -> None:
-    names = _know(bench, 10)
-    bench.must("VD-SetParameter", name=SUMMARIES, value=most)
+    if settable(bench):
+        names = _know(bench, 10)
+        bench.must("VD-SetParameter", name=SUMMARIES, value=most)
+    else:
+        count, most = most, bench.bound(SUMMARIES)
+        names = _know(bench, min(count if count < 10 else most + count - 10, _MANY))
     bench.beacons(2)
     _check_rotation(bench, names, most, "VD-CMP-03")
 
@@ -99,15 +111,17 @@ def most_summaries(bench: Bench, most: int) -> None:
     "TC_VD_SUM_BV_03",
     "With VARDISPAR_MAX_SUMMARIES 0 there are no summaries, and all else goes on",
     requirements="VD-CMP-01 VD-PAR-06",
-    stimulus="a variable is known; the parameter is set to 0, an unknown variable is summarised, the known one updated",
+    stimulus="a variable is known; the parameter is 0, or set to it; an unknown variable is summarised, the known one "
+    "updated",
     expect="no SUMMARIES container any more; the request and the VarUpdate",
     window=10,
-    needs=_PARAMETERS,
+    needs=Needs(when=_never_summarises),
 )
 def no_summaries(bench: Bench) -> None:
     (name,) = _know(bench, 1)
     peer = bench.peer()
-    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    if settable(bench):
+        bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     bench.wait(3)
     mark = bench.mark()
     unknown = bench.unknown_id()
@@ -142,40 +156,6 @@ def nothing_to_summarise(bench: Bench) -> None:
         f"{len(found)} came",
         frames=found[:4],
         shown=True,
-    )
-
-
-@case(
-    "TC_VD_SUM_BV_05",
-    "Summaries behind a VarCreate need room for their container and one of them ({variant})",
-    requirements="VD-CMP-01 VD-IC-05",
-    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE leaves, behind a VarCreate, room for just one summary, or one octet less",
-    expect="one summary beside the VarCreate; with one octet less no SUMMARIES container",
-    window=8,
-    needs=Needs(ut=_PARAMETERS.ut, when=summarises),
-    variants={"room": 0, "no-room": 1},
-)
-def room_for_a_summary(bench: Bench, less: int) -> None:
-    peer, (value, description) = bench.peer(), longest(bench)
-    create = peer.create(bench.var_id(), value=value, descr=description)
-    other = peer.create(bench.var_id(), value=b"v", descr=b"d")
-    bench.learn(peer, create, other)
-    forge = bench.forge
-    summary = forge.record_size(peer.summary(0, 0))
-    limit = 2 * forge.container_header_size + forge.record_size(create) + summary - less
-    bench.must("VD-SetParameter", name=SUMMARIES, value=1)
-    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
-    bench.wait(3)
-    mark = bench.mark()
-    peer.send(peer.request_create(create.spec.var_id))
-    bench.require(bench.until_instruction(ICType.CREATE_VARIABLES, create.spec.var_id), "the VarCreate", "none")
-    heard = bench.frames_with(ICType.CREATE_VARIABLES, create.spec.var_id, mark)[0]
-    # 1.0 composes updates and summaries in another order, but creates come first in every version.
-    count = len(_named(heard))
-    bench.check(count == 1 - less, f"{1 - less} summaries behind the VarCreate", f"{count}", frames=[heard], shown=True)
-    octets = len(bench.codec.encode_containers(heard.containers))
-    bench.check(
-        octets <= limit, f"a payload of at most {limit} octets", f"{octets}", "VD-IC-05", frames=[heard], shown=True
     )
 
 

@@ -1,0 +1,224 @@
+"""dcp-vardis.md: Construction of Payloads, to the last octet.
+
+Where VARDISPAR_MAX_PAYLOAD_SIZE cannot be set, records are made that fit the size which the PIXIT tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.filling import PAYLOAD_SIZE, filling, longest, settable
+from dcp_conformance.heard import Heard
+from dcp_conformance.peers import Peer
+
+from .vardis_payload import all_of, request, size_of
+from .vardis_summaries import SUMMARIES, summarises
+
+_CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
+
+#: Variables that are learnt at a time.
+_FEW = 6
+
+
+def _fillable(bench: Bench) -> str | None:
+    """For ``Needs.when``: why no payload can be filled to the last octet."""
+    if settable(bench) or bench.parameter(PAYLOAD_SIZE) >= 2 * _largest_create(bench):
+        return None
+    return f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and is too small for two VarCreates"
+
+
+def _largest_create(bench: Bench) -> int:
+    """The octets that a container with one VarCreate of the longest value and description has."""
+    peer, (value, description) = bench.peer(), longest(bench)
+    return bench.forge.container_header_size + bench.forge.record_size(peer.create(0, value=value, descr=description))
+
+
+@case(
+    "TC_VD_PAY_BV_07",
+    "Records that fill a payload to the last octet share it; with one octet less the last one does not ({variant})",
+    requirements="VD-PAY-02 VD-IC-05",
+    stimulus="records are requested in one beacon that need just VARDISPAR_MAX_PAYLOAD_SIZE octets, which is set where "
+    "that can be done",
+    expect="all in one payload; with one octet less the last of them in a second one",
+    window=10,
+    needs=Needs(when=_fillable),
+    variants={
+        "creates": (_CREATE, 0),
+        "creates-less": (_CREATE, 1),
+        "updates": (_UPDATE, 0),
+        "updates-less": (_UPDATE, 1),
+    },
+)
+def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
+    kind, less = variant
+    peer = bench.peer()
+    creates, limit = (_two if settable(bench) else _as_many_as_fit)(bench, peer, kind, less)
+    mark = request(bench, peer, kind, creates)
+    _, frames = all_of(bench, kind, creates, mark)
+    counts = [len(each.instructions(kind)) for each in frames]
+    right = [len(creates) - 1, 1] if less else [len(creates)]
+    bench.check(
+        counts == right,
+        f"payloads of at most {limit} octets with {right} records",
+        f"{counts}",
+        "VD-PAY-02",
+        frames=frames,
+        shown=max(counts) > max(right),
+    )
+    largest = max(size_of(bench, each) for each in frames)
+    bench.check(
+        largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames, shown=True
+    )
+
+
+def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
+    """Two variables that are learnt, and a payload size for two records of them, less so many octets, that is set."""
+    value, description = longest(bench)
+    creates = [peer.create(each, value=value, descr=description, seqno=9) for each in bench.var_ids(2)]
+    bench.learn(peer, *creates)
+    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    records = creates if kind is _CREATE else [each.upd for each in creates]
+    limit = bench.forge.container_header_size + sum(map(bench.forge.record_size, records)) - less
+    # The bounds of other parameters depend on the size of a payload.
+    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
+    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
+    bench.wait(3)
+    return creates, limit
+
+
+def _as_many_as_fit(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
+    """Variables that are learnt, whose records fill a payload of the known size, but for so many octets too much."""
+    limit = bench.bound(PAYLOAD_SIZE)
+    creates = _learnt(bench, peer, kind, lambda before: limit - before + less)
+    return creates, limit
+
+
+def _learnt(bench: Bench, peer: Peer, kind: ICType, octets: Callable[[int], int]) -> list[VarCreate]:
+    """Variables that are learnt, whose records of a kind have so many octets together.
+
+    ``octets``: how many, after those that the container headers and what comes before take in a payload.
+    """
+    header = bench.forge.container_header_size
+    before = header
+    if kind is _UPDATE and bench.features.container_order.index(_SUMMARY) < bench.features.container_order.index(kind):
+        before += _summaries(bench, peer)
+    creates = filling(bench, peer, kind, octets(before))
+    if creates is None:
+        bench.inconclusive("records that fill a payload", "none of the lengths that it takes do")
+    # Few at a time: what happens when a payload is full is seen when they are requested.
+    for start in range(0, len(creates), _FEW):
+        bench.learn(peer, *creates[start : start + _FEW])
+    return creates
+
+
+def _summaries(bench: Bench, peer: Peer) -> int:
+    """The octets of the SUMMARIES container, when as many variables are known as a payload can summarise."""
+    most = bench.bound(SUMMARIES)
+    if not most:
+        return 0
+    bench.learn(peer, *(peer.create(each, value=b"v", descr=b"d") for each in bench.var_ids(most)))
+    return len(bench.forge.container(*[peer.summary(0, 0)] * most))
+
+
+@case(
+    "TC_VD_SUM_BV_05",
+    "Summaries behind a VarCreate need room for their container and one of them ({variant})",
+    requirements="VD-CMP-01 VD-IC-05",
+    stimulus="VarCreates are requested that leave, in a payload of VARDISPAR_MAX_PAYLOAD_SIZE octets, which is set "
+    "where that can be done, room for just one summary, or one octet less",
+    expect="one summary beside the VarCreates; with one octet less no SUMMARIES container",
+    window=8,
+    needs=Needs(when=lambda bench: summarises(bench) or _fillable(bench)),
+    variants={"room": 0, "no-room": 1},
+)
+def room_for_a_summary(bench: Bench, less: int) -> None:
+    forge, peer = bench.forge, bench.peer()
+    summary = forge.container_header_size + forge.record_size(peer.summary(0, 0))
+    if settable(bench):
+        value, description = longest(bench)
+        creates = [peer.create(bench.var_id(), value=value, descr=description)]
+        other = peer.create(bench.var_id(), value=b"v", descr=b"d")
+        bench.learn(peer, *creates, other)
+        limit = forge.container_header_size + forge.record_size(creates[0]) + summary - less
+        bench.must("VD-SetParameter", name=SUMMARIES, value=1)
+        bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
+        bench.wait(3)
+    else:
+        limit = bench.bound(PAYLOAD_SIZE)
+        creates = _learnt(bench, peer, _CREATE, lambda before: limit - before - summary + less)
+    wanted = {each.spec.var_id for each in creates}
+    peer.send(*(peer.request_create(each) for each in wanted))
+
+    def has_all(heard: Heard) -> Heard | None:
+        return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
+
+    heard = bench.until(has_all)
+    if heard is None:
+        bench.fail("the requested VarCreates in one payload", "there is none with all of them")
+    # 1.0 composes updates and summaries in another order, but creates come first in every version.
+    count = len(heard.instructions(_SUMMARY))
+    bench.check(count == 1 - less, f"{1 - less} summaries behind them", f"{count}", frames=[heard], shown=True)
+    octets = size_of(bench, heard)
+    bench.check(
+        octets <= limit, f"a payload of at most {limit} octets", f"{octets}", "VD-IC-05", frames=[heard], shown=True
+    )
+
+
+def _never_fits(bench: Bench) -> str | None:
+    """For ``Needs.when``: why no VarCreate can be larger than a payload."""
+    if settable(bench) or _largest_create(bench) > bench.parameter(PAYLOAD_SIZE):
+        return None
+    return (
+        f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and the PIXIT tells no maximum sizes with which a "
+        "VarCreate can be larger than a payload"
+    )
+
+
+@case(
+    "TC_VD_CMP_BV_12",
+    "When the record at the head does not fit, its container is left out and others follow",
+    requirements="VD-CMP-08",
+    stimulus="a VarCreate is requested that is larger than VARDISPAR_MAX_PAYLOAD_SIZE, which is set where that can be "
+    "done, with a summary of an unknown variable",
+    expect="a request for the unknown variable, no VarCreate of the other, no container without records",
+    window=10,
+    needs=Needs(when=_never_fits),
+)
+def head_does_not_fit(bench: Bench) -> None:
+    peer, (value, description) = bench.peer(), longest(bench)
+    large, unknown = bench.var_id(), bench.unknown_id()
+    create = peer.create(large, value=value, descr=description)
+    limit = bench.forge.container_header_size + bench.forge.record_size(create) - 1
+    if settable(bench):
+        bench.learn(peer, create)
+        for name, least in (
+            (SUMMARIES, 1),
+            ("VARDISPAR_MAX_DESCRIPTION_LENGTH", 2),
+            ("VARDISPAR_MAX_VALUE_LENGTH", 8),
+            (PAYLOAD_SIZE, limit),
+        ):
+            bench.must("VD-SetParameter", name=name, value=least)
+    else:
+        limit = bench.bound(PAYLOAD_SIZE)
+        # Whether it has learnt it cannot be seen: it could only pass it on in a VarCreate.
+        peer.send(create)
+    bench.wait(3)
+    mark = bench.mark()
+    peer.send(peer.request_create(large), peer.summary(unknown, 1))
+    asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
+    bench.check(asked, "other containers, although the head of createQ does not fit", "no request for the unknown one")
+    bench.beacons(3)
+    if bench.instructions(ICType.REQUEST_VARCREATES, large, mark):
+        bench.inconclusive("the implementation learns a variable, which this case needs", "it requests it")
+    found = bench.instructions(_CREATE, large, mark)
+    what = f"no VarCreate that needs more than {limit} octets"
+    bench.check(not found, what, f"{len(found)} came", frames=found[:4], shown=True)
+    broken = [each for each in bench.heard[mark:] if each.vardis_problems]
+    bench.check(
+        not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4], shown=True
+    )
