@@ -125,11 +125,17 @@ class Identifiers:
             return None
         return next(iter(self.unknown(1, now, without)), None)
 
-    def for_peer(self, now: int, creation_time: int, without: Collection[int] = ()) -> int | None:
+    def for_peer(
+        self, now: int, creation_time: int, without: Collection[int] = (), *, reuse: bool = True
+    ) -> int | None:
         """An identifier that a peer can create with this creationTime; None if there is none.
 
-        Since 2.0 those are used again that peers have created before, so that the unknown ones last.
+        Since 2.0 those are used again that peers have created before, so that the unknown ones last. ``reuse`` False:
+        only identifiers that the database cannot hold, as for a variable of the implementation's own. A receiver with
+        a fault in its creation times may take a variable that is created again for an old one.
         """
+        if not reuse:
+            return self.for_own(now, without)
         shared = self.size // 2 if self._timed and self.size >= 2 * _KEPT else self.size
         # An earlier case may still be on the air with the last ones: those are given only if there are no others.
         for settled in (True, False):

@@ -25,6 +25,8 @@ DEATH_PATIENCE: Final = 1.5
 START_PATIENCE: Final = 30.0
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
+#: How the last lines of a process are quoted (``upper.channels.LastLines.shown``).
+_SAID, _LINES = "; it said: ", " | "
 _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
 
 
@@ -52,8 +54,14 @@ class Loss:
 
     @property
     def group(self) -> str:
-        """Equal for losses that look alike: numbers (process ids, addresses, line numbers) do not count."""
-        return _NUMBERS.sub("#", f"{self.how}: {self.cause or self.observed}")
+        """Equal for losses that look alike.
+
+        Numbers (process ids, addresses, line numbers) do not count, and of the last words only the last line does: what
+        several processes print before it comes in any order.
+        """
+        ending, said, words = self.cause.partition(_SAID)
+        cause = f"{ending}{said}{words.rpartition(_LINES)[2]}" or self.observed
+        return _NUMBERS.sub("#", f"{self.how}: {cause}")
 
 
 class Life:

@@ -165,7 +165,10 @@ class Naming(Findings):
         Since 2.0 it may be one that peers have created in earlier cases: a case that needs an unknown one takes
         :meth:`unknown_id`. Raises ``NamesUsedUp``.
         """
-        number = self.session.identifiers.for_peer(self.now(), self.session.creation_time + 1, self.created)
+        session = self.session
+        number = session.identifiers.for_peer(
+            self.now(), session.creation_time + 1, self.created, reuse=not session.renewable
+        )
         if number is None:
             self._no_variables_left("an identifier that a peer can create a variable with")
         self.created.add(number)

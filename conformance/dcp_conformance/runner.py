@@ -153,8 +153,11 @@ class Runner:
             self._recent.clear()
             self._start_afresh(case)
         self._unsettled = False
+        self.session.renewable = (
+            self._restartable and self._reset_mode() == "none" and self.session.pics.pixit.reset != "none"
+        )
         trial = self._trial(case)
-        if trial.used_up and self._restartable and self.session.pics.pixit.reset != "none":
+        if trial.used_up and self.session.renewable:
             trial = self._trial_after_restart(trial)
         if trial.loss is None:
             result = self._result(trial, attempt, trial.checks)
@@ -174,6 +177,7 @@ class Runner:
             trial.checks.append(Check(Verdict.INCONCLUSIVE, trial.case.requirements, what, why))
             return trial
         self._renewals += 1
+        self.session.renewable = False
         return self._trial(trial.case, fresh=True)
 
     def finish(self) -> None:

@@ -64,6 +64,8 @@ class Session:
         self.contact: Contact | None = None
         """What the basic interconnection test has found; None before it, and where it is left out."""
         self.can_restart = False
+        self.renewable = False
+        """Whether a case that finds all identifiers used up is run again after a restart."""
         self.restart: Callable[[], None] | None = None
         """Starts the implementation again, from its initial state; None where that cannot be done."""
         self.next_peer = 0

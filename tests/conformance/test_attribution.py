@@ -9,6 +9,7 @@ import pytest
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind, Needs
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.life import Loss
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.results import CaseResult
@@ -363,3 +364,36 @@ def test_a_service_that_kills_fails_what_the_case_is_about():
     assert result.reason.startswith("the implementation survives RTDB-DescribeDatabase: it is dead after this case")
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     assert failed == {"VD-RX-04"}
+
+
+def test_what_several_processes_print_comes_in_any_order():
+    said = ["Running BP | Running SRP | [fatal] no room in 0x7ffe", "Running SRP | Running BP | [fatal] no room in 0x1"]
+    losses = [Loss(True, "dead", f"it ended with signal SIGABRT; it said: {words}") for words in said]
+    assert len({each.group for each in losses}) == 1
+    assert losses[0].group == "died: it ended with signal SIGABRT; it said: [fatal] no room in #"
+
+
+def test_no_identifier_is_used_twice_where_a_restart_frees_them():
+    sut = InProcess(reference_config(codec_of("dcp-2.0")))
+    runner = runner_of(sut)
+    given: list[list[int]] = [[]]
+    restart = sut.restart
+
+    def note_restart() -> None:
+        given.append([])
+        restart()
+
+    sut.restart = note_restart  # type: ignore[method-assign]
+
+    def creates(bench: Bench) -> None:
+        names = bench.var_ids(50)
+        given[-1] += names
+        peer = bench.peer()
+        peer.send_all(peer.create(name) for name in names)
+        bench.wait(2)
+        bench.check(True, "50 variables")
+
+    for number in range(10, 22):
+        assert runner.run(case_of(f"TC_DCP_X_BV_{number}", creates)).verdict is Verdict.PASS
+    assert len(given) > 3
+    assert all(len(names) == len(set(names)) for names in given)
