@@ -19,6 +19,14 @@ from dcp_conformance.services import neighbour, neighbours, rows, safety_data, u
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
 
+def _require_reception(bench: Bench) -> None:
+    """Stop as inconclusive unless good records enter the table: else their absence later shows nothing."""
+    control = bench.peer()
+    control.send(bench.report(control.node_id, 1))
+    if until_neighbour(bench, control.node_id) is None:
+        bench.inconclusive("a good record is stored, which this case needs", "it is not")
+
+
 def _require_working(bench: Bench, after: str) -> None:
     """Stop as failed unless the record of another neighbour still enters the table."""
     probe = bench.peer()
@@ -109,6 +117,7 @@ def replaced(bench: Bench) -> None:
     variants={"lower": 5, "equal": 100},
 )
 def not_newer(bench: Bench, seqno: int) -> None:
+    _require_reception(bench)
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, 100, **_small(bench, 1)))
     if until_neighbour(bench, peer.node_id, 100) is None:
@@ -190,6 +199,7 @@ def _block(bench: Bench, peer: Peer, name: str) -> Block:
     variants={name: name for name in ("one-short", "one-long", "one-octet", "twice", "without-seqno")},
 )
 def wrong_length(bench: Bench, name: str) -> None:
+    _require_reception(bench)
     before = set(neighbours(bench))
     peer = bench.peer()
     peer.send(_block(bench, peer, name))
@@ -213,6 +223,7 @@ def wrong_length(bench: Bench, name: str) -> None:
     needs=_TABLE,
 )
 def wrong_protocol(bench: Bench) -> None:
+    _require_reception(bench)
     peer = bench.peer()
     peer.send(Block(3, bench.forge.srp(bench.report(peer.node_id, 1)).octets))
     _require_working(bench, "a record in a block of another protocol")
@@ -228,6 +239,7 @@ def wrong_protocol(bench: Bench) -> None:
     needs=_TABLE,
 )
 def own_identifier(bench: Bench) -> None:
+    _require_reception(bench)
     peer = bench.peer()
     peer.send(bench.report(bench.sut_id, 1))
     _require_working(bench, "a record with its own identifier")
@@ -272,6 +284,7 @@ def list_and_look_up(bench: Bench) -> None:
     needs=Needs(ut=("SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp",)),
 )
 def own_data(bench: Bench) -> None:
+    _require_reception(bench)
     bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
     _require_working(bench, "a hand-down of safety data")
     bench.check(
