@@ -21,6 +21,7 @@ from dcp_conformance.fuzz.batches import Lives
 from dcp_conformance.fuzz.campaign import Campaign, Limits
 from dcp_conformance.fuzz.replaying import stack_target
 from dcp_conformance.fuzz.sequences import Sequences
+from dcp_conformance.fuzz.sweep import Swept
 from dcp_conformance.mutants import Mutant, all_mutants
 
 from dcp_codec.codec import Codec
@@ -28,8 +29,8 @@ from dcp_codec.mutation import Mutator, drawn_pool
 
 CHOSEN = (
     # They die.
-    "M-BP-RX-15-dies", "M-BP-RX-16-dies-of-short", "M-BP-RX-16-dies-of-empty", "M-VD-ROB-01-dies-of-type",
-    "M-VD-ROB-01-dies-of-zero", "M-VD-ROB-01-dies-of-end", "M-VD-ROB-01-dies-of-text",
+    "M-BP-RX-15-dies", "M-BP-RX-16-dies-of-short", "M-BP-RX-16-dies-of-empty", "M-BP-RX-16-dies-of-nothing",
+    "M-VD-ROB-01-dies-of-type", "M-VD-ROB-01-dies-of-zero", "M-VD-ROB-01-dies-of-end", "M-VD-ROB-01-dies-of-text",
     # They hear nothing any more.
     "M-BP-RX-16-mute", "M-VD-ROB-01-mute",
     # They send what is none, or too long.
@@ -62,8 +63,9 @@ def campaign_on(mutant: Mutant, seconds: float, seed: int) -> dict[str, Any]:
     rng = random.Random(f"{seed}/0")
     mutator = Mutator(codec, rng, drawn_pool(codec, rng))
     target = stack_target(codec, mutant.id)
-    sequences = Lives(Sequences(codec, rng, target.own_id, mutator))
-    campaign = Campaign(codec, target, sequences, SavedTarget("stack", target.name, mutant.id), seed, mutator=mutator)
+    sequences = Lives(Swept(Sequences(codec, rng, target.own_id, mutator), codec))
+    saved = SavedTarget("stack", target.name, mutant.id)
+    campaign = Campaign(codec, target, sequences, saved, seed, mutator=mutator, own_id=target.own_id)
     seen: list[float] = []
     begun = time.monotonic()
     run = target.run
@@ -85,6 +87,8 @@ def campaign_on(mutant: Mutant, seconds: float, seed: int) -> dict[str, Any]:
         "cases": state.cases,
         "frames": found.frames if found is not None else None,
         "steps": len(found.steps) if found is not None else None,
+        "octets": found.octets if found is not None else None,
+        "requirements": list(found.effect.requirements) if found is not None else [],
         "effect": found.effect.signature if found is not None else "",
     }
 
@@ -106,8 +110,8 @@ def main() -> None:
         row = campaign_on(known[name], options.seconds, options.seed)
         rows.append(row)
         if row["found"]:
-            took = f"{row['seconds']:6.2f} s {row['cases']:6} cases {row['frames']:2} frames"
-            print(f"{name:38} {took}  {row['effect'][:60]}")
+            took = f"{row['seconds']:6.2f} s {row['cases']:6} cases {row['frames']:2} frames {row['octets']:4} octets"
+            print(f"{name:38} {took}  {', '.join(row['requirements'])}: {row['effect'][:50]}")
         else:
             print(f"{name:38} not found in {row['cases']} cases: {row['what']}")
         sys.stdout.flush()

@@ -217,7 +217,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
             profile_text=profile_text(options),
             budget=200,
             seconds=_MINIMISING,
-            by_cause=not differential,
+            by_cause=True,
             own_id=own_id,
         )
         if target.control is not None and target.control.can_restart:

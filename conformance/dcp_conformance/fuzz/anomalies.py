@@ -52,6 +52,11 @@ class Anomaly(msgspec.Struct, frozen=True):
     """What a receiver violates that does not survive it."""
 
     @property
+    def is_damage(self) -> bool:
+        """Whether a frame with it is no message of the profile."""
+        return self.reason in REASONS or self.reason == "empty-frame"
+
+    @property
     def meaning(self) -> str:
         """What the reason stands for."""
         return REASONS.get(self.reason) or WARNINGS.get(self.reason) or _EXTREMES[self.reason]
@@ -79,15 +84,15 @@ def kinds_of(found: list[Anomaly]) -> Kinds:
 
 
 def _once(problems: list[Problem]) -> Iterator[Problem]:
-    """The problems; of variables that come again and again in a container, the first one."""
-    repeated: set[str] = set()
+    """The first problem of each field; of variables that come again and again in a container, the first one."""
+    seen: set[str] = set()
     for problem in problems:
+        place = problem.path
         if problem.reason == "duplicate-variable":
-            where = problem.path.rpartition("]")[0].rpartition("[")[0]
-            if where in repeated:
-                continue
-            repeated.add(where)
-        yield problem
+            place = place.rpartition("]")[0].rpartition("[")[0]
+        if place not in seen:
+            seen.add(place)
+            yield problem
 
 
 def _anomaly(anatomy: Anatomy, problem: Problem) -> Anomaly:

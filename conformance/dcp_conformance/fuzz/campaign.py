@@ -286,7 +286,8 @@ class Campaign:
     def _avoid(self, found: Finding, cause: Cause) -> None:
         """Send no frames any more that show by themselves what was found."""
         frames = [step for step in found.steps if isinstance(step, Frame)]
-        if not (self.by_cause and found.confirmed and len(frames) == len(found.steps) == 1):
+        alone = len(frames) == len(found.steps) == 1
+        if not (self.by_cause and found.confirmed and alone and found.effect.kind in _SILENT):
             return
         odd = anomalies(self.codec, frames[0].octets)
         if odd:

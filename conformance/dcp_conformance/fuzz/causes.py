@@ -82,13 +82,17 @@ def explained(
     about = _named(list(dict.fromkeys(each.group for each in found)), codec, steps)
     also = dict.fromkeys(each.kind for each in _anomalies_in(codec, first) if each.kind not in left)
     decides = decided_by(effect, found, culprit)
-    reaction = " ".join((effect.kind, *decides)) if effect.kind not in STOPPED else death_of(effect)
-    if effect.kind not in STOPPED and decides:
-        about = "" if culprit else about
+    if effect.kind in STOPPED:
+        reaction = death_of(effect)
+        group = f"{reaction}: {about}"
+    else:
+        reaction = f"breaks {', '.join(decides)}" if decides else effect.signature
+        # The rule that an experiment finds to be broken is the cause, whatever shows it.
+        group = reaction if culprit or effect.kind == "bad-beacon" else f"{reaction}: {about}"
     return Cause(
         title,
         reaction,
-        f"{reaction}: {about}".rstrip(": "),
+        group,
         proven,
         tuple(f"{each.reason} at {each.path or 'the frame'}: {each.meaning}" for each in _once(found)),
         tuple(also),
@@ -100,7 +104,9 @@ def decided_by(effect: Effect, found: Sequence[Anomaly] = (), culprit: str = "")
     """The requirements that decide an effect: of what was not survived, or of what was done wrong."""
     if culprit:
         return (culprit,)
-    if effect.kind in STOPPED:
+    damaged = effect.kind in ("said", "state") and any(each.is_damage for each in found)
+    if effect.kind in STOPPED or damaged:
+        # What damage does beside stopping an entity is to corrupt its state.
         return tuple(dict.fromkeys(each for anomaly in found for each in anomaly.requirements)) or ROBUSTNESS
     known = requirements()
     return tuple(dict.fromkeys(word for word in effect.signature.split() if word in known))

@@ -20,7 +20,7 @@ from dcp_conformance.target import Target as Opened
 
 from .differential import Comparison
 from .liveness import PROBES, ailing, begun_again, dead, last_number
-from .observing import Observer
+from .observing import Observer, bad_beacon
 from .steps import ROBUSTNESS, Call, Effect, Frame, Step, Wait
 
 #: Frames in a second unless a rate is given: more than peers of a crowd send, less than what makes links drop.
@@ -273,7 +273,7 @@ def carry_out(
         return why._replace(step=at)
     bad = next((heard for heard in bench.heard if heard.problem is not None), None)
     if bad is not None and bad.problem is not None and comparison is None:
-        return Effect("bad-beacon", f"a beacon that is none: {bad.problem}", at, bad.problem.reason)
+        return bad_beacon(bench.codec, bad.octets, bad.problem, at)
     try:
         return comparison.round(at) if comparison is not None and not bench.own_losses() else None
     except UpperTesterError as error:

@@ -10,7 +10,7 @@ from dcp_spec.constants import ICType, features
 
 from dcp_codec.codec import Codec
 from dcp_codec.dissect import dissect
-from dcp_codec.errors import DecodeError
+from dcp_codec.errors import DecodeError, Problem
 from dcp_codec.values import (
     Beacon,
     Container,
@@ -24,6 +24,7 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_conformance.circular import Circle
+from dcp_conformance.header_rules import judge
 from dcp_conformance.heard import KIND_OF
 from dcp_conformance.oracle import Limits, Oracle, Version, Waiting
 from dcp_conformance.oracle.knowledge import NEVER, NO_CREATION
@@ -262,7 +263,7 @@ class Observer:
         try:
             beacon = self.codec.decode(octets)
         except DecodeError as error:
-            return Effect("bad-beacon", f"a beacon that is none: {error}", step, error.problem.reason)
+            return bad_beacon(self.codec, octets, error.problem, step)
         if beacon.bp is not None and beacon.bp.sender_id != self.own_id:
             return Effect("bad-beacon", f"a beacon of {beacon.bp.sender_id.hex(':')}", step, "sender")
         roomy = len(octets) <= self._roomy
@@ -306,3 +307,10 @@ class Observer:
         owed = overdue[0]
         detail = f"variable {owed.var_id}: {owed.kind.label} did not come"
         return Effect("said", detail, step, f"missing {owed.kind.label} {owed.requirement}")
+
+
+def bad_beacon(codec: Codec, octets: bytes, problem: Problem, step: int) -> Effect:
+    """The effect of a beacon that cannot be decoded, with the rule of senders that it breaks."""
+    broken = judge(octets, codec)
+    rules = broken[0].requirements if broken else ()
+    return Effect("bad-beacon", f"a beacon that is none: {problem}", step, " ".join((problem.reason, *rules)))

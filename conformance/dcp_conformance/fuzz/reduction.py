@@ -10,7 +10,7 @@ from dcp_codec.errors import CodecError
 from dcp_conformance.errors import ConformanceError
 
 from .causes import Cause, explained
-from .experiments import culprit_by_message, forms
+from .experiments import broken_rule
 from .minimise import Known, Minimised, Minimiser, Run
 from .steps import Effect, Step
 
@@ -145,17 +145,10 @@ class Reduction:
 
     def _broken_rule(self, codec: Codec, found: Minimised) -> str:
         """The requirement that an experiment finds to be broken; empty if the effect's own stands."""
-        run = self._fresh or self._run
         try:
-            for form in forms(codec, found.steps):
-                if run(form.steps) is None:
-                    return form.requirement
-        except ConformanceError:
+            return broken_rule(codec, found.steps, found.effect, self._fresh or self._run, self._own_id)
+        except (ConformanceError, CodecError):
             # The finding stays what it is.
-            return ""
-        try:
-            return culprit_by_message(codec, found.steps, found.effect, self._own_id)
-        except CodecError:
             return ""
 
 

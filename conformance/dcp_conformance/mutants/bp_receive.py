@@ -276,6 +276,14 @@ class DiesOfEmpty(Blocks):
         return tuple(block for block in blocks if block.payload[0] >= 0)
 
 
+@mutant("dies-of-nothing", "BP-RX-16", "dies of a frame without a single octet")
+class DiesOfNothing(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        if not octets:
+            raise IndexError("a read of an empty frame")
+        return super().parse(octets)
+
+
 @mutant("mute", "BP-RX-16", "hears nothing any more after 20 frames that are no beacons")
 class Mute(BPWire):
     wrong = 0
