@@ -81,7 +81,7 @@ def explained(
     title = _named(list(dict.fromkeys(each.kind for each in found)), codec, steps)
     about = _named(list(dict.fromkeys(each.group for each in found)), codec, steps)
     also = dict.fromkeys(each.kind for each in _anomalies_in(codec, first) if each.kind not in left)
-    decides = decided_by(effect, found, culprit)
+    decides = decided_by(effect, found if proven or effect.kind in STOPPED else (), culprit)
     if effect.kind in STOPPED:
         reaction = death_of(effect)
         group = f"{reaction}: {about}"
