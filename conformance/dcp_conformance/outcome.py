@@ -10,6 +10,7 @@ from dcp_spec.profile import Profile
 from dcp_spec.readings import differs_from_reference, reading
 from dcp_spec.version import __version__
 
+from .declared import declared_by, without_declared
 from .pics import Pics
 from .results import CaseResult, RunResult, Sut, requirement_verdicts, summarise
 from .verdict import Verdict
@@ -36,6 +37,7 @@ def assemble(
 ) -> RunResult:
     """A run of these cases, with what follows from them."""
     cases = tuple(cases)
+    declared = declared_by(profile)
     observed: dict[str, dict[str, None]] = {}
     for case in cases:
         for identifier, name in case.readings.items():
@@ -52,7 +54,8 @@ def assemble(
         sut=sut or Sut(),
         pics=_plain(pics),
         cases=cases,
-        requirements=requirement_verdicts(cases),
+        requirements=without_declared(requirement_verdicts(cases), declared),
+        declared=declared,
         summary=summarise(cases),
         readings={identifier: tuple(names) for identifier, names in sorted(observed.items())},
         reference_readings=_references(observed),

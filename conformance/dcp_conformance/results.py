@@ -124,6 +124,8 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """By table, then by verdict: number of cases."""
     readings: dict[str, tuple[str, ...]] = {}
     """Disputed texts and the readings that were observed."""
+    declared: dict[str, str] = {}
+    """Requirements that the profile itself declares as not met, and what it says instead; they are never a pass."""
     reference_readings: dict[str, str] = {}
     """Of those texts for which another reading than the reference's was observed: the reference's."""
     notes: tuple[str, ...] = ()

@@ -22,7 +22,6 @@ from dcp_conformance.results import (
     Mark,
     RunResult,
     Sut,
-    requirement_verdicts,
 )
 from dcp_conformance.verdict import Verdict, worst
 
@@ -117,11 +116,6 @@ class Judge:
             about.append(f"{self.other} frames of other traffic were passed over")
         if self.cut:
             about.append(f"{self.cut} frames were not recorded to their end, and not judged")
-        requirements: dict[str, Verdict] = {
-            each: verdict
-            for each, verdict in requirement_verdicts(cases).items()
-            if verdict not in (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE)
-        }
         run = assemble(
             self._codec.profile,
             self._pics,
@@ -133,7 +127,9 @@ class Judge:
             command=self._command,
             notes=(*about, *notes),
         )
-        return msgspec.structs.replace(run, requirements=requirements)
+        open_ones = (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE)
+        decided = {name: verdict for name, verdict in run.requirements.items() if verdict not in open_ones}
+        return msgspec.structs.replace(run, requirements=decided)
 
     def _case(self, rule: Invariant) -> CaseResult:
         checks = [

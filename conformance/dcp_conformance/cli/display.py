@@ -145,6 +145,8 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     out.print(f"\n{data(sut)} as {data(run.profile)}{where}: {decided}", soft_wrap=True)
     if run.kind != "check" and (failing := _failing(run)):
         out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {data(failing)}", soft_wrap=True)
+    for identifier, instead in run.declared.items():
+        out.print(f"{data(identifier)} is not met, as the profile declares: {data(instead)}", soft_wrap=True)
     for line in _readings(run):
         out.print(line, soft_wrap=True)
     for note in run.notes[:_NOTES]:
