@@ -25,7 +25,7 @@ def declared_by(profile: Profile) -> dict[str, str]:
         each.note or each.name for each in (*profile.srp.record, *profile.bp.payload_header) if isinstance(each, Opaque)
     ]
     if opaque:
-        found["DATA-02"] = f"octets that belong to no field: {', '.join(dict.fromkeys(opaque))}"
+        found["DATA-02"] = f"octets that belong to no field: {'; '.join(dict.fromkeys(opaque))}"
     if profile.types.string.terminated:
         found["DATA-07"] = "strings end with a NUL octet"
     if profile.bp.length_means != "blocks":
