@@ -27,6 +27,8 @@ from .lower import Arrival, LowerTester
 from .node_id import node_id_octets
 from .pics import Capabilities, Pics, Target, Testing
 from .pics_file import write_pics
+from .reaction import prepare
+from .session import Session
 from .upper import Answer, UpperTester
 
 __all__ = ["Period", "doubt", "draft", "looks_like", "measured_period", "question", "write_pics"]
@@ -37,6 +39,8 @@ ASKER = bytes.fromhex("02dc90000001")
 _ASK_EVERY = 10_000_000
 #: Intervals that a mean period is believed of, and the missing sequence numbers that are taken for losses.
 _ENOUGH, _MOST_LOST = 10, 5
+#: Beacons that are closer together, in ms, do not come by a beacon period.
+_LEAST_PERIOD = 1.0
 #: Standard deviation of intervals, as a fraction of their mean, from which it is taken for intended.
 _JITTER = 0.02
 #: Scores of profiles that lie closer together are no reason to doubt the chosen one.
@@ -131,6 +135,8 @@ def draft(
     codec = _profile(found, upper, codec_candidates, arrivals)
     if codec is not None and arrivals:
         _look_at(found, codec, arrivals, node_id)
+        if ask:
+            _how_fast(found, codec, lower, upper)
     if not arrivals:
         found.remarks.append(
             f"nothing was heard on {lower.name} in {seconds:g} s: is the implementation running, on this link, with "
@@ -280,6 +286,21 @@ def _look_at(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: b
     _how_often(found, senders[node_id])
 
 
+def _how_fast(found: Draft, codec: Codec, lower: LowerTester, upper: UpperTester | None) -> None:
+    """How long reactions take: a remark, not a key, since each run measures it, too."""
+    session = Session(codec, lower, upper, found.finished())
+    if session.pics.pixit.node_id is not None:
+        session.sut_id = node_id_octets(session.pics.pixit.node_id)
+    elif codec.profile.bp.header:
+        # Whose answers would count is not known.
+        return
+    reaction = prepare(session)
+    if reaction is not None and reaction.samples:
+        found.remarks.append(f"reactions are waited for {reaction}; each run measures this anew")
+    elif reaction is not None:
+        found.remarks.append("it answers no question on the air, from which its reaction time would be measured")
+
+
 def _what_is_seen(found: Draft, beacons: Sequence[Beacon]) -> None:
     total, seen = len(beacons), Counter[str]()
     networks: Counter[int] = Counter()
@@ -307,7 +328,7 @@ def _what_is_seen(found: Draft, beacons: Sequence[Beacon]) -> None:
 
 def _how_often(found: Draft, beacons: Sequence[tuple[Arrival, Beacon]]) -> None:
     period = measured_period(beacons)
-    if period is None:
+    if period is None or period.mean < _LEAST_PERIOD:
         found.remarks.append(f"{len(beacons)} beacons are too few to measure the beacon period")
         return
     told = found.pixit.get("beacon_period_ms")

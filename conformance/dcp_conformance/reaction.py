@@ -25,6 +25,7 @@ _PATIENCE = (25, 5_000_000_000)
 _FACTOR, _MARGIN = 1.5, 1.0
 #: Answers to a burst within so many periods came together: a payload was composed while the burst was arriving.
 _TOGETHER = 1.5
+_CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
 #: Not a case of the suite: a bench needs one.
 _CASE: Final = Case(
     "measurement",
@@ -77,8 +78,11 @@ def measure(bench: Bench) -> Reaction:
 
 
 def _told(bench: Bench) -> float:
-    """The period in which it looks at its buffer, if it has told it, and the beacon after it."""
-    told = bench.session.parameters.get("VARDISPAR_BUFFER_CHECK_PERIOD")
+    """The period in which it looks at its buffer, if that is known, and the beacon after it.
+
+    With something to say in every beacon it does not look, and answers faster than it will when it is idle.
+    """
+    told = bench.session.parameters.get(_CHECK_PERIOD, bench.pixit.buffer_check_period_ms)
     return float(told) * 1e6 / bench.period + 1 if isinstance(told, int | float) else 0.0
 
 

@@ -20,6 +20,7 @@ from dcp_spec.profile_loading import BUILTIN_PROFILES
 
 from dcp_codec import Codec
 from dcp_codec.values import Beacon, BPHeader, VarSumm
+from dcp_stack.config import VardisConfig
 
 
 @cache
@@ -132,6 +133,13 @@ class Air:
 
     def now(self) -> int:
         return self._now
+
+    def wall(self) -> int:
+        return self._now
+
+    def send(self, octets: bytes, source: bytes) -> bytes:
+        """Nobody answers."""
+        return b"\xff" * 6 + source + b"\x49\x53" + octets
 
     def receive(self, until: int, also: Any = ()) -> Arrival | None:
         if self._arrivals and self._arrivals[0].time < until:
@@ -306,3 +314,16 @@ def test_a_written_file_reads_back(tmp_path, capsys):
         write_pics(pics, tmp_path / "nowhere" / "pics.toml")
     write_pics(pics, None, remarks)
     assert capsys.readouterr().out == text
+
+
+@pytest.mark.parametrize(("check_ms", "periods"), [(50, "4.0"), (400, "8.5")])
+def test_how_fast_it_reacts_is_measured(check_ms: int, periods: str):
+    config = msgspec.structs.replace(
+        reference_config(codec("dcp-2.0")), vardis=VardisConfig(buffer_check_period_ms=check_ms)
+    )
+    sut = InProcess(config)
+    busy(sut)
+    pics, remarks = draft(sut.lower_tester(), sut.upper_tester(), CANDIDATES, 5)
+    assert any(each.startswith(f"reactions are waited for {periods} beacon periods (slowest of 5") for each in remarks)
+    # Each run measures it: a number in the file would be taken for what somebody knows.
+    assert pics.pixit.reaction_periods is None
