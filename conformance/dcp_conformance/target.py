@@ -16,7 +16,7 @@ from dcp_codec.frames import with_ether_type
 from .bench import Bench, Session
 from .case import cases_of
 from .control import SutControl
-from .errors import UsageError
+from .errors import ConformanceError, UpperTesterError, UsageError
 from .lower import LowerTester
 from .node_id import node_id_octets
 from .pics import Pics, load_pics
@@ -215,7 +215,13 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     if options.ut is not None:
         from .upper.opening import open_upper
 
-        upper = open_upper(options.ut, _patience(pics), starting=process is not None)
+        try:
+            upper = open_upper(options.ut, _patience(pics), starting=process is not None)
+        except UpperTesterError as error:
+            if process is not None and process.alive() is False:
+                # That is why nobody listens.
+                raise ConformanceError(f"--start: {process.why_dead()}") from error
+            raise
         if process is not None:
             process.after_restart.append(upper.reconnect)
     return _session(options, codec, pics, lower, upper), control, []

@@ -111,6 +111,20 @@ class TestExitStatus:
         # Nobody was told to start it: there is nothing to wait for.
         assert f"unix:{tmp_path}/node.sock: there is no such socket; is the implementation running" in done.err
 
+    def test_4_the_start_command_fails_later(
+        self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ):
+        """Its last words tell why nobody listens at the upper tester's address."""
+        monkeypatch.setattr("dcp_conformance.target.UPPER_PATIENCE", 1.5)
+        script = tmp_path / "start.sh"
+        script.write_text("sleep 0.7; echo config file missing >&2; exit 3\n")
+        done = dcp_conformance(
+            "run", "--link", f"udp:239.77.8.1:{own_port()}", "--start", f"sh {script}",
+            "--ut", f"unix:{tmp_path}/ut.sock", SANITY,
+        )  # fmt: skip
+        assert done.status == TESTER_ERROR
+        assert "--start: it ended with exit status 3; it said: config file missing" in done.err
+
     def test_4_the_testers_own_trouble(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance(
             "run", "--link", "udp", "--ut", f"tcp:127.0.0.1:{own_port()}", ONE, "--report-dir", tmp_path

@@ -127,7 +127,8 @@ class Display:
 def print_summary(run: RunResult, *, report: str = "") -> None:
     """The end of a run: a table by section, what failed and how to run it again, and where the report is."""
     out = console()
-    out.print(_sections(run))
+    if run.cases:
+        out.print(_sections(run))
     alike = deaths(run)
     for group in alike:
         _print_death(out, group)
