@@ -143,14 +143,16 @@ class Codec:
         for where it stops.
         """
         try:
-            return Salvaged(self._decode_beacon(octets, 0, len(octets))[0])
+            beacon, end = self._decode_beacon(octets, 0, len(octets))
+            return Salvaged(beacon, end=end)
         except DecodeError:
             return self._salvager.salvage(octets)
 
     def salvage_envelope(self, octets: bytes) -> Salvaged:
         """As :meth:`salvage` with every client payload left as octets, damaged or not."""
         try:
-            return Salvaged(self._decode_envelope(octets, 0, len(octets))[0])
+            beacon, end = self._decode_envelope(octets, 0, len(octets))
+            return Salvaged(beacon, end=end)
         except DecodeError:
             return self._salvager.salvage(octets, envelope=True)
 

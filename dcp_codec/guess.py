@@ -2,7 +2,8 @@
 
 The version octet does not tell the layout, so every profile is tried. A frame counts fully when it decodes and what
 it says is plausible: time stamps near the time of the recording, coordinates that are numbers, readable descriptions.
-Profiles that explain the frames equally well cannot be told apart by this recording; they are reported as one tie.
+A frame of which only some blocks decode counts a little, by their share: an implementation may send one block that no
+profile has. Profiles that explain the frames equally well cannot be told apart by this recording; they are reported as one tie.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ _CERTAIN = 0.5
 class Candidate(msgspec.Struct, frozen=True):
     """How well one profile explains the frames: ``score`` 0..1, ``decoded`` of ``frames`` without error.
 
-    ``which`` are the places of those that decode among the frames looked at, from 0.
+    ``which`` are the places of those that decode among the frames looked at, from 0. ``in_part`` counts frames with an
+    error of which at least one block decodes; it is estimated if more than :data:`LOOKED_AT` have errors.
     """
 
     profile: Profile
@@ -54,6 +56,18 @@ class Candidate(msgspec.Struct, frozen=True):
     frames: int
     doubts: tuple[str, ...] = ()
     which: frozenset[int] = frozenset()
+    in_part: int = 0
+
+    @property
+    def explained(self) -> float:
+        """The share of frames, 0..1, of which at least one block decodes."""
+        return (self.decoded + self.in_part) / self.frames if self.frames else 0.0
+
+    @property
+    def counts(self) -> str:
+        """How many frames decode, in words."""
+        text = f"{self.decoded} of {self.frames} sampled frames decode"
+        return f"{text}, {self.in_part} more in part" if self.in_part else text
 
 
 class Guess(msgspec.Struct, frozen=True):
@@ -102,7 +116,7 @@ class Guess(msgspec.Struct, frozen=True):
             sure = "one of several"
         elif best.score < 0.5:
             sure = "a weak guess"
-        text = f"{best.profile.name} ({sure}: {best.decoded} of {best.frames} sampled frames decode"
+        text = f"{best.profile.name} ({sure}: {best.counts}"
         if self.tied:
             text += f"; cannot be told apart here from {', '.join(c.profile.name for c in self.tied)}"
         if self.besides:
@@ -183,7 +197,9 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
     link = codec.profile.link
     if ether_type is not None and link.transport == "ethernet":
         link = with_ether_type(link, ether_type)
-    total, damaged, partly = 0, 0, 0.0
+    total, damaged = 0, 0
+    shares: list[float] = []
+    parts = 0
     which: set[int] = set()
     evidence: list[float] = []
     doubts: dict[str, None] = {}
@@ -195,26 +211,55 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
         octets = frame.data[: place.end]
         try:
             beacon, _ = codec.decode_from(octets, place.start)
-        except DecodeError as error:
+        except DecodeError:
             damaged += 1
-            if error.problem.reason not in ("bad-magic", "bad-version") and damaged <= _DAMAGED:
-                partly += 0.1 * _known(codec, octets, place.start)
-            continue
-        if not beacon.payloads:
-            continue
-        which.add(index)
+            if damaged > LOOKED_AT:
+                continue
+            share, part = _share(codec, octets, place.start)
+            shares.append(share)
+            if part is None:
+                continue
+            parts += 1
+            beacon = part
+        else:
+            if not beacon.payloads:
+                continue
+            which.add(index)
         found = list(_evidence(codec.profile, beacon, frame.time_ns))
         if found:
             evidence.append(min(weight for weight, _ in found))
             doubts.update(dict.fromkeys(doubt for weight, doubt in found if weight < _DOUBTFUL))
     # What frames say is weighed apart from whether they decode: most beacons say nothing that could be implausible.
     plausible = sum(evidence) / len(evidence) if evidence else 1.0
+    partly = damaged * sum(shares) / len(shares) if shares else 0.0
     score = (len(which) + partly) / total * (0.3 + 0.7 * plausible) if total else 0.0
-    return Candidate(codec.profile, link, score, len(which), total, tuple(doubts), frozenset(which))
+    in_part = round(damaged * parts / len(shares)) if parts else 0
+    return Candidate(codec.profile, link, score, len(which), total, tuple(doubts), frozenset(which), in_part)
 
 
-#: Malformed frames that are looked at in detail, which is slow.
-_DAMAGED = 20
+#: Malformed frames that are looked at in detail, which is slow; the others are taken to be like these.
+LOOKED_AT = 40
+#: The most that a frame counts of which no block decodes, and of which some do: much less than one that decodes, since
+#: whoever knows the layout knows all of it. A header that breaks a rule leaves half.
+_HINT, _PART, _BAD_HEADER = 0.1, 0.3, 0.5
+
+
+def _share(codec: Codec, octets: bytes, start: int) -> tuple[float, Beacon | None]:
+    """Which part of a malformed frame the profile explains, 0..1, and what can be read of it if that is a block."""
+    found = codec.salvage(octets[start:])
+    beacon = found.beacon
+    if beacon is None or not found.clear:
+        if {each.reason for each in found.problems} & {"bad-magic", "bad-version"}:
+            return 0.0, None
+        return _HINT * _known(codec, octets, start), None
+    bad = {each.payload for each in found.damaged}
+    sound = len(beacon.payloads) - len(bad)
+    header = any(each.path.startswith("bp.") for each in found.problems)
+    if not sound:
+        # All that is known is BP's part; how much of a wrong layout happens to fit says nothing.
+        return _HINT * (_BAD_HEADER if header else 1.0), None
+    share = _HINT + (_PART - _HINT) * sound / len(beacon.payloads)
+    return share * (_BAD_HEADER if header else 1.0), beacon
 
 
 def _known(codec: Codec, octets: bytes, start: int) -> float:

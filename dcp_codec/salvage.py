@@ -64,7 +64,8 @@ class Salvaged(msgspec.Struct, frozen=True, gc=False):
 
     ``beacon`` is None if nothing could be read. ``problems`` is empty if and only if strict decoding succeeds. The
     content of a ``damaged`` payload is its octets, but for VarDis, where it is the containers before the fault.
-    ``clear`` is false if the blocks do not add up in any reading: then the header may be misread as well.
+    ``clear`` is false if the blocks do not add up in any reading: then the header may be misread as well. ``end`` is
+    the offset behind the last block.
     """
 
     beacon: Beacon | None
@@ -72,6 +73,7 @@ class Salvaged(msgspec.Struct, frozen=True, gc=False):
     damaged: tuple[Damaged, ...] = ()
     reading: Reading = "length"
     clear: bool = True
+    end: int = 0
 
     def octets_of(self, payload: int) -> bytes | None:
         """The client payload of a damaged block as received; None if nothing is wrong with it."""
@@ -141,7 +143,7 @@ class Salvager:
             problems = (*wrong, *(each.problem for each in attempt.damaged))
         payloads = attempt.blocks if envelope else attempt.payloads
         clear = bool(payloads) and not attempt.cut_off and not (disputed and any(attempt.tree.padding))
-        return Salvaged(Beacon(bp, payloads), problems, attempt.damaged, attempt.reading, clear)
+        return Salvaged(Beacon(bp, payloads), problems, attempt.damaged, attempt.reading, clear, attempt.tree.end)
 
     # -- readings -----------------------------------------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 """What is in a recording: beacons, loss and intervals per sender, containers and records by type, variables.
 
-Memory is bounded: counters per sender and per variable, with an upper limit on both.
+A malformed beacon whose blocks can be told apart counts as a beacon, with what can be read of it. Memory is bounded:
+counters per sender and per variable, with an upper limit on both.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import math
 from collections import Counter
 from typing import Any
 
-from dcp_spec.constants import BP_SEQNO_MODULUS
+from dcp_spec.constants import BP_PROTID_SRP, BP_SEQNO_MODULUS
 from dcp_spec.profile import Link
 
 from .capture import Frame
@@ -165,7 +166,10 @@ class Stats:
             self.reasons[error.problem.reason] += 1
             if len(self.examples) < EXAMPLES:
                 self.examples.append((frame.number, str(error.problem)))
-            return
+            found = self.codec.salvage(octets[framing.start :])
+            if found.beacon is None or not found.clear:
+                return
+            beacon, end = found.beacon, framing.start + found.end
         self._count(beacon, frame, framing)
         self.octets += end - framing.start
         self.padded += end < len(octets)
@@ -188,7 +192,7 @@ class Stats:
         stats.add(seqno, frame.time_ns)
         for payload in beacon.payloads:
             content = payload.content
-            if isinstance(content, ExtendedSafetyData):
+            if isinstance(content, ExtendedSafetyData) or self._is_report(payload.protocol_id):
                 self.srp += 1
             elif isinstance(content, tuple):
                 self.vardis += 1
@@ -196,6 +200,10 @@ class Stats:
                     self._count_container(container)
             else:
                 self.other_payloads += 1
+
+    def _is_report(self, protocol_id: int) -> bool:
+        """Whether a payload is one of SRP, although it cannot be read."""
+        return protocol_id == BP_PROTID_SRP and self.codec.report_plan is not None
 
     def _count_container(self, container: Container) -> None:
         name = self._names[container.ic_type]

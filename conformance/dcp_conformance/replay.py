@@ -181,7 +181,7 @@ class Replay:
                     actions.act(heard)
                 continue
             number = self._send(bench, heard, source)
-            if heard.beacon is not None:
+            if heard.problem is None:
                 oracle.hear([each.record for each in heard.instructions()], bench.now(), number)
             else:
                 _doubt(bench.codec, oracle, heard)

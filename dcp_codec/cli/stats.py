@@ -68,7 +68,7 @@ def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int]:
                 advance()
         status = report_capture_problems(reader, name)
     if stats.malformed:
-        malformed_note(name, stats.malformed, stats.beacons + stats.malformed)
+        malformed_note(name, stats.malformed, stats.frames - stats.other_traffic.total())
         status = max(status, MALFORMED)
     if not stats.beacons and not stats.malformed:
         no_beacons_note(name, stats.frames, dict(stats.other_traffic.most_common()), link)

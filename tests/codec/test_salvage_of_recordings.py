@@ -1,0 +1,59 @@
+"""Recordings of an implementation that sends one unreadable block in every beacon: the others count all the same."""
+
+from __future__ import annotations
+
+from dcp_codec import Beacon, BPHeader, Container, Payload, VarSumm, get_codec
+from dcp_codec.capture import Frame
+from dcp_codec.envelope import Envelope
+from dcp_codec.framing import locate
+from dcp_codec.guess import guess
+from dcp_codec.stats import Stats
+
+SENDER = bytes.fromhex("020000000001")
+PATTERN = bytes(range(0x20, 0x20 + 40))
+CODEC = get_codec("cpp-1.2")
+
+
+def recording(count: int = 30, *, reports: int = 1) -> list[Frame]:
+    """Beacons as release 1.2.0 sends them: a test pattern in place of the report, then summaries."""
+    frames = []
+    for number in range(count):
+        payloads = [Payload(2, CODEC.encode_containers((Container(1, (VarSumm(7, number % 256),)),)))]
+        if number % 10 != 9:
+            payloads[:0] = [Payload(1, PATTERN)] * reports
+        octets = CODEC.encode_envelope(Beacon(BPHeader(SENDER, number), tuple(payloads)))
+        data = Envelope(CODEC.profile.link).frame(octets.ljust(46, b"\0"), SENDER)
+        frames.append(Frame(number + 1, 1_750_000_000_000_000_000 + number * 100_000_000, data, len(data)))
+    return frames
+
+
+def test_beacons_with_a_bad_block_are_beacons() -> None:
+    stats = Stats(CODEC)
+    for frame in recording():
+        stats.add(frame, locate(frame.data, CODEC.profile.link))
+    told = stats.as_json()
+    assert (told["beacons"], told["errors"], told["srp"], told["vardis"]) == (30, 27, 27, 30)
+    assert told["records"] == {"SUMMARIES": 30}
+    assert told["error_reasons"] == {"wrong-length": 27}
+    assert told["senders"]["02:00:00:00:00:01"]["lost"] == 0
+    # Only the beacons without the pattern are short enough to be padded.
+    assert told["padded"] == 3
+    assert told["octets"] == sum((16 + 4 + 4) + (44 if number % 10 != 9 else 0) for number in range(30))
+
+
+def test_profiles_with_the_layout_of_the_other_blocks_are_tied() -> None:
+    found = guess(recording())
+    names = {found.best.profile.name, *(each.profile.name for each in found.tied)}
+    assert names == {"dcp-1.2", "dcp-1.3", "cpp-1.2", "cpp-1.3"}
+    assert (found.best.decoded, found.best.in_part) == (3, 27)
+    assert found.best.explained == 1.0
+    assert found.best.score > 0.25
+    assert all(each.score < 0.1 and each.explained == 0 for each in found.candidates if each.profile.name not in names)
+    assert "one of several: 3 of 30 sampled frames decode, 27 more in part" in str(found)
+    assert not found.certain
+
+
+def test_what_decodes_beats_what_decodes_in_part() -> None:
+    sound = recording(reports=0)
+    assert guess(sound).best.score == 1.0
+    assert guess(sound).best.score > guess(recording()).best.score > guess(recording(reports=3)).best.score
