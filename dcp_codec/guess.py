@@ -3,7 +3,8 @@
 The version octet does not tell the layout, so every profile is tried. A frame counts fully when it decodes and what
 it says is plausible: time stamps near the time of the recording, coordinates that are numbers, readable descriptions.
 A frame of which only some blocks decode counts a little, by their share: an implementation may send one block that no
-profile has. Profiles that explain the frames equally well cannot be told apart by this recording; they are reported as one tie.
+profile has. Profiles that explain the frames equally well cannot be told apart by this recording; they are reported as
+one tie.
 """
 
 from __future__ import annotations

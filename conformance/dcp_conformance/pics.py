@@ -17,6 +17,11 @@ from .node_id import node_id_octets
 #: Beacon periods that every reaction is granted: what a fast implementation needs, and room for a lost frame.
 REACTION_FLOOR: Final = 4.0
 
+DEFAULT_PROFILE: Final = "dcp-2.0"
+"""The wire profile where nobody names one."""
+UNKNOWN_PROFILE: Final = "unknown"
+"""What ``probe`` writes as ``pixit.profile`` if no profile explains what it heard."""
+
 _Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 

@@ -9,7 +9,7 @@ import itertools
 import math
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import msgspec
@@ -18,20 +18,21 @@ from dcp_spec.profile_loading import BUILTIN_PROFILES
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.errors import DecodeError
-from dcp_codec.guess import SAMPLE, guess
+from dcp_codec.guess import SAMPLE, Guess, guess
 from dcp_codec.values import Beacon, VarSumm
 
 from .forge import Forge
+from .header_faults import explanation
+from .header_rules import judge
 from .lower import Arrival, LowerTester
 from .node_id import node_id_octets
-from .pics import Capabilities, Pics, Target, Testing
+from .pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
 from .pics_file import write_pics
 from .reaction import prepare
 from .session import Session
 from .upper import Answer, UpperTester
 
-__all__ = ["Period", "doubt", "draft", "looks_like", "measured_period", "question", "write_pics"]
+__all__ = ["Period", "draft", "looks_like", "measured_period", "question", "write_pics"]
 
 #: The address and identifier that questions on the air come from.
 ASKER = bytes.fromhex("02dc90000001")
@@ -45,8 +46,10 @@ _LEAST_PERIOD = 1.0
 _JITTER = 0.02
 #: Scores of profiles that lie closer together are no reason to doubt the chosen one.
 _CLOSE = 0.05
-#: A profile with less than this explains nothing.
+#: A profile in which no block can be read of more than this share of the frames explains nothing.
 _EXPLAINED = 0.3
+#: Frames that are judged octet by octet.
+_LOOKED_AT = 100
 
 #: Where PIXIT values come from, if the implementation tells its parameters.
 _PARAMETERS = {
@@ -120,10 +123,15 @@ def draft(
     seconds: float,
     *,
     ask: bool = True,
+    asked_for: str = DEFAULT_PROFILE,
+    asking: Sequence[Codec] | None = None,
 ) -> tuple[Pics, list[str]]:
     """Listen for so many seconds, and ask the upper tester if there is one.
 
-    ``codec_candidates`` are the profiles that the implementation may speak. ``ask``: if it is silent for the first
+    ``codec_candidates`` are the profiles that the implementation may speak. ``asked_for`` is the one that is taken
+    where several explain equally well what is heard. If none does, the profile of the draft is
+    :data:`UNKNOWN_PROFILE`, which no run takes. ``asking``: the profiles of questions on the air, all candidates unless
+    given. ``ask``: if it is silent for the first
     quarter of the time, it is asked for variables on the air (summaries of ones that nobody has), so that it has
     something to say.
 
@@ -131,8 +139,8 @@ def draft(
     """
     found = Draft()
     node_id = _introduce(found, upper)
-    arrivals = _listen(lower, codec_candidates, seconds, ask, found)
-    codec = _profile(found, upper, codec_candidates, arrivals)
+    arrivals = _listen(lower, codec_candidates if asking is None else asking, seconds, ask, found)
+    codec = _profile(found, upper, codec_candidates, arrivals, asked_for)
     if codec is not None and arrivals:
         _look_at(found, codec, arrivals, node_id)
         if ask:
@@ -234,37 +242,73 @@ def question(codec: Codec, number: int) -> bytes:
 
 
 def _profile(
-    found: Draft, upper: UpperTester | None, codecs: Sequence[Codec], arrivals: Sequence[Arrival]
+    found: Draft, upper: UpperTester | None, codecs: Sequence[Codec], arrivals: Sequence[Arrival], asked_for: str
 ) -> Codec | None:
-    """The profile: as the implementation says, else the likeliest."""
+    """The profile: as the implementation says, else the likeliest; of several equally likely ones that asked for."""
     told = upper.about.get("profile") if upper is not None else None
     by_name = {codec.profile.name: codec for codec in codecs}
     ranked = guess(_frames(arrivals), profiles=list(codecs), framed=False) if arrivals else None
     if isinstance(told, str) and told in by_name:
         found.set("pixit", "profile", told, "as UT-Hello says")
-        if ranked is not None and doubt(ranked.best.score, _score(ranked.candidates, told)):
+        if ranked is not None and _doubtful(ranked, told):
             found.remarks.append(f"UT-Hello says that the profile is {told}, but its frames look like {ranked}")
         return by_name[told]
     if ranked is None:
         return None
-    if ranked.best.score < _EXPLAINED:
-        found.remarks.append(f"none of the profiles explains what was heard; the best of them is {ranked}")
-        return None
-    name = ranked.best.profile.name
-    found.set("pixit", "profile", name, f"a guess from {len(arrivals)} frames: {ranked}")
+    if ranked.best.explained < _EXPLAINED:
+        return _unexplained(found, ranked, by_name, arrivals, asked_for)
+    likely = {each.profile.name: each for each in (ranked.best, *ranked.tied)}
+    name = next((each for each in (asked_for, DEFAULT_PROFILE) if each in likely), ranked.best.profile.name)
+    others = [each for each in likely if each != name]
+    text = f"a guess from {len(arrivals)} frames: {likely[name].counts}"
+    if others:
+        text += f"; {', '.join(others)} would explain them as well: is {name} right?"
+    if name != asked_for and asked_for in by_name:
+        score = _score(ranked.candidates, asked_for)
+        text += f"; {asked_for} explains them less well ({score:.2f}, and {ranked.best.score:.2f} for {name})"
+    found.set("pixit", "profile", name, text)
     return by_name[name]
+
+
+def _unexplained(
+    found: Draft, ranked: Guess, by_name: Mapping[str, Codec], arrivals: Sequence[Arrival], asked_for: str
+) -> Codec | None:
+    """Nothing decodes: the profile asked for if one known fault explains the frames, else none."""
+    codec = by_name.get(asked_for)
+    frames = arrivals[:_LOOKED_AT]
+    if codec is not None:
+        faults = [explanation(each.octets, codec, codec.profile.bp.network_id, each.source) for each in frames]
+        known = [each for each in faults if each is not None]
+        if 2 * len(known) > len(frames):
+            text = f"its headers break {known[0].requirements}: {known[0].observed} (expected {known[0].expected})"
+            found.set("pixit", "profile", asked_for, f"asked for; {text}")
+            return codec
+    text = f"none of the profiles explains what was heard; the best of them is {ranked}"
+    found.set("pixit", "profile", UNKNOWN_PROFILE, f"{text}. Which wire profile is it? A run takes no unknown one")
+    return None
 
 
 def _look_at(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: bytes | None) -> None:
     """What the beacons of the implementation show."""
     senders: dict[bytes, list[tuple[Arrival, Beacon]]] = {}
+    broken: list[Arrival] = []
     for arrival in arrivals:
-        try:
-            beacon = codec.decode(arrival.octets)
-        except DecodeError:
+        salvaged = codec.salvage(arrival.octets)
+        if salvaged.problems:
+            broken.append(arrival)
+        beacon = salvaged.beacon
+        if beacon is None or not salvaged.clear:
             continue
         sender = beacon.bp.sender_id if beacon.bp is not None else arrival.source
         senders.setdefault(sender, []).append((arrival, beacon))
+    if broken:
+        rules = Counter(
+            f"{each.requirement}: {each.observed}"
+            for arrival in broken[:_LOOKED_AT]
+            for each in judge(arrival.octets, codec, source=arrival.source)
+        )
+        listed = "; ".join(f"{text} ({count} times)" for text, count in rules.most_common(5))
+        found.remarks.append(f"{len(broken)} of {len(arrivals)} frames cannot be read to their end: {listed}")
     if not senders:
         found.remarks.append(f"none of {len(arrivals)} frames is a beacon of {codec.profile.name}")
         return
@@ -388,16 +432,17 @@ def looks_like(frames: Iterable[Octets], codec: Codec) -> str:
         return ""
     others = [get_codec(name) for name in BUILTIN_PROFILES if name != codec.profile.name]
     ranked = guess(taken, profiles=[codec, *others], framed=False)
-    if not doubt(ranked.best.score, _score(ranked.candidates, codec.profile.name)):
+    if not _doubtful(ranked, codec.profile.name):
         return ""
-    if ranked.best.score < _EXPLAINED:
+    if ranked.best.explained < _EXPLAINED:
         return f"its frames look like no profile that is known here (the best is {ranked}); see: dcp-codec guess"
     return f"its frames look like {ranked}; try --profile {ranked.best.profile.name}"
 
 
-def doubt(best: float, ours: float) -> bool:
-    """Whether the best score speaks against the profile that has ``ours``; also if none explains anything."""
-    return best - ours > _CLOSE or best < _EXPLAINED
+def _doubtful(ranked: Guess, name: str) -> bool:
+    """Whether a ranking speaks against a profile; also if none explains anything."""
+    best = ranked.best
+    return best.score - _score(ranked.candidates, name) > _CLOSE or best.explained < _EXPLAINED
 
 
 def _score(candidates: Iterable[Any], name: str) -> float:

@@ -19,11 +19,10 @@ from .control import SutControl
 from .errors import ConformanceError, UpperTesterError, UsageError
 from .lower import LowerTester
 from .node_id import node_id_octets
-from .pics import Pics, load_pics
+from .pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Pics, load_pics
 from .runner import Runner
 from .upper import UpperTester
 
-DEFAULT_PROFILE = "dcp-2.0"
 #: Beacon period in ms of our own node as a process: short, since nobody else is on its link, and everything is timed in
 #: periods.
 OWN_PERIOD = 20.0
@@ -95,6 +94,11 @@ def describe(options: TargetOptions) -> tuple[Codec, Pics]:
     """Profile and PICS, without opening anything. Raises :class:`UsageError`."""
     pics = load_pics(options.pics) if options.pics is not None else Pics()
     name = options.profile or pics.pixit.profile or DEFAULT_PROFILE
+    if name == UNKNOWN_PROFILE:
+        raise UsageError(
+            f"{options.pics}: pixit.profile: probe could not find out which wire profile the implementation speaks; "
+            "write it there, or give --profile"
+        )
     try:
         codec = Codec(name)
     except ProfileError as error:
@@ -144,6 +148,8 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
         stack.callback(session.lower.close)
         if session.upper is not None:
             stack.callback(session.upper.close)
+        if options.foreign and options.profile is None and pics.pixit.profile is None:
+            notes.append(f"neither --profile nor pixit.profile says which wire profile: {DEFAULT_PROFILE} is assumed")
         runner = Runner(session, control, rerun=options.command_line())
         runner.remarks += notes
         yield Target(codec, pics, runner, notes)

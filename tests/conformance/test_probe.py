@@ -8,14 +8,22 @@ from typing import Any
 
 import msgspec
 import pytest
+from dcp_conformance.bench import Session
+from dcp_conformance.case import all_cases
 from dcp_conformance.errors import UsageError
 from dcp_conformance.forge import Block, Forge
 from dcp_conformance.lower import Arrival
-from dcp_conformance.pics import Pics, load_pics
+from dcp_conformance.mutants import all_mutants
+from dcp_conformance.pics import UNKNOWN_PROFILE, Pics, Testing, load_pics
 from dcp_conformance.pics_file import QUESTIONS, pics_text
 from dcp_conformance.probe import Period, draft, looks_like, measured_period, rounded, write_pics
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
+from dcp_conformance.runner import Runner
+from dcp_conformance.selection import ordered
+from dcp_conformance.selftest import PROFILES
+from dcp_conformance.target import TargetOptions, describe
 from dcp_conformance.upper import Answer
+from dcp_conformance.verdict import Verdict
 from dcp_spec.profile_loading import BUILTIN_PROFILES
 
 from dcp_codec import Codec
@@ -188,8 +196,8 @@ def test_several_of_one_kind():
 def test_garbage_is_no_profile():
     arrivals = [Arrival(at, at, bytes(range(at, at + 60)), b"", b"\x02" * 6) for at in range(1, 20)]
     pics, remarks = draft(Air(list(arrivals)), None, CANDIDATES, 1)  # type: ignore[arg-type]
-    assert pics == Pics()
-    assert any(each.startswith("none of the profiles explains what was heard") for each in remarks)
+    assert pics == Pics(pixit=Testing(profile=UNKNOWN_PROFILE))
+    assert any(each.startswith("pixit.profile: none of the profiles explains what was heard") for each in remarks)
     assert "its frames look like no profile that is known here" in looks_like(arrivals, codec("dcp-2.0"))
 
 
@@ -228,6 +236,90 @@ def test_which_profile_frames_look_like(profile):
     assert heard
     # Nothing speaks against the right one.
     assert looks_like(heard, codec(profile)) == ""
+
+
+def test_a_draft_without_a_profile_is_not_run(tmp_path):
+    path = tmp_path / "draft.toml"
+    write_pics(Pics(pixit=Testing(profile=UNKNOWN_PROFILE)), path, ["pixit.profile: none explains it"])
+    with pytest.raises(UsageError, match=r"draft.toml: pixit.profile: probe could not find out .* give --profile"):
+        describe(TargetOptions(pics=path))
+    assert describe(TargetOptions(pics=path, profile="dcp-1.3"))[0].profile.name == "dcp-1.3"
+
+
+@pytest.mark.parametrize("asked_for", ["dcp-2.0", "cpp-2.0"])
+def test_a_tie_goes_to_the_profile_that_was_asked_for(asked_for):
+    # Only summaries: nothing in which the two differ.
+    forge = Forge(codec("dcp-2.0"))
+    blocks = [forge.vardis(forge.container(VarSumm(1, 1)))]
+    arrivals = [Arrival(at, at, forge.beacon(b"\x02" * 6, at, blocks), b"", b"") for at in range(20)]
+    pics, remarks = draft(Air(arrivals), None, CANDIDATES, 1, asked_for=asked_for)  # type: ignore[arg-type]
+    assert pics.pixit.profile == asked_for
+    (remark,) = [each for each in remarks if each.startswith("pixit.profile: ")]
+    other = {"dcp-2.0": "cpp-2.0", "cpp-2.0": "dcp-2.0"}[asked_for]
+    assert f"{other} would explain them as well: is {asked_for} right?" in remark
+
+
+def test_a_profile_that_was_asked_for_and_is_wrong_is_told():
+    sut = node("cpp-1.3")
+    busy(sut)
+    pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10, asked_for="dcp-2.0")
+    assert pics.pixit.profile == "cpp-1.3"
+    assert any("dcp-2.0 explains them less well" in each for each in remarks)
+
+
+def with_mutant(identifier: str, profile: str = "dcp-2.0") -> InProcess:
+    return InProcess(reference_config(codec(profile)), make=all_mutants()[identifier].make)
+
+
+def test_one_bad_block_does_not_hide_what_the_others_say():
+    sut = with_mutant("M-SRP-FMT-01-test-pattern", "cpp-1.2")
+    busy(sut)
+    for number in range(40):
+        assert sut.upper_tester().call("SRP-UpdateSafetyData", {"sData": {"x": number, "y": 2, "z": 3}}).ok
+        sut.elapse(100_000_000)
+    pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10, asked_for="cpp-1.2")
+    assert pics.pixit.profile == "cpp-1.2"
+    assert (pics.pixit.node_id, pics.pixit.beacon_period_ms) == ("02:00:00:00:00:01", 100)
+    assert (pics.pics.srp, pics.pics.vardis) == (True, True)
+    assert any("cannot be read to their end: SRP-FMT-01: a payload of fixed size" in each for each in remarks)
+
+
+@pytest.mark.parametrize(
+    ("identifier", "told"),
+    [
+        ("M-BP-HDR-02-swapped", "BP-HDR-02: 0x7e49: its octets are swapped"),
+        ("M-BP-HDR-06-with-header", "BP-HDR-06: "),
+        ("M-BP-FMT-01-block-with-header", "BP-FMT-01: "),
+        ("M-DATA-01-all-swapped", "DATA-01: integers with their least significant octet first"),
+    ],
+)
+def test_a_fault_in_the_header_is_told_and_the_profile_found(identifier, told):
+    sut = with_mutant(identifier)
+    busy(sut)
+    pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10)
+    assert pics.pixit.profile == "dcp-2.0"
+    assert any("cannot be read to their end" in each and told in each for each in remarks)
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["asked", "heard"])
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_draft_never_makes_a_conforming_node_fail(profile, told, tmp_path):
+    sut = node(profile)
+    if told:
+        busy(sut)
+    upper = sut.upper_tester() if told else None
+    path = tmp_path / "draft.toml"
+    drafted, remarks = draft(sut.lower_tester(), upper, CANDIDATES, 20, asked_for=profile)
+    write_pics(drafted, path, remarks)
+    pics = load_pics(path)
+    assert pics.pixit.profile == profile
+    fresh = node(profile)
+    session = Session(codec(pics.pixit.profile), fresh.lower_tester(), fresh.upper_tester(), pics)
+    runner = Runner(session, fresh)
+    runner.prepare()
+    for case in ordered(all_cases().values()):
+        result = runner.run(case)
+        assert result.verdict not in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE), (case.id, result.reason)
 
 
 def test_another_profile_is_named():

@@ -16,7 +16,7 @@ from .options import target_of, target_options
 @click.command(
     "probe",
     epilog="Exit status: 0 something was heard or answered; 2 wrong usage, or a file that cannot be written; 3 nothing "
-    "was heard and nobody answered; 4 the tester's own trouble.",
+    "was heard and nobody answered, or no profile explains what was heard; 4 the tester's own trouble.",
 )
 @target_options
 @click.option(
@@ -34,6 +34,7 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
     from dcp_spec.profile_loading import BUILTIN_PROFILES
 
     from dcp_codec.codec import Codec
+    from dcp_conformance.pics import UNKNOWN_PROFILE
     from dcp_conformance.pics_file import write_pics
     from dcp_conformance.probe import draft
     from dcp_conformance.target import describe, open_lower
@@ -44,12 +45,17 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
         raise UsageError("which implementation? --interface IF for Ethernet, --link udp[:GROUP:PORT] for UDP")
     codec, _ = describe(target)
     chosen = target.profile is not None or target.pics is not None
-    candidates = [codec] if chosen else [Codec(name) for name in BUILTIN_PROFILES]
+    asked_for = codec.profile.name
+    candidates = [codec, *(Codec(name) for name in BUILTIN_PROFILES if name != asked_for)]
+    # An implementation is not sent frames of other layouts if its user says which one it speaks.
+    asking = [codec] if chosen else None
     lower = open_lower(target, codec)
     try:
         upper = open_upper(target.ut, starting=False) if target.ut is not None else None
         try:
-            pics, remarks = draft(lower, upper, candidates, seconds, ask=not passive)
+            pics, remarks = draft(
+                lower, upper, candidates, seconds, ask=not passive, asked_for=asked_for, asking=asking
+            )
         finally:
             if upper is not None:
                 upper.close()
@@ -59,5 +65,8 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
     if output is not None:
         for remark in remarks:
             say(remark, err=True)
+    if pics.pixit.profile == UNKNOWN_PROFILE:
+        click.echo("no profile explains what was heard: state pixit.profile before a run", err=True)
+        return 3
     heard = not any(remark.startswith("nothing was heard") for remark in remarks)
     return 0 if heard or upper is not None else 3
