@@ -16,7 +16,7 @@ from dcp_codec.guess import SAMPLE, Guess, guess
 from .bench import Bench
 from .heard import Heard
 from .lower import HearsEveryType
-from .probe import doubt, question
+from .probe import doubtful, question
 from .traffic import Event
 
 #: Beacon periods to wait for an answer.
@@ -25,7 +25,7 @@ PERIODS: Final = 8.0
 _NETWORKS: Final = (0, 1, 2, 3, 0x00FF, 0x0100, 0x1111, 0x1234, 0xFFFF)
 #: EtherTypes that are tried when nothing is heard, beside those of the built-in profiles: the local experimental ones.
 _ETHER_TYPES: Final = (0x88B5, 0x88B6)
-#: Profiles whose scores are below this explain nothing.
+#: A profile in which no block can be read of more than this share of the frames explains nothing.
 _EXPLAINED: Final = 0.3
 
 
@@ -52,8 +52,7 @@ def suspect(bench: Bench) -> str:
 
 def _other_profile(bench: Bench, payloads: Sequence[tuple[int, bytes]]) -> str:
     ranked = _ranked(bench.codec, payloads)
-    ours = max((each.score for each in ranked.candidates if each.profile.name == bench.profile.name), default=0.0)
-    if ranked.best.score < _EXPLAINED or not doubt(ranked.best.score, ours):
+    if ranked.best.explained < _EXPLAINED or not doubtful(ranked, bench.profile.name):
         return ""
     return f"its frames look like {ranked}; try --profile {ranked.best.profile.name}"
 

@@ -32,7 +32,7 @@ from .reaction import prepare
 from .session import Session
 from .upper import Answer, UpperTester
 
-__all__ = ["Period", "draft", "looks_like", "measured_period", "question", "write_pics"]
+__all__ = ["Period", "doubtful", "draft", "looks_like", "measured_period", "question", "write_pics"]
 
 #: The address and identifier that questions on the air come from.
 ASKER = bytes.fromhex("02dc90000001")
@@ -250,7 +250,7 @@ def _profile(
     ranked = guess(_frames(arrivals), profiles=list(codecs), framed=False) if arrivals else None
     if isinstance(told, str) and told in by_name:
         found.set("pixit", "profile", told, "as UT-Hello says")
-        if ranked is not None and _doubtful(ranked, told):
+        if ranked is not None and doubtful(ranked, told):
             found.remarks.append(f"UT-Hello says that the profile is {told}, but its frames look like {ranked}")
         return by_name[told]
     if ranked is None:
@@ -432,14 +432,14 @@ def looks_like(frames: Iterable[Octets], codec: Codec) -> str:
         return ""
     others = [get_codec(name) for name in BUILTIN_PROFILES if name != codec.profile.name]
     ranked = guess(taken, profiles=[codec, *others], framed=False)
-    if not _doubtful(ranked, codec.profile.name):
+    if not doubtful(ranked, codec.profile.name):
         return ""
     if ranked.best.explained < _EXPLAINED:
         return f"its frames look like no profile that is known here (the best is {ranked}); see: dcp-codec guess"
     return f"its frames look like {ranked}; try --profile {ranked.best.profile.name}"
 
 
-def _doubtful(ranked: Guess, name: str) -> bool:
+def doubtful(ranked: Guess, name: str) -> bool:
     """Whether a ranking speaks against a profile; also if none explains anything."""
     best = ranked.best
     return best.score - _score(ranked.candidates, name) > _CLOSE or best.explained < _EXPLAINED
