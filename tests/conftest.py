@@ -21,6 +21,8 @@ from hypothesis.internal.constants_ast import Constants
 from .chance import FRESH, examples
 
 ROOT = Path(__file__).resolve().parent.parent
+#: Folders of tests that wait for processes in real time; `make test` runs them by themselves, after all others.
+REAL_TIME = frozenset(("link", "foreign"))
 #: Variables of the user's environment that change what commands print, import or find.
 STRAY = (
     *("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_THEME", "PYTHONPATH", "PYTHONOPTIMIZE", "PYTHONWARNINGS"),
@@ -66,6 +68,12 @@ def pytest_configure() -> None:
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark tests in real time: before ``-m`` chooses among them."""
+    if item.path.parent.name in REAL_TIME:
+        item.add_marker("real_time")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

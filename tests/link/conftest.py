@@ -23,13 +23,6 @@ import pytest
 from ..waiting import PATIENCE, eventually
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark all tests of this folder, for `make test` to run them by themselves."""
-    for item in items:
-        if Path(__file__).parent in item.path.parents:
-            item.add_marker("real_time")
-
-
 class Process:
     """A Python process in the namespace; its output is read line by line, with an end to patience."""
 
