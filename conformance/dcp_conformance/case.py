@@ -14,6 +14,7 @@ import importlib
 import inspect
 import pkgutil
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -23,8 +24,16 @@ from typing import TYPE_CHECKING, Any, Final
 from dcp_spec.constants import SpecVersion
 from dcp_spec.requirements import requirement
 
+from .errors import UsageError
+
 if TYPE_CHECKING:
     from .bench import Bench
+
+if sys.flags.optimize > 1:
+    raise UsageError(
+        "Python runs without docstrings (-OO, PYTHONOPTIMIZE=2), which hold sections and purposes of cases; "
+        "unset PYTHONOPTIMIZE"
+    )
 
 CASES: Final = "dcp_conformance.cases"
 SANITY: Final = "TC_DCP_SANITY_BV_01"

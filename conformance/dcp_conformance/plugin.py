@@ -4,21 +4,26 @@
 it calls pytest with this plugin. So does ``pytest -p dcp_conformance.plugin --pyargs dcp_conformance.cases
 --dcp-in-process``. What pytest calls passed, failed and skipped is derived from the verdict and never the other way
 round.
+
+With pytest-xdist (``-n 2``) each worker tests a node of ours of its own, and the results come together in the process
+that has started the workers (:mod:`dcp_conformance.plugin_workers`).
 """
 
 from __future__ import annotations
 
 import importlib
+import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from dcp_codec.plain import plain
 
-from .case import CASES, Case, cases_of
+from .case import CASES, SANITY, Case, cases_of
 from .errors import UsageError
 from .results import CaseResult
 from .run import ConformanceRun
@@ -45,18 +50,34 @@ class Driver:
         self.run = run
         self.finished = False
         """Whether there was a session of pytest, with or without results."""
-        self._planned: list[Case] = []
+        self.signalled = False
+        """Whether Ctrl-C has ended the session, and not pytest itself (``-x``)."""
 
-    @pytest.hookimpl(trylast=True)
-    def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
-        """Put the selected cases in their order."""
+    def plan(self, collected: Sequence[Case]) -> list[Case]:
+        """The executions, of cases in the order in which pytest has them; another plugin may have changed it."""
+        ids = {case.id for case in collected}
+        planned = self.run.plan(lambda case: case.id in ids or case.id in self.run.found_by_fuzzer)
+        order = {name: number for number, name in enumerate(self.run.cases)}
+        places = [order[case.id] for case in collected]
+        if places == sorted(places):
+            return planned
+        # Sanity first and last, all else as another plugin wants it.
+        there = {case.id: number for number, case in enumerate(collected)}
+        rounds = itertools.groupby(planned, lambda case: case.id == SANITY)
+        last = len(there)
+        return [case for _, cases in rounds for case in sorted(cases, key=lambda case: there.get(case.id, last))]
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> Generator[None, None, None]:
+        """Put the selected cases in their order, once all other plugins have chosen among them (``-k``, ``--lf``)."""
+        yield
         collected = [item for item in items if isinstance(item, CaseItem)]
-        by_id = {item.case.id: item for item in collected}
         chosen: list[pytest.Item] = [item for item in items if not isinstance(item, CaseItem)]
         module = collected[0].parent if collected else None
-        unused = dict(by_id)
-        self._planned = self.run.plan(lambda case: case.id in by_id or case.id in self.run.found_by_fuzzer)
-        for case in self._planned:
+        unused = {item.case.id: item for item in collected}
+        for case in self.plan([item.case for item in collected]):
             # An item runs once: repetitions are items of their own.
             item = unused.pop(case.id, None)
             if item is None and module is not None:
@@ -78,6 +99,10 @@ class Driver:
             return None
         return None if self.run.open() else True
 
+    def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
+        """Tell Ctrl-C from what pytest raises itself when it has failed often enough."""
+        self.signalled = excinfo.type is KeyboardInterrupt
+
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
         """Close everything; results are complete then, or the run says what is missing."""
         self.finished = True
@@ -88,7 +113,7 @@ class Driver:
                 run.trouble, run.usage = "no case is left to run", True
             elif exitstatus == pytest.ExitCode.INTERNAL_ERROR:
                 run.trouble = "pytest has failed; what it said of it is above"
-            elif exitstatus == pytest.ExitCode.INTERRUPTED and not session.shouldstop:
+            elif self.signalled:
                 run.interrupt(len(run.results), len(planned))
         if run.results and not run.interrupted:
             run.finish()
@@ -140,7 +165,7 @@ class CaseItem(pytest.Item):
 
     def runtest(self) -> None:
         """Run it; verdicts that pytest has no outcome for are skips with their reason."""
-        run = _run_of(self.config)
+        run = self.config.stash[_DRIVER].run
         self.result, self.surprise = run.run_case(self.case)
         self.user_properties.append(("verdict", str(self.result.verdict)))
         if run.stops(self.result):
@@ -178,11 +203,7 @@ class CaseVerdictError(Exception):
         super().__init__(plain("\n".join(lines), keep="\n"))
 
 
-_RUN = pytest.StashKey[ConformanceRun]()
-
-
-def _run_of(config: pytest.Config) -> ConformanceRun:
-    return config.stash[_RUN]
+_DRIVER = pytest.StashKey[Driver]()
 
 
 # -- hooks of the module -----------------------------------------------------------------------------------------------
@@ -205,34 +226,61 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         group.addoption(f"--dcp-{name}", help=text)
 
 
-@pytest.hookimpl(tryfirst=True)
+@pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Take the run over from ``dcp-conformance``, or make one from the options."""
     driver = next((plugin for plugin in config.pluginmanager.get_plugins() if isinstance(plugin, Driver)), None)
-    if driver is None:
-        option = config.getoption
-        pics, expected, artefacts = option("--dcp-pics"), option("--dcp-expected"), option("--dcp-artefacts")
-        target = TargetOptions(
-            profile=option("--dcp-profile"),
-            interface=option("--dcp-interface"),
-            link=option("--dcp-link"),
-            in_process=option("--dcp-in-process"),
-            ut=option("--dcp-ut"),
-            pics=Path(pics) if pics else None,
-            restart=option("--dcp-restart"),
+    if driver is not None and _has_workers(config):
+        raise pytest.UsageError(
+            f"-n: dcp-conformance run has processes of its own (--jobs); to use workers call pytest with -p {__name__}"
         )
-        try:
-            run = ConformanceRun(
-                target,
-                Selection(),
-                expected=Path(expected) if expected else None,
-                artefacts=Path(artefacts) if artefacts else None,
-            )
-        except UsageError as error:
-            raise pytest.UsageError(str(error)) from None
-        driver = Driver(run)
+    if driver is None:
+        driver = _driver_of(config)
         config.pluginmanager.register(driver, "dcp-conformance-run")
-    config.stash[_RUN] = driver.run
+    config.stash[_DRIVER] = driver
+
+
+def _has_workers(config: pytest.Config) -> bool:
+    """Whether this process only hands out what workers of pytest-xdist run."""
+    return config.getoption("dist", "no") != "no" and not hasattr(config, "workerinput")
+
+
+def _driver_of(config: pytest.Config) -> Driver:
+    """What drives the run that the options of pytest ask for. Raises ``pytest.UsageError``."""
+    from .plugin_workers import Controller, Worker
+
+    option = config.getoption
+    pics, expected, artefacts = option("--dcp-pics"), option("--dcp-expected"), option("--dcp-artefacts")
+    target = TargetOptions(
+        profile=option("--dcp-profile"),
+        interface=option("--dcp-interface"),
+        link=option("--dcp-link"),
+        in_process=option("--dcp-in-process"),
+        ut=option("--dcp-ut"),
+        pics=Path(pics) if pics else None,
+        restart=option("--dcp-restart"),
+    )
+    try:
+        run = ConformanceRun(
+            target,
+            Selection(),
+            expected=Path(expected) if expected else None,
+            artefacts=Path(artefacts) if artefacts else None,
+        )
+    except UsageError as error:
+        raise pytest.UsageError(str(error)) from None
+    if hasattr(config, "workerinput"):
+        return Worker(run, config)
+    if not _has_workers(config):
+        return Driver(run)
+    if target.foreign:
+        raise pytest.UsageError(
+            "-n: the implementation is there only once, and workers would disturb each other; leave -n out "
+            "(only our own node can be tested by several workers, each with a node of its own)"
+        )
+    if option("dist") == "each":
+        raise pytest.UsageError("--dist each: every case would have several results; leave it out")
+    return Controller(run)
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> CaseFile | None:
@@ -247,13 +295,17 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     """Give the report its verdict."""
     outcome: Any = yield
     if isinstance(item, CaseItem) and item.result is not None:
-        outcome.get_result().dcp_verdict = item.result.verdict
+        # Workers send reports as plain data.
+        report = outcome.get_result()
+        report.dcp_verdict = str(item.result.verdict)
+        if hasattr(item.config, "workerinput") and report.when == "call":
+            report.dcp_result = msgspec.json.encode(item.result).decode()
 
 
 def pytest_report_teststatus(report: pytest.TestReport) -> tuple[str, str, str] | None:
     """Show verdicts in pytest's own terminal."""
-    verdict = getattr(report, "dcp_verdict", None)
-    if verdict is None or report.when != "call":
+    name = getattr(report, "dcp_verdict", None)
+    if name is None or report.when != "call":
         return None
-    letter, word = _SHOWN[verdict]
-    return (str(verdict) if report.outcome != "failed" else "failed"), letter, word
+    letter, word = _SHOWN[Verdict(name)]
+    return (name if report.outcome != "failed" else "failed"), letter, word

@@ -95,7 +95,7 @@ class ConformanceRun:
         """Whether a signal ended the run."""
         self.on_start = on_start
         self._on_result = on_result
-        self._on_revised: Callable[[CaseResult], None] | None = None
+        self.on_revised: Callable[[CaseResult], None] | None = None
         self._runner: Runner | None = None
         self._stack = contextlib.ExitStack()
         self._sut: Sut | None = None
@@ -140,7 +140,7 @@ class ConformanceRun:
 
         ``on_revised`` gets each result that replaces an earlier one.
         """
-        self._on_revised = on_revised
+        self.on_revised = on_revised
         planned = self.plan()
         if self.on_start is not None:
             self.on_start(len(planned))
@@ -238,8 +238,8 @@ class ConformanceRun:
         surprise = self._surprises[key] = self.expected.judge(case, result)
         if self._on_result is not None:
             self._on_result(case, result, surprise)
-        if self._on_revised is not None:
-            self._on_revised(result)
+        if self.on_revised is not None:
+            self.on_revised(result)
 
     def stops(self, result: CaseResult) -> bool:
         """Whether the user wants the run to end after this result."""
