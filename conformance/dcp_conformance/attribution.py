@@ -41,6 +41,8 @@ class Trial:
     loss: Loss | None = None
     stimulus: Event | None = None
     """What was done last in the case, apart from questions after its end."""
+    paused: bool = False
+    """BP was deactivated in the case."""
     used_up: bool = False
     """The case stopped because no identifier was left that the implementation cannot know."""
     detail: str = ""
@@ -122,7 +124,7 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     what = "the implementation survives" + (f" {service}" if service else "")
     violated = survival(trial)
     death = Check(verdict, violated, what, loss.observed + text, table=table)
-    if service and not violated:
+    if service in trial.case.needs.ut and not violated:
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
 
@@ -171,8 +173,9 @@ def survival(trial: Trial) -> tuple[str, ...]:
     """The requirements that a death in this case violates.
 
     Those of the case that ask for survival; after a frame, the one that asks for surviving what was sent. No
-    requirement asks for surviving a service call. If nothing else failed in the case, its first requirement that was
-    not shown before fails: the call does not do what the case is about.
+    requirement asks for surviving a service call. If the case is about that service, and nothing else failed in it, its
+    first requirement that was not shown before fails: the call does not do what the case is about. A service that the
+    case only uses, such as deactivating BP between two beacons, violates none.
     """
     case = trial.case
     named = tuple(each for each in case.requirements if each in _SURVIVAL)
@@ -180,7 +183,7 @@ def survival(trial: Trial) -> tuple[str, ...]:
     if named or deadly is None:
         return named
     if deadly.direction == "call":
-        if any(check.verdict is Verdict.FAIL for check in trial.checks):
+        if deadly.text not in case.needs.ut or any(check.verdict is Verdict.FAIL for check in trial.checks):
             return ()
         shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
         return tuple(each for each in case.requirements if each not in shown)[:1]

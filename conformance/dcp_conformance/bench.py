@@ -171,7 +171,8 @@ class Bench(Listening):
         # Beacons come while the upper tester takes its time, which is not the tester's delay.
         self.lower.take_in()
         self._acted = self.now()
-        self.session.slowest_call = max(self.session.slowest_call, self._acted - begun)
+        if answer.ok:
+            self.session.call_times.append(self._acted - begun)
         self.stimulated()
         data = answer.result if answer.code is None else {"code": answer.code, "message": answer.message}
         self.traffic.note("answer", self.lower.wall(), f"{method}: {answer}", data, upper.name)

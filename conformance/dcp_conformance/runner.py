@@ -30,6 +30,7 @@ _NAMED = 6
 #: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
+DEACTIVATE = "BP-MGMT-Deactivate"
 #: The code of JSON-RPC for a fault of the implementation.
 _INTERNAL_ERROR = -32603
 
@@ -252,6 +253,7 @@ class Runner:
             trial.detail = "".join(traceback.format_exception(error))
             what = f"{type(error).__name__}: {error}"
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
+        trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
         trial.stimulus = likely_stimulus(case, bench.traffic)
         # Silence after the last stimulus is no sign of life, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
@@ -330,6 +332,9 @@ class Runner:
 
     def _count_death(self, trial: Trial) -> None:
         assert trial.loss is not None
+        if trial.paused:
+            # Cases about other things have another way than deactivating BP.
+            self.session.pausing_fails = True
         if self._restartable and not trial.loss.upper_only:
             self._deaths.setdefault(trial.loss.group, []).append(trial.case.id)
 

@@ -110,4 +110,4 @@ def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> Chan
 
 def updated_in_time(bench: Bench, timeout_ms: int) -> int:
     """A timeout in ms that calls of the upper tester can keep up with: this one, or a longer one if they are slow."""
-    return max(timeout_ms, round(4 * bench.session.slowest_call / MS))
+    return max(timeout_ms, round(4 * bench.session.slow_call / MS))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from statistics import median
 from typing import Any, Final, NamedTuple
 
 from dcp_spec.constants import features
@@ -36,6 +38,10 @@ class Reaction(NamedTuple):
         return (
             f"{self.periods:.1f} beacon periods{one} (slowest of {len(self.samples)} answers: {max(self.samples):.2f})"
         )
+
+
+#: Calls of the upper tester that are looked back on.
+_CALLS = 64
 
 
 class Session:
@@ -81,10 +87,22 @@ class Session:
         """How fast the implementation reacts, once it was measured."""
         self.busy_until = 0
         """Time (ns) until which it is busy with what it was sent, if it takes one received payload at a time."""
-        self.slowest_call = 0
-        """ns that the slowest call of the upper tester has taken so far."""
+        self.call_times: deque[int] = deque(maxlen=_CALLS)
+        """ns that the last calls of the upper tester took which the implementation carried out."""
+        self.pausing_fails = False
+        """Whether deactivating BP, as a means to an end, was found to kill the implementation or to fail."""
         self.passive = PassiveTester(codec, pics, self.parameters)
         """Judges every beacon of the implementation, whatever the case is about."""
+
+    @property
+    def typical_call(self) -> int:
+        """The median time of calls in ns; 0 before the first one. A single call may hang for reasons of its own."""
+        return round(median(self.call_times)) if self.call_times else 0
+
+    @property
+    def slow_call(self) -> int:
+        """The time in ns that nine of ten calls do not exceed; 0 before the first one."""
+        return sorted(self.call_times)[len(self.call_times) * 9 // 10] if self.call_times else 0
 
     def forget(self) -> None:
         """The implementation is in its initial state: it knows nothing of what was sent or asked before."""

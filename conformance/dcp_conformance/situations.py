@@ -89,7 +89,7 @@ def _repetitions(bench: Bench, state: str) -> int:
     """More than one keeps a deleted variable in the database for a while, up to 1.3: for as long as a call takes."""
     if state != "deleted" or not bench.features.removed_after_deletion:
         return 1
-    return bench.rep_cnt(2 + math.ceil(1.5 * bench.session.slowest_call / bench.period))
+    return bench.rep_cnt(2 + math.ceil(1.5 * bench.session.slow_call / bench.period))
 
 
 def foreign(bench: Bench, state: str) -> Situation:

@@ -9,6 +9,7 @@ import pytest
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind, Needs
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.gaps import pausable
 from dcp_conformance.life import Loss
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
@@ -358,7 +359,9 @@ def test_a_service_that_kills_fails_what_the_case_is_about():
         bench.call("RTDB-DescribeDatabase")
         sut.died = "RuntimeError: a service"
 
-    case = dataclasses.replace(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"), needs=Needs(ut=("RTDB-Read",)))
+    case = dataclasses.replace(
+        case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"), needs=Needs(ut=("RTDB-DescribeDatabase",))
+    )
     result = runner_of(sut, upper=True).run(case)
     assert result.killed
     assert result.reason.startswith("the implementation survives RTDB-DescribeDatabase: it is dead after this case")
@@ -397,3 +400,28 @@ def test_no_identifier_is_used_twice_where_a_restart_frees_them():
         assert runner.run(case_of(f"TC_DCP_X_BV_{number}", creates)).verdict is Verdict.PASS
     assert len(given) > 3
     assert all(len(names) == len(set(names)) for names in given)
+
+
+def test_a_service_that_the_case_only_uses_fails_nothing_of_it():
+    """Deactivating BP between two beacons is a means of the tester."""
+    sut = Frail()
+
+    def body(bench: Bench) -> None:
+        bench.call("BP-MGMT-Deactivate")
+        sut.died = "RuntimeError: a service"
+        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+
+    case = dataclasses.replace(case_of("TC_DCP_X_BV_05", body, "VD-RX-03"), needs=Needs(ut=("RTDB-Update",)))
+    runner = runner_of(sut, upper=True)
+    result = runner.run(case)
+    assert result.killed
+    assert not [check.requirements for check in result.checks if check.verdict is Verdict.FAIL and check.requirements]
+    # From now on cases do without it.
+    assert not pausable(Bench(runner.session, SECOND))
+
+
+def test_one_call_that_hangs_is_no_slow_upper_tester():
+    session = runner_of(Frail(), upper=True).session
+    assert (session.typical_call, session.slow_call) == (0, 0)
+    session.call_times.extend([1_000_000] * 20 + [1_000_000_000])
+    assert session.typical_call == session.slow_call == 1_000_000

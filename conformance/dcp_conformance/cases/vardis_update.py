@@ -221,7 +221,7 @@ def quick(bench: Bench) -> None:
             return bool(heard.instructions(_U, var_id))
 
         bench.beacons(1, 1.5)
-        mark, slow = bench.mark(), bench.session.slowest_call > bench.period / 3
+        mark, slow = bench.mark(), bench.session.typical_call > bench.period / 3
         if in_a_gap(bench, update, updated, paused=(attempt == 2 or slow) and pausable(bench))[1]:
             _check_newest(bench, var_id, mark, count)
             return
