@@ -13,7 +13,7 @@ from dcp_conformance.verdict import Verdict
 from dcp_spec.constants import ICType
 
 from dcp_codec import Codec
-from dcp_codec.values import Beacon, Container, Payload, VarCreate, VarSumm, VarUpdate
+from dcp_codec.values import Beacon, Container, Payload, VarCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, SendBeacon
 from dcp_stack.node import Node
@@ -156,8 +156,8 @@ def numbered_from_zero(record: VarCreate) -> VarCreate:
     return VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))
 
 
-def other_number(record: VarSumm) -> VarSumm:
-    return VarSumm(record.var_id, (record.seqno + 1) % 256)
+def other_number(record: VarSumm | VarReqUpdate) -> VarSumm | VarReqUpdate:
+    return type(record)(record.var_id, (record.seqno + 1) % 256)
 
 
 def other_producer(record: VarCreate) -> VarCreate:
@@ -187,7 +187,8 @@ class EveryOther(Around):
                 self.count += 1
                 if self.count % 2:
                     codec = codec_of(self.inner.config.profile.name)
-                    each = SendBeacon(codec.encode_envelope(Beacon(codec.decode(each.octets).bp, ())), each.seqno, 0)
+                    other = Beacon(codec.decode(each.octets).bp, (Payload(0x7000, b"something else"),))
+                    each = SendBeacon(codec.encode_envelope(other), each.seqno, 1)
             effects.append(each)
         return effects
 
@@ -250,7 +251,6 @@ class Stubborn(Around):
         (saying(without(ICType.UPDATES)), "TC_NET_CROWD_BV_02", "VD-PU-07"),
         (EveryOther, "TC_VD_RUN_BV_01", "VD-RUN-01"),
         (EveryOther, "TC_VD_CMP_BV_01", "VD-CMP-06"),
-        (EveryOther, "TC_VD_PAY_BV_06-creates", "VD-PAY-06"),
         (Echoing, "TC_NET_HOP_BI_01-request-for-update", "VD-SCP-01"),
         (Echoing, "TC_NET_HOP_BV_02", "VD-SCP-03"),
         (Stubborn, "TC_NET_PART_BV_04", "VD-PU-07"),
