@@ -86,7 +86,9 @@ def case_over(upper: type[VirtualUpperTester], case_id: str, profile: str) -> Ca
 @pytest.mark.parametrize("case_id", CASES)
 def test_slow_services_pass_too(case_id, profile):
     result = case_over(SlowUpperTester, case_id, profile)
-    assert result.verdict in GOOD, f"{result.reason}\n{result.error_detail}"
+    # Where BP cannot be deactivated meanwhile, what must fall between two beacons does not, and is not judged.
+    not_judged = result.verdict is Verdict.INCONCLUSIVE and "between two beacons" in result.reason
+    assert result.verdict in GOOD or not_judged, f"{result.reason}\n{result.error_detail}"
 
 
 # -- upper testers that break the contract -----------------------------------------------------------------------------
