@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,7 +68,7 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
         connections: dict[Connection, Any] = {}
         for share in shares:
             ours, theirs = context.Pipe(duplex=False)
-            options = (run.options, tuple(share), run.repeat, run.until_fail, run.artefacts)
+            options = (run.options, _selection(run, share), run.repeat, run.until_fail, run.artefacts)
             process = context.Process(target=_lane, args=(theirs, *options), daemon=True)
             process.start()
             theirs.close()
@@ -92,6 +92,11 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
         with deferred():
             stack.close()
     run.close_lanes(ends, lanes, [run.cases[name] for name in cases])
+
+
+def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
+    """What one lane runs."""
+    return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,))
 
 
 def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
@@ -120,7 +125,7 @@ def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
 def _lane(
     to: Connection,
     options: TargetOptions,
-    cases: tuple[str, ...],
+    selection: Selection,
     repeat: int,
     until_fail: bool,
     artefacts: Path | None,
@@ -141,7 +146,7 @@ def _lane(
 
     run = ConformanceRun(
         options,
-        Selection(patterns=cases),
+        selection,
         repeat=repeat,
         until_fail=until_fail,
         artefacts=artefacts,

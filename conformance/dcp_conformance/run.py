@@ -74,7 +74,7 @@ class ConformanceRun:
         self._invariants = {case.id: case for case in invariants()}
         self._unheard, exclude = self._excluded(selection.exclude)
         self.selected = select(self.cases, dataclasses.replace(selection, exclude=exclude))
-        self._with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
+        self.with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
         self.expected = (
             ExpectedResults()
             if expected is None
@@ -124,7 +124,7 @@ class ConformanceRun:
         sanity, planned = self.cases[SANITY], []
         for _ in range(self.repeat):
             cases = [case for case in self.selected if case.id != SANITY and available(case)]
-            if not self._with_sanity:
+            if not self.with_sanity:
                 planned += cases
             elif cases:
                 planned += [sanity, *cases, sanity]
@@ -166,6 +166,8 @@ class ConformanceRun:
         try:
             runner = self._stack.enter_context(open_target(self.options)).runner
             self._runner = runner
+            if not self.with_sanity:
+                runner.rerun += f" -x {SANITY}"
             runner.prepare()
             if self.options.foreign and self.options.start:
                 runner.life.await_answer(self.cases[SANITY])

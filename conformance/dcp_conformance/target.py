@@ -74,10 +74,18 @@ class TargetOptions:
         if self.ether_type is not None:
             words += ["--ether-type", f"{self.ether_type:#06x}"]
         if self.beacon_period_ms is not None:
-            words += ["--beacon-period", f"{self.beacon_period_ms:g}"]
+            words += ["--beacon-period", exact(self.beacon_period_ms)]
         if self.timing_scale != 1.0:
-            words += ["--timing-scale", f"{self.timing_scale:g}"]
+            words += ["--timing-scale", exact(self.timing_scale)]
+        if self.seed != 1:
+            words += ["--seed", str(self.seed)]
         return shlex.join(words)
+
+
+def exact(number: float) -> str:
+    """A number for a command line, short where that says the same."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(number)
 
 
 @dataclass(slots=True)

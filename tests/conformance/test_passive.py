@@ -226,6 +226,16 @@ def test_a_block_length_that_counts_its_header():
     assert named(ear.failed()["CK_BP_FORMAT"]) == {"BP-FMT-01"}
 
 
+@pytest.mark.parametrize(
+    ("about", "source", "requirements"),
+    [(2, None, {"SRP-TYP-04", "SRP-RX-06"}), (2, 2, {"BP-HDR-03"}), (2, 3, {"SRP-TYP-04", "SRP-RX-06"})],
+)
+def test_a_report_under_another_name_than_the_header(about: int, source: int | None, requirements: set[str]):
+    ear = Ear()
+    ear.air.say(SUT, report=ear.air.report(SUT, about=about), source=source)
+    assert named(ear.failed()["CK_SRP_OWN"]) == requirements
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 def test_a_narrow_counter_of_reports(bits: int):
     ear = Ear()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from dcp_spec.constants import BP_SEQNO_MODULUS, SRP_SEQNO_MODULUS
 
@@ -30,7 +30,7 @@ class OwnReports(Invariant):
     id = "CK_SRP_OWN"
     section = "dcp-srp.md: Data Types"
     purpose = "State reports are about the node that sends them, and never forwarded"
-    requirements = ("SRP-TYP-04", "SRP-RX-06")
+    requirements: ClassVar[tuple[str, ...]] = ("SRP-TYP-04", "SRP-RX-06")
     expect = "the sender's own nodeId in its state reports"
 
     def feed(self, seen: Seen) -> None:
@@ -41,7 +41,7 @@ class OwnReports(Invariant):
         self.exercised()
         if report.node_id != seen.heard.sender:
             text = f"{name(seen.sender)} sends a report of {name(report.node_id)}"
-            self.violated(text, [seen], once=(seen.sender, report.node_id))
+            self.violated(text, [seen], "SRP-TYP-04", "SRP-RX-06", once=(seen.sender, report.node_id))
 
 
 class ReportLength(Invariant):

@@ -45,6 +45,7 @@ def command(
     from dcp_conformance.outcome import exit_status
     from dcp_conformance.pics import Pics, load_pics
     from dcp_conformance.reporting import write_report
+    from dcp_conformance.target import exact
 
     from .display import console, print_summary
 
@@ -56,7 +57,10 @@ def command(
         )
     worst_status = 0
     for capture in captures:
-        words = ["check", str(capture), *(["--profile", profile] if profile else [])]
+        words = ["check", str(capture)]
+        for option, value in (("profile", profile), ("ether-type", ether_type), ("pics", pics)):
+            words += [f"--{option}", str(value)] if value is not None else []
+        words += ["--beacon-period", exact(beacon_period)] if beacon_period is not None else []
         run, codec = judge_recording(
             capture, profile, known, ether_type=ether_type, command=as_typed(*words), period_known=stated
         )

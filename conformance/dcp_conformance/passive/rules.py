@@ -6,11 +6,12 @@ judged is what no stimulus can excuse: the octets that the implementation sends,
 from one state of its database. Of the invariants of ``check``:
 
 * Used as they are: ``CK_BP_FORMAT``, ``CK_UWB_BROADCAST``, ``CK_BP_NETWORK``, ``CK_BP_SEQNO``,
-  ``CK_SRP_OWN``, ``CK_VD_ORDER``, ``CK_VD_PAYLOAD``.
+  ``CK_VD_ORDER``, ``CK_VD_PAYLOAD``.
 * Used with a change: ``CK_BP_PERIOD`` (pauses are frequent in a run, so that only short intervals are judged, and the
   implementation may have told its period), ``CK_BP_SIZE`` (it may have told its limit),
   ``CK_DATA_ORDER`` (only time stamps of the implementation's own state reports; peers send creation times of any kind),
-  ``CK_SRP_SEQNO`` (only reports under the implementation's own name).
+  ``CK_SRP_SEQNO`` (only reports under the implementation's own name), ``CK_SRP_OWN`` (where the address of the station
+  is that of the report, the header is wrong).
 * Not used: ``CK_DATA_PACKED`` (the profile itself declares the octets that belong to no field), ``CK_BP_SENDER``
   (frames of another sender are never attributed to the implementation), ``CK_VD_RECORDS`` (most of what it finds is
   forwarded from a lying peer; what is not is judged by ``CK_VD_DISTINCT`` and ``CK_BP_EMPTY``), ``CK_SRP_TIME`` (judges
@@ -68,6 +69,21 @@ class OwnByteOrder(ByteOrder):
             if self._near(little, seen.time):
                 text = f"{name(seen.sender)}: tStamp is such a time only when read least significant octet first"
                 self.violated(text, [seen], once=seen.sender, cite=3)
+
+
+class OwnNodeId(OwnReports):
+    """One identifier in the header and in state reports."""
+
+    requirements = ("SRP-TYP-04", "SRP-RX-06", "BP-HDR-03")
+
+    def feed(self, seen: Seen) -> None:
+        """Compare; where the station's address agrees with the report, the header is wrong."""
+        report = seen.heard.report
+        if report is None or report.node_id != seen.heard.source or report.node_id == seen.heard.sender:
+            super().feed(seen)
+            return
+        text = f"{name(report.node_id)} sends beacons as {name(seen.sender)}"
+        self.violated(text, [seen], "BP-HDR-03", once=(seen.sender, report.node_id), cite=3)
 
 
 class OwnReportNumbers(ReportNumbers):
@@ -259,7 +275,7 @@ RULES: Final[tuple[type[Invariant], ...]] = (
     UndisturbedPeriod,
     RepeatedJitter,
     EmptyBlocks,
-    OwnReports,
+    OwnNodeId,
     OwnReportNumbers,
     ContainerOrder,
     PayloadConsistency,
