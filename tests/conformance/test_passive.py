@@ -416,3 +416,10 @@ def test_each_rule_of_check_is_used_or_named_with_a_reason():
     used = {rule.id for rule in passive.RULES}
     unnamed = [rule.id for rule in check.RULES if rule.id not in used and f"``{rule.id}``" not in text]
     assert not unnamed
+
+
+def test_each_rule_is_documented():
+    document = (Path(__file__).resolve().parents[2] / "docs" / "dcp-conformance.md").read_text(encoding="utf-8")
+    section = document.partition("## Passive testing")[2].partition("\n## ")[0]
+    listed = re.findall(r"^\| `(CK_\w+)` \|", section, re.MULTILINE)
+    assert sorted(listed) == sorted(rule.id for rule in passive.RULES)
