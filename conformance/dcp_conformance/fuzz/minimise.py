@@ -90,6 +90,7 @@ class Minimiser:
                 self.whole = self._steps
                 self._smaller()
                 self._fewer()
+                self._prove()
         except _Spent:
             pass
         return self.found
@@ -101,14 +102,23 @@ class Minimiser:
 
     def is_proven(self) -> bool:
         """Whether no anomaly of what was found can be repaired without the effect being gone."""
+        repaired = self._repaired()
+        return bool(repaired) and all(hash(repr(steps)) in self._in_vain for steps in repaired)
+
+    def _repaired(self) -> list[list[Step]]:
+        """The steps with one anomaly repaired, for each that can be."""
         if self._shrinker is None or self._best is None:
-            return False
-        repaired = [
+            return []
+        return [
             [msgspec.structs.replace(each, octets=octets) if each == frame else each for each in self._steps]
             for frame in dict.fromkeys(step for step in self._steps if isinstance(step, Frame))
             for octets in self._shrinker.sound_forms(frame.octets)
         ]
-        return bool(repaired) and all(hash(repr(steps)) in self._in_vain for steps in repaired)
+
+    def _prove(self) -> None:
+        """Try every anomaly that is left once more without it: frames that were made small later may have changed."""
+        while any(self._shows(steps) for steps in self._repaired()):
+            pass
 
     @property
     def _steps(self) -> list[Step]:
