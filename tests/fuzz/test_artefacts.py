@@ -7,11 +7,11 @@ import random
 
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.fuzz import Call, Effect, Frame, Wait, load, save
+from dcp_conformance.fuzz import Call, Campaign, Effect, Frame, Wait, load, save
 from dcp_conformance.fuzz.artefact import SavedTarget, codec_of, found_in, make_artefact
 from dcp_conformance.fuzz.cases import artefact_cases
 from dcp_conformance.fuzz.causes import explained
-from dcp_conformance.fuzz.evidence import evidence_lines
+from dcp_conformance.fuzz.evidence import evidence_lines, headline, summary_lines
 from dcp_conformance.fuzz.reduction import Finding
 from dcp_conformance.fuzz.replaying import judged, replay, target_in_process
 from dcp_conformance.fuzz.samples import Samples
@@ -175,6 +175,17 @@ def test_an_artefact_is_told_with_what_was_sent(tmp_path):
     assert told[-3].startswith("cause     beacon-overrun at bp.length, zero-count at payloads[].vardis[].icNumRecords")
     assert told[-2].startswith("decides   BP-RX-15 (dcp-bp.md")
     assert told[-1].startswith("decides   VD-ROB-01 (")
+
+
+def test_what_an_implementation_says_cannot_change_the_terminal(tmp_path):
+    hostile = "it ended; it said: \x1b[2J\x1b]0;owned\x07\u202e"
+    folder = tmp_path / "findings"
+    artefact = load(saved(folder, Effect("dead", hostile, 0, "dead"), steps=[Frame(SOUND)]))
+    campaign = Campaign(CODEC, target_in_process(artefact), None, artefact.target, 1, directory=folder)
+    campaign.keep(Finding([Frame(SOUND)], Effect("dead", hostile, 0, "dead"), True, True, artefact.cause))
+    told = [headline(artefact), *evidence_lines(CODEC, artefact), *summary_lines(campaign)]
+    assert any("owned" in line for line in told)
+    assert all(line.isprintable() for line in told)
 
 
 def test_what_is_wrong_with_a_frame_is_told_however_long_it_is(tmp_path):

@@ -30,7 +30,7 @@ _SILENT = ("dead", "mute")
 #: Between anomalies that show a finding only together.
 _JOINED = " and "
 #: Findings of one cause after which nothing that is like it is sent any more.
-_ENOUGH = 4
+_ENOUGH = 3
 #: Steps before those of a finding that are remembered, for those that they have a part in.
 _HISTORY = 4000
 

@@ -93,7 +93,7 @@ def _details(campaign: Campaign, artefact: Artefact) -> Iterator[str]:
 
 
 def _size(frames: int, octets: int) -> str:
-    return f"{frames} frame{'' if frames == 1 else 's'}, {octets} octets"
+    return f"{frames} frame{'' if frames == 1 else 's'}, {octets} octet{'' if octets == 1 else 's'}"
 
 
 def _cause_lines(cause: Cause) -> Iterator[str]:

@@ -290,7 +290,7 @@ class Observer:
             if kind is ICType.REQUEST_VARCREATES:
                 self.requested.update([record.var_id for record in container.records])
         for each in self.oracle.said(said, time, number, roomy=roomy, waited=waited):
-            detail = f"variable {each.var_id}: expected {each.expected}, said {each.observed}"
+            detail = f"variable {each.var_id}: expected {each.expected}, got {each.observed}"
             return Effect("said", detail, step, each.requirement)
         return None
 

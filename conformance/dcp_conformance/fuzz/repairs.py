@@ -12,7 +12,7 @@ from dcp_codec.fields import Field
 from dcp_codec.mutation import generic
 from dcp_codec.plan import Many
 
-from .anatomy import Anatomy
+from .anatomy import Anatomy, Edit
 from .anomalies import Anomaly, Kinds, anomalies_of, kinds_of
 from .samples import Samples
 
@@ -87,6 +87,11 @@ class Repairs:
         announced = anatomy.announcement(field)
         if announced is not None and announced.truth != field.value:
             yield anatomy.set_right(announced)
+            element = self._parts.get((f"{generic(announced.of.path)}[]", _SMALLEST))
+            if announced.kind == "count" and field.value == announced.truth + 1 and element is not None:
+                # The element that was counted, and is not there.
+                end = announced.of.offset + announced.of.length
+                yield anatomy.edited([Edit(end, end, element, announced.of)])
         if anomaly.reason == "id-mismatch":
             first = anatomy.at(anomaly.path.replace(".upd.", ".spec."))
             if first is not None:

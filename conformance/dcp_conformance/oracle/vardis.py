@@ -220,8 +220,10 @@ class Oracle(Model):
         self.occasions["VD-SCP-02"] += 1
         count, allowed = variable.repetitions.count(key)
         if count > allowed:
-            expected = f"{kind.label} of variable {var_id} in at most {allowed} beacons"
-            yield Complaint("VD-SCP-02", var_id, expected, f"it stands in {count}", frame)
+            expected = f"no {kind.label} about variable {var_id}"
+            if allowed:
+                expected = f"{kind.label} about variable {var_id} in at most {_beacons(allowed)}"
+            yield Complaint("VD-SCP-02", var_id, expected, f"it in {_beacons(count)}", frame)
         elif exhausted:
             expected = f"no {kind.label} of variable {var_id} after a payload with room for it but without it"
             yield Complaint("VD-SCP-02", var_id, expected, "it is there again, without a reason", frame)
@@ -256,3 +258,7 @@ def _described(spec: VarSpec) -> str:
     """A creation in words."""
     since_2_0 = "" if spec.creation_time is None else f", creationTime {spec.creation_time}, timeout {spec.timeout}"
     return f"{spec.prod_id.hex(':')} with repCnt {spec.rep_cnt}{since_2_0}, descr {spec.descr.hex()}"
+
+
+def _beacons(count: int) -> str:
+    return f"{count} beacon{'' if count == 1 else 's'}"
