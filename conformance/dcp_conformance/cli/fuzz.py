@@ -281,7 +281,6 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
     """
     from dcp_conformance.fuzz.artefact import found_in
     from dcp_conformance.fuzz.replaying import replay, target_in_process
-    from dcp_conformance.upper.channels import printable
 
     statuses = []
     with contextlib.ExitStack() as stack:
