@@ -265,9 +265,9 @@ def _tell_end(campaign: Campaign, *, quiet: bool, coverage: bool) -> None:
         if state.left_out:
             click.echo(f"{state.left_out} frames were not sent, since they show known findings:")
             for each in state.avoided:
-                click.echo(f"  {each}")
+                say(f"  {each}")
     for line in summary_lines(campaign):
-        click.echo(line)
+        say(line)
     click.echo(
         f"{state.cases} cases, {state.frames} frames, {state.seconds:.1f} s, {len(state.findings)} findings "
         f"({shlex.join(['--seed', str(campaign.seed)])})"
