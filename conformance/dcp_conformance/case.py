@@ -97,6 +97,8 @@ class Case:
     """The specification leaves the reaction open: a crash counts in the table of robustness."""
     smoke: bool = False
     """Belongs to the short plan."""
+    long: bool = False
+    """Takes more than about 20 s at a beacon period of 100 ms: belongs to the long plan only."""
     line: int = 0
     options: tuple[str, ...] = ()
     """What a command needs beside the identifier to know the case."""
@@ -143,6 +145,7 @@ def case(
     destructive: bool = False,
     robustness: bool = False,
     smoke: bool = False,
+    long: bool = False,
 ) -> Callable[[_Body], _Body]:
     """Make a test case of ``body(bench)``, or with ``variants`` one of ``body(bench, value)`` for each of them.
 
@@ -177,6 +180,7 @@ def case(
                 destructive=destructive,
                 robustness=robustness,
                 smoke=smoke,
+                long=long,
                 line=body.__code__.co_firstlineno,
             )
 

@@ -36,15 +36,17 @@ class Identifiers:
     """The identifiers from ``first`` to ``last``. Times are ns of any one clock.
 
     ``leave``: deleted variables leave the database (up to 1.3). ``timed``: variables have a creationTime, with which a
-    peer can create a deleted one again (since 2.0).
+    peer can create a deleted one again (since 2.0). ``kept``: identifiers that are given to nobody, for cases that try
+    just these.
     """
 
-    def __init__(self, first: int, last: int, *, leave: bool, timed: bool) -> None:
+    def __init__(self, first: int, last: int, *, leave: bool, timed: bool, kept: Collection[int] = frozenset()) -> None:
         self.first = first
         self.size = last - first + 1
         self._leave = leave
         self._timed = timed
         self._uses: dict[int, _Use] = {}
+        self._kept = frozenset(kept)
         self._next_unknown = 0
         self._next_for_peers = 0
 
@@ -111,13 +113,13 @@ class Identifiers:
                 break
             var_id = self.first + self.size - 1 - self._next_unknown % self.size
             self._next_unknown += 1
-            if var_id not in without and self.is_unknown(var_id, now):
+            if var_id not in without and var_id not in self._kept and self.is_unknown(var_id, now):
                 found.append(var_id)
         return found
 
     def left(self, now: int, without: Collection[int] = ()) -> int:
-        """How many identifiers are unknown to the database."""
-        return sum(self.is_unknown(each, now) and each not in without for each in self._all())
+        """How many identifiers are unknown to the database, but for those that are kept."""
+        return sum(self.is_unknown(each, now) for each in self._all() if each not in without and each not in self._kept)
 
     def for_own(self, now: int, without: Collection[int] = ()) -> int | None:
         """An unknown identifier that is going to be created; None if those left are kept for what stays unknown."""
@@ -141,7 +143,9 @@ class Identifiers:
         for settled in (True, False):
             for step in range(shared):
                 var_id = self.first + (self._next_for_peers + step) % shared
-                if var_id not in without and self._can_be_created(var_id, now, creation_time, settled=settled):
+                if var_id in without or var_id in self._kept:
+                    continue
+                if self._can_be_created(var_id, now, creation_time, settled=settled):
                     self._next_for_peers += step + 1
                     return var_id
         return None

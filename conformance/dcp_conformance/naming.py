@@ -207,6 +207,17 @@ class Naming(Findings):
         self.created.add(number)
         return number
 
+    def boundary_id(self, name: str) -> int:
+        """A boundary value (:attr:`Session.boundaries`) as the identifier of an unknown variable.
+
+        Raises ``NamesUsedUp`` if the implementation may know it.
+        """
+        number = self.session.boundaries[name]
+        if number in self.created or not self.session.identifiers.is_unknown(number, self.now()):
+            self._no_variables_left(f"the identifier {number}, which no variable has had")
+        self.created.add(number)
+        return number
+
     def departure(self) -> int:
         """The time in ns by which, up to 1.3, a variable that is deleted now has left the database."""
         return self.now() + (self.parameter("VARDISPAR_MAX_REPETITIONS") + 4) * self.period

@@ -25,7 +25,7 @@ from .passive import cases as invariants
 from .passive import joined
 from .results import CaseResult, Check, RunResult, Sut
 from .runner import Runner
-from .selection import Selection, matches, select
+from .selection import Selection, left_out, matches, select
 from .signals import deferred
 from .target import TargetOptions, describe, open_target
 from .verdict import Verdict
@@ -73,7 +73,9 @@ class ConformanceRun:
         self.codec, self.pics = describe(target)
         self._invariants = {case.id: case for case in invariants()}
         self._unheard, exclude = self._excluded(selection.exclude)
-        self.selected = select(self.cases, dataclasses.replace(selection, exclude=exclude))
+        selection_of_cases = dataclasses.replace(selection, exclude=exclude)
+        self.selected = select(self.cases, selection_of_cases)
+        self._long = len(left_out(self.cases, selection_of_cases))
         self.with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
         self.expected = (
             ExpectedResults()
@@ -100,6 +102,8 @@ class ConformanceRun:
         self._stack = contextlib.ExitStack()
         self._sut: Sut | None = None
         self._notes: list[str] = []
+        if self._long:
+            self._notes.append(f"{self._long} cases that take long were left out: --plan long runs them, too")
         self._attempts: dict[str, int] = {}
         self._surprises: dict[_Key, str] = {}
         self._began = time.monotonic()

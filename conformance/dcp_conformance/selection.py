@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 
@@ -14,7 +14,8 @@ from dcp_spec.requirements import UnknownRequirementError, requirement, requirem
 from .case import SANITY, Case
 from .errors import UsageError
 
-PLANS = ("full", "smoke")
+PLANS = ("full", "smoke", "long")
+"""``full``: all cases but those that take long; ``long``: those, too; ``smoke``: some of everything."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,9 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
         raise UsageError(f"there is no plan {selection.plan!r}; there are {', '.join(PLANS)}")
     if selection.plan == "smoke":
         chosen = [case for case in chosen if case.smoke]
+    elif selection.plan == "full":
+        # Those that are named are meant, whatever the plan is.
+        chosen = [case for case in chosen if not case.long or {case.id, case.base}.intersection(selection.patterns)]
     if selection.patterns:
         wanted = {case.id for pattern in selection.patterns for case in _matching(cases, pattern)}
         chosen = [case for case in chosen if case.id in wanted]
@@ -61,6 +65,14 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
     if not chosen:
         raise UsageError("no case is left to run; 'dcp-conformance list' shows those there are")
     return ordered(chosen)
+
+
+def left_out(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
+    """The cases that only the plan ``full`` has left out, because they take long. Raises as :func:`select`."""
+    if selection.plan != "full":
+        return []
+    chosen = {case.id for case in select(cases, selection)}
+    return [case for case in select(cases, replace(selection, plan="long")) if case.id not in chosen]
 
 
 def ordered(cases: Iterable[Case]) -> list[Case]:

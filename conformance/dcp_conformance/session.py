@@ -42,6 +42,8 @@ class Reaction(NamedTuple):
 
 #: Calls of the upper tester that are looked back on.
 _CALLS = 64
+#: With fewer identifiers none is kept for the cases that try boundary values.
+_MANY = 63
 
 
 class Session:
@@ -80,8 +82,17 @@ class Session:
         """Protocol identifiers of the tester's clients that may still be registered, though their cases are over."""
         profile = codec.profile
         known = features(profile.spec_version)
-        first, last = pics.pixit.var_ids or (0, min((1 << (8 * profile.types.var_id.width)) - 1, 0xFFFF))
-        self.identifiers = Identifiers(first, last, leave=known.removed_after_deletion, timed=known.creation_time)
+        top = (1 << (8 * profile.types.var_id.width)) - 1
+        first, last = pics.pixit.var_ids or (0, min(top, 0xFFFF))
+        self.boundaries = {"lowest": 0, "below-half": top // 2, "half": top // 2 + 1, "highest": top}
+        """Identifiers of variables with which counting and signs go wrong, by name."""
+        self.identifiers = Identifiers(
+            first,
+            last,
+            leave=known.removed_after_deletion,
+            timed=known.creation_time,
+            kept=self.boundaries.values() if last - first >= _MANY else (),
+        )
         self.creation_time = 0
         self.reaction: Reaction | None = None
         """How fast the implementation reacts, once it was measured."""

@@ -53,10 +53,10 @@ def test_services_are_enough_when_there_is_nothing_to_say_either():
 
 def test_the_identifiers_of_the_last_variables_are_found():
     def all_but_one(bench: Bench) -> None:
-        bench.created.update(range(255))
+        bench.created.update(set(range(256)) - {254})
         found = (bench.has_unknown_ids(), bench.unknown_ids(1))
-        bench.created.add(255)
-        bench.require((*found, bench.has_unknown_ids()) == (True, [255], False), "the last one is found", str(found))
+        bench.created.add(254)
+        bench.require((*found, bench.has_unknown_ids()) == (True, [254], False), "the last one is found", str(found))
 
     verdict = run(all_but_one).verdict
     assert verdict is Verdict.PASS

@@ -47,6 +47,7 @@ def command(**options: Any) -> int:
                 "destructive": case.destructive,
                 "robustness": case.robustness,
                 "smoke": case.smoke,
+                "long": case.long,
             }
             for case in chosen
         ]

@@ -96,7 +96,12 @@ def selection_options(function: F) -> F:
                 "--requirement", "-r", multiple=True, metavar="ID", help="Cases that decide this requirement."
             ),
             click.option("--exclude", "-x", multiple=True, metavar="CASE", help="Cases that are left out."),
-            click.option("--plan", type=click.Choice(PLANS), default="full", help="smoke: the short plan."),
+            click.option(
+                "--plan",
+                type=click.Choice(PLANS),
+                default="full",
+                help="smoke: the short plan; long: also the cases that take long.",
+            ),
         ],
     )
 
