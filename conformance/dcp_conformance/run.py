@@ -103,7 +103,9 @@ class ConformanceRun:
         self._sut: Sut | None = None
         self._notes: list[str] = []
         if self._long:
-            self._notes.append(f"{self._long} cases that take long were left out: --plan long runs them, too")
+            one = self._long == 1
+            cases, them = ("case that takes long was", "it") if one else ("cases that take long were", "them")
+            self._notes.append(f"{self._long} {cases} left out: --plan long runs {them}, too")
         self._attempts: dict[str, int] = {}
         self._surprises: dict[_Key, str] = {}
         self._began = time.monotonic()

@@ -42,10 +42,14 @@ def one_case(
     *,
     upper: bool = True,
     pics: Pics | None = None,
+    kind: type[InProcess] = InProcess,
 ) -> CaseResult:
-    """Run one case against a fresh node; ``make`` builds another node, ``upper=False`` leaves only the wire."""
+    """Run one case against a fresh node; ``make`` builds another node, ``upper=False`` leaves only the wire.
+
+    ``kind`` is what holds the node.
+    """
     codec = codec_of(profile)
-    sut = InProcess(reference_config(codec), make=make or plain_node)
+    sut = kind(reference_config(codec), make=make or plain_node)
     session = Session(codec, sut.lower_tester(), sut.upper_tester() if upper else None, pics or Pics())
     runner = Runner(session, sut)
     runner.prepare()

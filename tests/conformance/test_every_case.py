@@ -17,7 +17,14 @@ FINE = frozenset((Verdict.PASS, Verdict.NOT_APPLICABLE))
 #: These only report what the specification leaves open, and what the PICS says nothing of, without their variants.
 OPEN = frozenset(
     (
-        *("TC_BP_PTI_BV_01", "TC_BP_REC_BV_01", "TC_BP_TX_TI_03", "TC_SRP_NT_BV_03", "TC_SRP_REC_BV_01"),
+        *(
+            "TC_BP_PTI_BV_01",
+            "TC_BP_REC_BV_01",
+            "TC_BP_TX_TI_03",
+            "TC_BP_TX_TI_04",
+            "TC_SRP_NT_BV_03",
+            "TC_SRP_REC_BV_01",
+        ),
         *("TC_VD_DDB_BV_02", "TC_VD_LEN_BI_01", "TC_VD_PAY_BV_08"),
     )
 )

@@ -26,6 +26,7 @@ from dcp_conformance.clients import (
     BPClient,
     indications,
     needed,
+    some_beacons,
     talking,
 )
 from dcp_conformance.heard import Heard
@@ -247,9 +248,64 @@ def beyond_an_octet(bench: Bench) -> None:
         client.transmit(client.payload())
         with parameters_set(bench, "BP", **{PERIOD: short}):
             frames = bench.beacons(262)
+    _check_beyond_an_octet(bench, frames)
+
+
+def _check_beyond_an_octet(bench: Bench, frames: Sequence[Heard]) -> None:
     numbers = [each.seqno for each in frames if each.seqno is not None]
     if len(numbers) < 258:
         bench.inconclusive("258 beacons that can be read", f"there are {len(numbers)}")
     back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
     said = f"{max(numbers)} is the greatest of {len(numbers)}"
     bench.check(max(numbers) > 255 and not back, "numbers that go on above 255", said, frames=back[:2])
+
+
+@case(
+    "TC_BP_HDR_BV_11",
+    "seqno counts beyond what one octet holds, at the beacon period as it is",
+    requirements="BP-HDR-08",
+    stimulus="something to send in every period, until more than 256 beacons were sent",
+    expect="a number above 255, and none that starts again",
+    window=600,
+    needs=Needs(since=SpecVersion.V1_1, entities=(), header=("seqno",)),
+    long=True,
+)
+def beyond_an_octet_by_waiting(bench: Bench) -> None:
+    with talking(bench):
+        frames = bench.beacons(262)
+    _check_beyond_an_octet(bench, frames)
+
+
+#: Intervals that are compared after each start, and by how many the first one may be another in the sequence.
+_COMPARED, _SHIFT = 12, 12
+
+
+@case(
+    "TC_BP_TX_TI_04",
+    "Whether the jitter of the beacons is the same after each start",
+    requirements="BP-TX-02",
+    stimulus="two restarts; something to send in every period",
+    expect="nothing in particular; nodes that are started together stay in step if it is the same",
+    window=60,
+    needs=Needs(entities=(), restart=True),
+)
+def jitter_after_starts(bench: Bench) -> None:
+    sequences = []
+    for _ in range(2):
+        bench.restart()
+        with talking(bench):
+            frames = some_beacons(bench, _COMPARED + 2 * _SHIFT + 1)
+        sequences.append([after.time - before.time for before, after in itertools.pairwise(frames)])
+    spread = statistics.pstdev(itertools.chain(*sequences))
+    if spread < bench.period / 100:
+        bench.info("Is the jitter the same after each start?", "beacons are strictly periodic")
+        return
+    apart = min(_distance(sequences[0], sequences[1], shift) for shift in range(-_SHIFT, _SHIFT + 1))
+    said = "yes: nodes that are started together stay in step" if apart < spread / 4 else "no"
+    bench.info("Is the jitter the same after each start?", said)
+
+
+def _distance(one: Sequence[int], two: Sequence[int], shift: int) -> float:
+    """The mean difference of the intervals (ns), with the second sequence that many intervals later."""
+    pairs = list(zip(one[max(0, shift) :], two[max(0, -shift) :], strict=False))[:_COMPARED]
+    return statistics.fmean(abs(first - second) for first, second in pairs)

@@ -327,3 +327,24 @@ def repeated_time_stamp(bench: Bench) -> None:
         frames=frames,
         shown=True,
     )
+
+
+@case(
+    "TC_SRP_REC_BV_09",
+    "The sequence number counts beyond what four and eight bits hold",
+    requirements="SRP-SEQ-01 SRP-TYP-01",
+    stimulus="a hand-down, whose record is heard; then 300 hand-downs, one after the other",
+    expect="the record of the last has a number that is greater by 300 (mod 2^32)",
+    window=12,
+    needs=_UPDATE,
+)
+def many_records(bench: Bench) -> None:
+    before = _sent(bench, 1)
+    for _ in range(299):
+        _handed_down(bench, 2)
+    after = _sent(bench, 3)
+    assert before.report is not None
+    assert after.report is not None
+    grown = (after.report.seqno - before.report.seqno) % SRP_SEQNO_MODULUS
+    said = f"it went from {before.report.seqno} to {after.report.seqno}"
+    bench.check(grown == 300, "the number grows by 300", said, frames=[before, after], shown=True)

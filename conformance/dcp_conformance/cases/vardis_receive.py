@@ -258,13 +258,13 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
 
 @case(
     "TC_VD_RX_BV_07",
-    "Updates are processed before summaries (containers {variant})",
-    requirements="VD-RX-08",
+    "A summary with the number of an update in the same payload brings no request (containers {variant})",
+    requirements="VD-PU-08 VD-PS-02",
     stimulus="a payload with a newer VarUpdate and a summary with the same number",
     expect="the update is stored and not requested",
     variants=_ORDERS,
 )
-def update_before_summary(bench: Bench, reverse: bool) -> None:
+def summary_of_update(bench: Bench, reverse: bool) -> None:
     peer = bench.peer()
     var_id = taught(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 1)), reverse)
@@ -274,6 +274,25 @@ def update_before_summary(bench: Bench, reverse: bool) -> None:
     )
     bench.require_alive("the payload")
     _not_requested(bench, var_id, since, (_RU,))
+
+
+@case(
+    "TC_VD_RX_BV_11",
+    "Updates are processed before summaries (containers {variant})",
+    requirements="VD-RX-08",
+    stimulus="a payload with a newer VarUpdate, number 1, and a summary with number 2",
+    expect="a VarReqUpdate with number 1: the summary is newer than what the update has left",
+    variants=_ORDERS,
+)
+def update_before_summary(bench: Bench, reverse: bool) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer)
+    since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 2)), reverse)
+    came = bench.until_instruction(_RU, var_id)
+    # Storing the update afterwards would take the request back (VD-PU-08).
+    bench.require(came is not None, "a VarReqUpdate on account of the summary", "there is none")
+    numbers = {each.record.seqno for each in bench.instructions(_RU, var_id, since)}
+    bench.check(numbers == {1}, "it has the number of the update, 1", f"{sorted(numbers)}", shown=True)
 
 
 @case(

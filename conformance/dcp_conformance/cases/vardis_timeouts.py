@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.bench import MS, Bench
-from dcp_conformance.case import Needs, case
+from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.heard import Instruction
 from dcp_conformance.peers import Peer
 from dcp_conformance.scrubbing import (
@@ -192,3 +192,41 @@ def created_anew(bench: Bench) -> None:
     found = bench.until_instruction(_DELETE, name, left / bench.period)
     bench.require(found, "a VarDelete behind the second creation", "none in time", "VD-SCR-05")
     check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, 900, "VD-SCR-03", "VD-SCR-01")
+
+
+def _own(bench: Bench, name: int, timeout_ms: int) -> Change:
+    return create_own(bench, name, timeout_ms)
+
+
+def _foreign(bench: Bench, name: int, timeout_ms: int) -> Change:
+    return learn(bench, bench.peer(), name, timeout_ms)
+
+
+_LONGEST = 65_535
+
+
+@case(
+    "TC_VD_SCR_TI_12",
+    "The longest timeout, 65,535 ms, is neither cut short nor taken for none ({variant})",
+    requirements="VD-TYP-04 VD-SCR-01",
+    stimulus="a variable with timeout 65535 ms is created; then silence",
+    expect="the VarDelete 65,535 ms later, and at most a scrubbing period late",
+    window=700,
+    needs=_WIRE,
+    variants={
+        "received": _foreign,
+        "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",))),
+    },
+    long=True,
+)
+def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
+    hurry(bench)
+    name = bench.own_var_id() if make is _own else bench.var_id()
+    since = make(bench, name, _LONGEST)
+    found = deleted(bench, name, since, _LONGEST)
+    if found is None and make is _foreign:
+        not_by_consumers(bench, name)
+        return
+    bench.require(found is not None, "a VarDelete of the variable", "none in time")
+    assert found is not None
+    check_time(bench, found, since, _LONGEST)

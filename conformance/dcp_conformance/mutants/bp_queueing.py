@@ -106,6 +106,30 @@ class OnePlaceMore(OwnQueue):
             super().__init__(rule, max_entries + 1)
 
 
+@mutant("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue", since=SpecVersion.V1_1)
+class SixteenPlaces(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, min(max_entries, 16))
+
+
+@mutant("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "counts the places of a queue modulo 64", since=SpecVersion.V1_1)
+class SixBitsOfPlaces(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, max_entries % 64 or 1)
+
+
+@mutant("wraps-at-32", "BP-QM-03", "sends the 33rd and later payloads of a queue first", since=SpecVersion.V1_1)
+class WrapsAt32(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def submit(self, payload: bytes) -> Submission:
+            outcome = super().submit(payload)
+            if outcome != "discarded" and len(self) > 32:
+                self._payloads.rotate(1)
+            return outcome
+
+
 @mutant("one-place-less", "BP-QM-02 BP-QM-01 BP-QRY-02", "keeps one payload less than maxEntries")
 class OnePlaceLess(OwnQueue):
     class queue(PayloadQueue):  # noqa: N801 - as above

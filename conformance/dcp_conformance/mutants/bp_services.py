@@ -102,6 +102,12 @@ class NoEntries(Registrations):
         return BPStatus.OK if status is BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE else status
 
 
+@mutant("at-most-32", "BP-REG-05", "registers no queues of more than 32 places", since=SpecVersion.V1_1)
+class FewEntries(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if registration.max_entries > 32 else status
+
+
 @mutant("time", "BP-REG-06 BP-LST-01", "does not say when a client was registered")
 class NoTime(BeaconingProtocol):
     def list_registered(self) -> ListConfirm:

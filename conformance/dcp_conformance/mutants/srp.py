@@ -69,6 +69,18 @@ class FromOne(Air):
         return msgspec.structs.replace(report, seqno=report.seqno + 1)
 
 
+@mutant("four-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 16")
+class FourBits(Air):
+    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
+        return msgspec.structs.replace(report, seqno=report.seqno % 16)
+
+
+@mutant("eight-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 256")
+class EightBits(Air):
+    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
+        return msgspec.structs.replace(report, seqno=report.seqno % 256)
+
+
 @mutant("by-two", "SRP-SEQ-01", "numbers reports by two")
 class ByTwo(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:

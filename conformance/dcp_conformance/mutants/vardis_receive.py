@@ -215,6 +215,11 @@ class DeletesFirst(Order):
     order = (D, C, U, S, RC, RU)
 
 
+@mutant("summaries-first", "VD-RX-08", "processes summaries before updates")
+class SummariesFirst(Order):
+    order = (C, D, S, U, RC, RU)
+
+
 @mutant("deletes-last", "VD-RX-08", "processes deletions after updates")
 class DeletesLast(Order):
     order = (C, U, D, S, RC, RU)

@@ -1,0 +1,88 @@
+"""dcp-bp.md: Data Types, queueing modes: queues of many entries."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.clients import (
+    CLIENT,
+    DEREGISTER,
+    DROPHEAD,
+    DROPTAIL,
+    OK,
+    QUERY,
+    REGISTER,
+    BPClient,
+    queue_mode,
+)
+from dcp_conformance.gaps import between_beacons
+
+V1_1 = SpecVersion.V1_1
+_MANY = 64
+_BEYOND = 2
+"""Payloads more than a full queue holds."""
+
+
+@case(
+    "TC_BP_QM_BV_12",
+    "A queue of 64 entries keeps 64 payloads in their order, and of more those that its mode keeps ({variant})",
+    requirements="BP-QM-03",
+    stimulus="a client with mode {variant} and maxEntries 64 submits 66 payloads between two beacons",
+    expect="64 payloads on the air, each once and in order: the first (DROPTAIL) or the last (DROPHEAD) of them",
+    window=80,
+    variants={
+        name: Variant(mode, requirements=f"BP-QM-03 {own}", needs=Needs(since=V1_1, entities=(), ut=CLIENT))
+        for name, mode, own in (("droptail", DROPTAIL, "BP-QM-01"), ("drophead", DROPHEAD, "BP-QM-02"))
+    },
+)
+def many_entries(bench: Bench, mode: QueueingMode) -> None:
+    dropping = "BP-QM-01" if mode is DROPTAIL else "BP-QM-02"
+    with BPClient(bench, mode, entries=_MANY) as client:
+
+        def act() -> tuple[list[bytes], int | None]:
+            payloads = [client.payload() for _ in range(_MANY + _BEYOND)]
+            for payload in payloads:
+                # Whatever a full queue is answered with is looked at elsewhere (BP-TXP-04, BP-TXP-05).
+                client.transmit(payload, must=False)
+            return payloads, client.number() if QUERY in bench.ut.methods else None
+
+        start = bench.mark()
+        what = f"{_MANY + _BEYOND} payloads are submitted"
+        payloads, number = between_beacons(bench, what, act, client.in_frame)
+        if number is not None:
+            bench.check(number == _MANY, f"{_MANY} payloads are buffered", f"{number} are", dropping, shown=True)
+        bench.until_quiet(client.in_frame, 2 * _MANY, start)
+        sent = [each for each in client.sent(start) if each in payloads]
+        kept = payloads[:_MANY] if mode is DROPTAIL else payloads[_BEYOND:]
+        places = [payloads.index(each) for each in sent]
+        ordered = places == sorted(set(places))
+        said = f"payloads {places}"
+        bench.check(ordered, "each once, in the order of submission", said, "BP-QM-03", shown=True)
+        wrong = sorted(places[index] for index, each in enumerate(sent) if each not in kept)
+        bench.check(not wrong, "none of those that a full queue drops", f"payloads {wrong}", dropping, shown=True)
+        missing = [payloads.index(each) for each in kept if each not in sent]
+        bench.check(not missing, f"all {_MANY} that the queue keeps", f"not payloads {missing}", dropping)
+
+
+@case(
+    "TC_BP_REG_BV_05",
+    "A queue may have 1 and 64 entries; how many more it may have is reported",
+    requirements="BP-REG-05 BP-QM-09",
+    stimulus="BP-RegisterProtocol with maxEntries 1, 64, 255, 256, 65535 and 4294967295",
+    expect="BP-STATUS-OK for 1 and 64; the specification gives no upper bound",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+)
+def bounds_of_entries(bench: Bench) -> None:
+    for entries in (1, _MANY):
+        client = BPClient(bench, queue_mode(bench), entries=entries)
+        if bench.expect_status(OK, REGISTER, **client.registration).ok:
+            bench.must(DEREGISTER, protId=client.prot_id)
+    accepted = []
+    for entries in (255, 256, 0xFFFF, 0xFFFFFFFF):
+        client = BPClient(bench, queue_mode(bench), entries=entries)
+        if client.register().ok:
+            accepted.append(entries)
+            bench.must(DEREGISTER, protId=client.prot_id)
+    bench.info("Which larger maxEntries are accepted?", ", ".join(map(str, accepted)) or "none", "BP-REG-01")

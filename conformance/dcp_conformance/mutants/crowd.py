@@ -1,0 +1,78 @@
+"""Faults that show with many neighbours, large payloads and long timeouts."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+from dcp_spec.constants import SpecVersion
+
+from dcp_codec.values import ExtendedSafetyData
+from dcp_stack.neighbours import NeighbourTable
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_wire import Extracted, Extractor
+
+from .mutant import mutant
+
+
+@mutant("thousand", "SRP-RX-03", "has places for 1000 neighbours and gives none of them away")
+class Thousand(NeighbourTable):
+    def record(
+        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
+    ) -> Literal["new", "replaced", "full"]:
+        if report.node_id not in self._entries and len(self._entries) >= 1000:
+            return "full"
+        return super().record(report, sender_id, now=now, wall=wall)
+
+
+@mutant("dies-of-1001", "SRP-RX-03", "dies of the 1001st neighbour")
+class DiesOfMany(NeighbourTable):
+    def record(
+        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
+    ) -> Literal["new", "replaced", "full"]:
+        outcome = super().record(report, sender_id, now=now, wall=wall)
+        if len(self._entries) > 1000:
+            raise IndexError("no place left in the neighbour table")
+        return outcome
+
+
+@mutant("dies-of-large", "VD-ROB-01", "dies of a payload that is larger than its own may be")
+class DiesOfLarge(Extractor):
+    def extract(self, payload: bytes) -> Extracted:
+        if len(payload) > self._largest:
+            raise BufferError("the buffer is too small")
+        return super().extract(payload)
+
+    _largest = 1000
+    """Octets: VARDISPAR_MAX_PAYLOAD_SIZE in the profile of the self-test."""
+
+
+class Scrubs(Vardis):
+    """Measures timeouts in another way."""
+
+    def _scrub(self, now: int) -> None:
+        entries = self._database.entries
+        specs = {var_id: entry.spec for var_id, entry in entries.items()}
+        for entry in entries.values():
+            entry.spec = msgspec.structs.replace(entry.spec, timeout=self.measured(entry.spec.timeout or 0))
+        super()._scrub(now)
+        for var_id, entry in entries.items():
+            entry.spec = specs[var_id]
+
+    def measured(self, timeout: int) -> int:
+        """The timeout in ms as it is measured."""
+        return timeout
+
+
+@mutant(
+    "signed", "VD-TYP-04 VD-SCR-01", "never deletes variables with timeouts above 32,767 ms", since=SpecVersion.V2_0
+)
+class SignedTimeout(Scrubs):
+    def measured(self, timeout: int) -> int:
+        return timeout if timeout < 0x8000 else 0
+
+
+@mutant("minute", "VD-TYP-04 VD-SCR-01", "lets no variable live longer than a minute", since=SpecVersion.V2_0)
+class Minute(Scrubs):
+    def measured(self, timeout: int) -> int:
+        return min(timeout, 60_000)

@@ -1,0 +1,73 @@
+"""Behaviour that the specification leaves free must not fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from dcp_conformance.mutants import node_with
+from dcp_conformance.verdict import Verdict
+
+from dcp_stack.bp_clients import Chosen, ClientList
+
+from .rig import PROFILES, ids_of, one_case
+
+FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
+
+
+class FixedOrder(ClientList):
+    """Serves SRP first, then VarDis, then the others, in every beacon (BP-TX-03)."""
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        self._order.sort(key=lambda client: client.protocol_id)
+        return super().take(room, size, most)
+
+
+class LastFirst(ClientList):
+    """Serves the client that has registered last first, in every beacon."""
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        self._order = list(self)[::-1]
+        return super().take(room, size, most)
+
+
+class OneBlock(ClientList):
+    """Puts one block into a beacon."""
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        return super().take(room, size, min(most, 1))
+
+
+class Forgets(ClientList):
+    """Puts no more than four clients into its list of those that wait: a fault."""
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        del self._order[4:]
+        return super().take(room, size, most)
+
+
+BP = ids_of("bp_header", "bp_fitting", "bp_queueing", "bp_services", "bp_registration", "bp_deregistration")
+
+
+@pytest.mark.parametrize("variant", [FixedOrder, LastFirst, OneBlock])
+@pytest.mark.parametrize("case_id", BP)
+def test_the_order_and_the_number_of_blocks_are_free(case_id: str, variant: type[ClientList]):
+    made_of = node_with(variant)
+
+    def make(config, rng, now, wall):  # type: ignore[no-untyped-def]
+        return made_of(config, rng=rng, now=now, wall=wall)
+
+    for profile in PROFILES:
+        result = one_case(case_id, profile, make)
+        assert result.verdict in FINE, f"{profile}: {result.reason}"
+
+
+def test_a_payload_that_nothing_keeps_back_and_is_never_sent_fails():
+    made_of = node_with(Forgets)
+
+    def make(config, rng, now, wall):  # type: ignore[no-untyped-def]
+        return made_of(config, rng=rng, now=now, wall=wall)
+
+    result = one_case("TC_BP_FMT_BV_01", "dcp-2.0", make)
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed == {"BP-TX-04"}
