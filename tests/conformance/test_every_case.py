@@ -12,7 +12,7 @@ from .rig import OTHER_PROFILES, PROFILES, known_cases, one_case
 CASES = tuple(known_cases())
 WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
 #: One of each kind of version: who applies to none of them applies to none at all.
-VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.0")
+VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.0", "cpp-2.0")
 FINE = frozenset((Verdict.PASS, Verdict.NOT_APPLICABLE))
 #: These only report what the specification leaves open, and what the PICS says nothing of, without their variants.
 OPEN = frozenset(
@@ -25,7 +25,7 @@ OPEN = frozenset(
             "TC_SRP_NT_BV_03",
             "TC_SRP_REC_BV_01",
         ),
-        *("TC_VD_DDB_BV_02", "TC_VD_LEN_BI_01", "TC_VD_PAY_BV_08"),
+        *("TC_SRP_REC_BV_01", "TC_VD_DDB_BV_02", "TC_VD_LEN_BI_01", "TC_VD_PAY_BV_08"),
     )
 )
 

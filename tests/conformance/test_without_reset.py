@@ -66,9 +66,9 @@ def _case(body: Callable[[Bench], None]) -> Case:
 
 def used(bench: Bench) -> None:
     """Many identifiers are in use: peers and the application have created and deleted variables."""
-    for _ in range(16):
+    for _ in range(14):
         peer = bench.peer()
-        bench.learn(peer, *(peer.create(each) for each in bench.var_ids(8)))
+        bench.learn(peer, *(peer.create(each) for each in bench.var_ids(9)))
     for _ in range(20):
         bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="own", value="01")
     bench.require(True, "identifiers are in use", "")

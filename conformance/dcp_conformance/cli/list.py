@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -25,7 +26,9 @@ def command(**options: Any) -> int:
     from dcp_conformance.case import all_cases
     from dcp_conformance.selection import select
 
-    chosen = select(all_cases(), selection_of(options))
+    selection = selection_of(options)
+    # Nothing is run: what takes long is shown, too.
+    chosen = select(all_cases(), replace(selection, plan="long") if selection.plan == "full" else selection)
     if options["as_json"]:
         import json
 

@@ -64,9 +64,7 @@ class Scrubs(Vardis):
         return timeout
 
 
-@mutant(
-    "signed", "VD-TYP-04 VD-SCR-01", "never deletes variables with timeouts above 32,767 ms", since=SpecVersion.V2_0
-)
+@mutant("signed", "VD-TYP-04 VD-SCR-01", "takes timeouts above 32,767 ms for none", since=SpecVersion.V2_0)
 class SignedTimeout(Scrubs):
     def measured(self, timeout: int) -> int:
         return timeout if timeout < 0x8000 else 0
