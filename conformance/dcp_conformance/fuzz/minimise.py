@@ -6,6 +6,7 @@ with less. What it returns has shown the same effect (by its signature) when it 
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from typing import Final, NamedTuple
@@ -15,10 +16,12 @@ import msgspec
 from dcp_codec.codec import Codec
 
 from .shrinking import shrinker_of
-from .steps import Effect, Frame, Step, Wait
+from .steps import STOPPED, Effect, Frame, Step, Wait
 
 #: What does not come back counts for as many attempts more: it takes all the time that a test may have.
 _HANGING: Final = 20
+#: Damaged frames that are tried alone.
+_ALONE: Final = 20
 
 Run = Callable[[list[Step]], Effect | None]
 Known = Callable[[list[Step], Effect], bool]
@@ -75,7 +78,12 @@ class Minimiser:
         """
         try:
             shown = steps[: self._first.step + 1]
-            if not (self._last(shown, least) or self._shows(shown) or (len(shown) < len(steps) and self._shows(steps))):
+            if not (
+                self._alone(shown)
+                or self._last(shown, least)
+                or self._shows(shown)
+                or (len(shown) < len(steps) and self._shows(steps))
+            ):
                 return None
             frames: list[Step] = [step for step in self._steps if isinstance(step, Frame)]
             if 0 < len(frames) < len(self._steps):
@@ -148,6 +156,14 @@ class Minimiser:
         return True
 
     # -- fewer steps -------------------------------------------------------------------------------------------
+
+    def _alone(self, steps: list[Step]) -> bool:
+        """Most deaths are shown by one damaged frame. One that is survived costs a look, and no restart."""
+        if self._shrinker is None or self._first.kind not in STOPPED:
+            return False
+        frames = [step for step in dict.fromkeys(reversed(steps)) if isinstance(step, Frame)]
+        damaged = (frame for frame in frames if self._shrinker.is_damaged(frame.octets))
+        return any(self._shows([frame]) for frame in itertools.islice(damaged, _ALONE))
 
     def _last(self, steps: list[Step], least: int) -> bool:
         """What is at fault has most often come last: one step, two, four, as long as nothing is seen of it."""

@@ -62,6 +62,10 @@ class Shrinker:
                 break
         return work.octets
 
+    def is_damaged(self, octets: bytes) -> bool:
+        """Whether a frame has any anomaly."""
+        return bool(anomalies(self.codec, octets))
+
     def sound_forms(self, octets: bytes) -> list[bytes]:
         """The frame with one of its anomalies repaired, for each of them that can be."""
         found = (self.repairs.repaired(octets, anomaly) for anomaly in anomalies(self.codec, octets))
