@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from typing import Final
 
 from dcp_spec.requirements import requirements
 
 from .selftest import Finding, SelftestResult, Trial
 
 _SHOWN = 4
+#: The section that ``dcp-conformance selftest --variants --document`` makes, the last one of the document.
+VARIANTS_HEADING: Final = "## Permitted variants"
 #: Groups of requirements with their headings.
 _PROTOCOLS = {"DATA": "Data types", "UWB": "Bearer", "BP": "BP", "SRP": "SRP", "VD": "VarDis"}
 
@@ -41,6 +44,18 @@ def markdown(result: SelftestResult) -> str:
     return "\n".join(lines) + "\n"
 
 
+def variants_of(document: str) -> str:
+    """The section of the permitted variants in a document, empty if there is none."""
+    _, found, rest = document.partition(f"\n{VARIANTS_HEADING}\n")
+    return f"{VARIANTS_HEADING}\n{rest}" if found else ""
+
+
+def with_variants(document: str, section: str) -> str:
+    """A document with ``section`` at its end, in place of the section of the variants that it has."""
+    kept, _, _ = document.partition(f"\n{VARIANTS_HEADING}\n")
+    return f"{kept.rstrip()}\n\n{section}" if section else document
+
+
 def _grouped(trials: Sequence[Trial]) -> Iterator[tuple[str, list[Trial]]]:
     order = {each: number for number, each in enumerate(requirements())}
     listed = sorted(trials, key=lambda each: (order[each.requirements[0]], each.mutant, each.profile))
@@ -70,4 +85,4 @@ def _names(findings: Sequence[Finding]) -> str:
     return f"{named}, ..." if len(findings) > _SHOWN else named
 
 
-__all__ = ["markdown"]
+__all__ = ["VARIANTS_HEADING", "markdown", "variants_of", "with_variants"]

@@ -19,6 +19,7 @@ from functools import cache
 from typing import Final
 
 import msgspec
+from dcp_spec.profile import Profile
 from dcp_spec.profile_loading import ProfileError, load_profile
 from dcp_spec.version import __version__
 
@@ -181,17 +182,17 @@ def baseline(profile: str) -> Baseline:
     suite = Suite(profile)
     results = list(suite.run(_cases()))
     findings = tuple(
-        _finding(each)
+        finding_of(each)
         for each in (*results, *suite.passive())
-        if each.verdict not in _FINE and not _is_declared(each, profile)
+        if each.verdict not in _FINE and not is_declared(each, _codec(profile).profile)
     )
     return Baseline(profile, len(results), findings, round(time.monotonic() - begun, 2))
 
 
-def _is_declared(result: CaseResult, profile: str) -> bool:
+def is_declared(result: CaseResult, profile: Profile) -> bool:
     """Whether a result says no more than what the profile itself declares as not met."""
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
-    return result.id == DECLARED and failed == set(declared_by(_codec(profile).profile))
+    return result.id == DECLARED and failed == set(declared_by(profile))
 
 
 def trial(mutant: Mutant, *, profile: str | None = None, full: bool = False, every: bool = False) -> Trial:
@@ -219,7 +220,7 @@ def trial(mutant: Mutant, *, profile: str | None = None, full: bool = False, eve
         candidates += result.verdict is not Verdict.NOT_APPLICABLE and bool(
             set(result.requirements) & set(mutant.requirements)
         )
-        finding = _finding(result)
+        finding = finding_of(result)
         if result.verdict is Verdict.ERROR:
             errors.append(finding)
         elif result.verdict is Verdict.FAIL:
@@ -242,7 +243,8 @@ def trial(mutant: Mutant, *, profile: str | None = None, full: bool = False, eve
     )
 
 
-def _finding(result: CaseResult) -> Finding:
+def finding_of(result: CaseResult) -> Finding:
+    """A result in short, with the requirements that its failed checks name."""
     failed = [check for check in result.checks if check.verdict is Verdict.FAIL]
     named = dict.fromkeys(each for check in failed for each in check.requirements)
     return Finding(result.id, result.verdict, tuple(named), result.reason)
@@ -306,7 +308,7 @@ def selftest(
         on_start(len(profiles or PROFILES) + len(pairs))
     # Before the processes are forked, so that each of them has it.
     _cases(), _mutants()
-    with _pool(jobs or os.cpu_count() or 1) as pool:
+    with process_pool(jobs or os.cpu_count() or 1) as pool:
         waiting = [pool.submit(_baseline_task, profile) for profile in profiles or PROFILES]
         for done in as_completed(waiting):
             result = done.result()
@@ -339,7 +341,8 @@ def _pairs(mutants: Sequence[Mutant], profiles: Sequence[str]) -> Iterator[tuple
 
 
 @contextmanager
-def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """So many processes; at the end, what has not begun is dropped."""
     pool = ProcessPoolExecutor(jobs)
     try:
         yield pool

@@ -13,10 +13,12 @@ from dcp_conformance.errors import UsageError
 if TYPE_CHECKING:
     from dcp_conformance.generated.campaign import GeneratedResult
     from dcp_conformance.selftest import Baseline, SelftestResult, Trial
+    from dcp_conformance.variants.campaign import Judged, VariantsResult
 
 EXIT_STATUS = (
     "Exit status: 0 our node passes and every mutant is killed by a case that names its requirement; 1 not so; "
-    "2 wrong usage; 4 a case ended in an error of the tester."
+    "2 wrong usage; 4 a case ended in an error of the tester. With --variants, 0 means that no "
+    "variant fails a case and that every inconclusive verdict is explained."
 )
 #: Mutants up to which each has a row of its own without --verbose.
 _FEW = 40
@@ -41,14 +43,21 @@ _FEW = 40
     help="Try N random changes of the node's source instead; MUTANTS are parts of their text or their keys.",
 )
 @click.option("--seed", type=int, default=1, show_default=True, metavar="S", help="Seed of the draw of --generated.")
-@click.option("--list", "listing", is_flag=True, help="Only show the mutants.")
+@click.option(
+    "--variants",
+    is_flag=True,
+    help="Try nodes that the specification permits instead: none may fail. MUTANTS are identifiers of variants.",
+)
+@click.option("--list", "listing", is_flag=True, help="Only show the mutants or variants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
 def command(mutants: tuple[str, ...], **options: Any) -> int:
-    """Test the suite: it must pass our node, and notice small faults in it.
+    """Test the suite: it must pass our node and permitted variants of it, and notice small faults.
 
     MUTANTS are identifiers of mutants or of the requirements that they violate, or globs of them; without any, all.
     """
+    if options["variants"]:
+        return _variants(mutants, options)
     if options["generated"] is not None:
         return _generated(mutants, options)
     from dcp_conformance.selftest import Trial, chosen, selftest
@@ -116,19 +125,72 @@ def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     return 1 if result.survivors or result.misplaced else 0
 
 
+def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
+    """Permitted variants; the exit status."""
+    from dcp_conformance.variants import chosen
+    from dcp_conformance.variants.campaign import run
+
+    from .display import progress_bar
+    from .selftest_display import print_variants
+
+    for name in ("full", "generated"):
+        if options[name]:
+            raise UsageError(f"--{name} does not go with --variants, which tries every case on every version")
+    picked = chosen(patterns)
+    if options["listing"]:
+        for each in picked:
+            say(f"{each.id:<36}  {each.what}  [{each.why}; {each.since} to {each.until}]")
+        return 0
+    with progress_bar(quiet=options["quiet"]) as progress:
+        task = progress.add_task("variants", total=None)
+
+        def done(judged: Judged) -> None:
+            progress.update(task, advance=1, description=f"{judged.variant} {judged.profile}")
+
+        result = run(
+            picked,
+            profiles=options["profile"],
+            jobs=options["jobs"],
+            on_start=lambda total: progress.update(task, total=total),
+            on_result=done,
+        )
+    if not result.trials:
+        raise UsageError("none of these variants exists on these profiles")
+    if options["report_dir"] is not None:
+        _write_json(result, options["report_dir"], "variants.json")
+    if options["document"] is not None:
+        _write_section(result, options["document"])
+    print_variants(result, verbose=options["verbose"], quiet=options["quiet"])
+    return result.exit_status()
+
+
+def _write_section(result: VariantsResult, document: Path) -> None:
+    """Put the table of variants at the end of a document, in place of the one that is there."""
+    from dcp_conformance.kill_matrix import with_variants
+    from dcp_conformance.variants.table import section
+
+    try:
+        text = document.read_text(encoding="utf-8") if document.exists() else ""
+        document.write_text(with_variants(text, section(result)), encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
+
+
 def _write(result: SelftestResult, directory: Path | None, document: Path | None) -> None:
     if directory is not None:
         _write_json(result, directory, "selftest.json")
     if document is not None:
-        from dcp_conformance.kill_matrix import markdown
+        from dcp_conformance.kill_matrix import markdown, variants_of, with_variants
 
         try:
-            document.write_text(markdown(result), encoding="utf-8")
+            # The section of the variants has a command of its own, and stays.
+            kept = variants_of(document.read_text(encoding="utf-8")) if document.exists() else ""
+            document.write_text(with_variants(markdown(result), kept), encoding="utf-8")
         except OSError as error:
             raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
 
 
-def _write_json(result: SelftestResult | GeneratedResult, directory: Path, name: str) -> None:
+def _write_json(result: SelftestResult | GeneratedResult | VariantsResult, directory: Path, name: str) -> None:
     import msgspec
 
     data = msgspec.json.format(msgspec.json.encode(result), indent=2)

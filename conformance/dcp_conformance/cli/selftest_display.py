@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from dcp_conformance.generated.campaign import GeneratedResult
-from dcp_conformance.selftest import Baseline, SelftestResult, Trial
+from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial
+from dcp_conformance.variants.campaign import Judged, VariantsResult
 
 from .display import console, data
 
@@ -113,3 +114,63 @@ def print_generated(result: GeneratedResult, *, verbose: bool) -> None:
     )
     share = result.ledger / result.sites if result.sites else 0.0
     out.print(f"the ledger holds {result.ledger} of {result.sites} changes ({share:.1%})", soft_wrap=True)
+
+
+def print_variants(result: VariantsResult, *, verbose: bool, quiet: bool) -> None:
+    """A row for each variant, and what the suite holds against it; with ``quiet`` only the latter."""
+    out = console()
+    if not quiet:
+        out.print(_variants(result, verbose=verbose))
+        out.print()
+    for each in result.trials:
+        where = f"{each.variant} ({each.profile})"
+        for kind, findings in (("fail", each.fails), ("inconclusive", each.inconclusive), ("error", each.errors)):
+            for finding in findings:
+                out.print(_finding(kind, where, finding), soft_wrap=True)
+    by_name = _by_variant(result)
+    fair = sum(all(each.good for each in trials) for trials in by_name.values())
+    out.print(
+        f"\n{fair} of {len(by_name)} variants without fail, error or unexplained inconclusive verdict, "
+        f"{len(result.trials)} runs in {result.duration:.1f} s"
+    )
+
+
+def _finding(kind: str, where: str, finding: Finding) -> str:
+    return f"[bold red]{kind}[/] {finding.case} with {data(where)}: {data(finding.reason)}"
+
+
+def _by_variant(result: VariantsResult) -> dict[str, list[Judged]]:
+    found: dict[str, list[Judged]] = {}
+    for each in result.trials:
+        found.setdefault(each.variant, []).append(each)
+    return found
+
+
+def _variants(result: VariantsResult, *, verbose: bool) -> Table:
+    """A row for each variant, or with ``verbose`` for each variant and profile."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("variant", no_wrap=True)
+    if verbose:
+        table.add_column("profile", no_wrap=True)
+    for heading in ("profiles", "cases", "fails", "unexplained", "explained", "errors"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    rows = [[each] for each in result.trials] if verbose else list(_by_variant(result).values())
+    for trials in rows:
+        wrong = (
+            sum(len(each.fails) for each in trials),
+            sum(len(each.inconclusive) for each in trials),
+            sum(len(each.errors) for each in trials),
+        )
+        fails, unexplained, errors = (f"[bold red]{count}[/]" if count else "[dim].[/]" for count in wrong)
+        explained = sum(each.explained for each in trials)
+        table.add_row(
+            data(trials[0].variant),
+            *([trials[0].profile] if verbose else []),
+            str(len(trials)),
+            str(sum(each.cases for each in trials)),
+            fails,
+            unexplained,
+            str(explained) if explained else "[dim].[/]",
+            errors,
+        )
+    return table

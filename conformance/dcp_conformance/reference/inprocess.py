@@ -54,15 +54,19 @@ class InProcess:
     def _start(self) -> None:
         self.died = ""
         self.arrivals.clear()
-        self.node = self._make(self.config, self._rng, self.now, self.wall())
+        self.node = self._make(self.config, self._rng, self.now, self.node_wall())
         self.server = ControlServer(self.node)
-        self.node.start(self.now, self.wall())
+        self.node.start(self.now, self.node_wall())
         self.carry_out()
         for session in self._sessions:
             session.connect()
 
     def wall(self) -> int:
-        """ns since 1970."""
+        """The tester's clock in ns since 1970."""
+        return EPOCH + self.now
+
+    def node_wall(self) -> int:
+        """The node's clock in ns since 1970; a subclass can let it differ from the tester's."""
         return EPOCH + self.now
 
     # -- driving the node --------------------------------------------------------------------------------------
@@ -76,7 +80,7 @@ class InProcess:
             if isinstance(effect, SendBeacon):
                 frame = self._header + effect.octets
                 self.arrivals.append(Arrival(self.now, self.wall(), effect.octets, frame, ADDRESS))
-        self.server.indicate(effects, now=self.now, wall=self.wall())
+        self.server.indicate(effects, now=self.now, wall=self.node_wall())
 
     def guarded(self, step: Callable[..., None], *args: Any, **more: Any) -> None:
         """Let the node do something, ``step`` with these arguments; if it raises, it is dead."""
@@ -95,7 +99,7 @@ class InProcess:
 
     def deliver(self, octets: bytes) -> None:
         """A frame reaches the node."""
-        self.guarded(self.node.handle_frame, octets, now=self.now, wall=EPOCH + self.now)
+        self.guarded(self.node.handle_frame, octets, now=self.now, wall=self.node_wall())
 
     def advance(self, until: int) -> None:
         """Let time pass until a frame has arrived at the tester, at most to ``until``."""
@@ -115,7 +119,7 @@ class InProcess:
             self.now = max(self.now, until)
             return False
         self.now = max(self.now, due)
-        self.guarded(self.node.handle_timeout, self.now, EPOCH + self.now)
+        self.guarded(self.node.handle_timeout, self.now, self.node_wall())
         return True
 
     # -- SutControl --------------------------------------------------------------------------------------------
@@ -227,7 +231,7 @@ class VirtualUpperTester:
         answers = bytearray()
 
         def step() -> None:
-            answers.extend(self._session.feed(line, now=sut.now, wall=sut.wall()))
+            answers.extend(self._session.feed(line, now=sut.now, wall=sut.node_wall()))
 
         sut.guarded(step)
         answer: Answer | None = None

@@ -1,0 +1,404 @@
+"""Freedoms in what a node does: how many payloads, in which order, when, and what becomes of doubtful beacons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import msgspec
+from dcp_spec.constants import BP_PROTID_VARDIS, SpecVersion
+
+from dcp_codec.values import Container
+from dcp_conformance.pics import Capabilities
+from dcp_stack.bp import BeaconingProtocol, StatusConfirm
+from dcp_stack.bp_clients import Chosen, ClientList
+from dcp_stack.bp_receive import Receiver
+from dcp_stack.bp_statistics import LossTable
+from dcp_stack.bp_timing import BeaconSchedule
+from dcp_stack.bp_wire import Block
+from dcp_stack.config import MS, BPConfig
+from dcp_stack.effects import Effect, PayloadReceived, PayloadTransmitted
+from dcp_stack.node import Node
+from dcp_stack.srp import StateReporting
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_compose import Composer
+from dcp_stack.vardis_core import Core
+
+from .variant import Setup, Variant, has_srp, setup
+
+_V = SpecVersion
+
+# -- what goes into a beacon -------------------------------------------------------------------------------------------
+
+
+class _AtMost(ClientList):
+    most: ClassVar[int]
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        return super().take(room, size, min(most, self.most))
+
+
+class OneBlock(_AtMost):
+    most = 1
+
+
+class TwoBlocks(_AtMost):
+    most = 2
+
+
+class TenBlocks(_AtMost):
+    most = 10
+
+
+class _Priority(ClientList):
+    """Serves the clients in a fixed order in each beacon."""
+
+    def rank(self, protocol_id: int) -> int:
+        raise NotImplementedError
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        self._order.sort(key=lambda client: self.rank(client.protocol_id))
+        return super().take(room, size, most)
+
+
+class LowestFirst(_Priority):
+    def rank(self, protocol_id: int) -> int:
+        return protocol_id
+
+
+class HighestFirst(_Priority):
+    def rank(self, protocol_id: int) -> int:
+        return -protocol_id
+
+
+class VardisFirst(_Priority):
+    def rank(self, protocol_id: int) -> int:
+        return protocol_id != BP_PROTID_VARDIS
+
+
+class VardisLast(_Priority):
+    def rank(self, protocol_id: int) -> int:
+        return protocol_id == BP_PROTID_VARDIS
+
+
+class SortedBlocks(ClientList):
+    """Writes the blocks of a beacon in the order of their protocol identifiers."""
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        return sorted(super().take(room, size, most), key=lambda block: block[0])
+
+
+class TwoContainers(Composer):
+    """Sends two containers of a type where the records of one, and another header, have room."""
+
+    def compose(self, room: int) -> tuple[Container, ...]:
+        containers = super().compose(room)
+        codec = self._database_codec
+        used = len(codec.encode_containers(containers)) if containers else 0
+        made: list[Container] = []
+        for each in containers:
+            if len(each.records) < 2 or used + self._sizes.ic_header > room:
+                made.append(each)
+                continue
+            used += self._sizes.ic_header
+            made += [
+                msgspec.structs.replace(each, records=each.records[:1]),
+                msgspec.structs.replace(each, records=each.records[1:]),
+            ]
+        return tuple(made)
+
+    def __init__(self, core: Core) -> None:
+        super().__init__(core)
+        self._database_codec = core.config.codec
+
+
+# -- when --------------------------------------------------------------------------------------------------------------
+
+
+class JustBefore(Node):
+    """Composes the next VarDis payload 2 ms before the beacon that the indication announces."""
+
+    _LEAD = 2 * MS
+    _compose_at: int | None = None
+
+    def _build(self, now: int, wall: int) -> None:
+        super()._build(now, wall)
+        self._compose_at = None
+
+    def _transmitted(self, protocol_id: int, now: int, wall: int) -> bool:
+        if protocol_id == BP_PROTID_VARDIS and self.vardis is not None and self._vardis_port.holds:
+            due = self.bp.poll_timeout()
+            self._compose_at = now if due is None else max(due - self._LEAD, now)
+            return True
+        return super()._transmitted(protocol_id, now, wall)
+
+    def poll_timeout(self) -> int | None:
+        due = super().poll_timeout()
+        return due if self._compose_at is None else min(self._compose_at, self._compose_at if due is None else due)
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        if self._compose_at is not None and now >= self._compose_at and self.vardis is not None:
+            self._compose_at = None
+            self.vardis.payload_transmitted(now, wall)
+        super().handle_timeout(now, wall)
+
+
+class CoarsePeriod(BeaconSchedule):
+    """Beacons only at ticks of 10 ms."""
+
+    def _place(self) -> None:
+        super()._place()
+        tick = 10 * MS
+        self.due = -(-self.due // tick) * tick
+
+
+class ScrubsWhileActive(Vardis):
+    """Scrubs only while VarDis is active."""
+
+    def _scrub(self, now: int) -> None:
+        if self.active:
+            super()._scrub(now)
+
+
+class ClearsWhenDeactivated(BeaconingProtocol):
+    """Forgets what is buffered when it is deactivated."""
+
+    def deactivate(self) -> StatusConfirm:
+        for client in self._clients:
+            if client.queue is not None:
+                client.queue.clear()
+        return super().deactivate()
+
+
+class OneIndicationPerBeacon(Node):
+    """Tells a client once for each beacon that it has sent payloads, however many there were."""
+
+    def take_effects(self) -> list[Effect]:
+        told: set[int] = set()
+        kept: list[Effect] = []
+        for effect in super().take_effects():
+            if isinstance(effect, PayloadTransmitted):
+                if effect.protocol_id in told:
+                    continue
+                told.add(effect.protocol_id)
+            else:
+                told.clear()
+            kept.append(effect)
+        return kept
+
+
+# -- what comes --------------------------------------------------------------------------------------------------------
+
+
+class CountChecked(Receiver):
+    """Discards a beacon whose numPayloads is not the number of blocks that can be extracted."""
+
+    def receive(self, octets: bytes, now: int) -> None:
+        found = self._wire.parse(octets)
+        if not found.refused and (not found.count_agrees or found.fault is not None):
+            self.drop("empty-payload")
+            return
+        super().receive(octets, now)
+
+
+class EmptyDelivered(Receiver):
+    """Gives a client that is registered the blocks without octets, too."""
+
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        if block.payload or block.protocol_id not in self._clients:
+            super()._deliver(block, sender)
+            return
+        self._emit(PayloadReceived(block.protocol_id, b"", sender))
+
+
+class EmptyIgnored(Receiver):
+    """Gives no client blocks without octets."""
+
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        if block.payload:
+            super()._deliver(block, sender)
+
+
+class NoLosses(Receiver):
+    """Does not look at sequence numbers of beacons."""
+
+    def receive(self, octets: bytes, now: int) -> None:
+        self._losses = LossTable()
+        super().receive(octets, now)
+
+
+class NewestReport(StateReporting):
+    """Takes no report whose sequence number is lower than that of the entry."""
+
+    def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
+        try:
+            report = self._config.codec.decode_report(payload)
+        except Exception:
+            report = None
+        known = self._table.lookup(report.node_id) if report is not None else None
+        if report is not None and known is not None:
+            behind = (known.ext_sd.seqno - report.seqno) % (1 << 32)
+            if 0 < behind < 1 << 31:
+                return
+        super().handle_payload(payload, sender_id, now=now, wall=wall)
+
+
+# -- VarDis ------------------------------------------------------------------------------------------------------------
+
+
+class LiteralVardis(Vardis):
+    """Takes the current system time as creation time, whatever it was at an earlier creation."""
+
+    def _creation_time(self, entry: Any, wall: int) -> int | None:
+        del entry
+        return super()._creation_time(None, wall)
+
+
+class MillisecondCreation(Vardis):
+    """Has a clock that counts in ms."""
+
+    def _creation_time(self, entry: Any, wall: int) -> int | None:
+        return super()._creation_time(entry, wall // MS * MS)
+
+
+# --------------------------------------------------------------------------------------------------------------------
+
+
+def _part(part: type, **more: Any) -> Callable[[str], Setup]:
+    return lambda profile: setup(profile, part=part, **more)
+
+
+def _bp(**changes: Any) -> Callable[[str], Setup]:
+    return lambda profile: setup(profile, bp=BPConfig(**changes))
+
+
+_MANY = "dcp-bp.md, Transmit Path: how many payloads and which is left to the implementation"
+_ORDER = "dcp-bp.md: the order of clients is free, and no payload is promised a beacon (BP-GEN-02)"
+_INTERVALS = "dcp-bp.md, Transmit Path: the mean interval tends to the period (BP-TX-01, BP-TX-02)"
+
+VARIANTS = (
+    Variant("V-BP-TX-one-block", "puts one payload into each beacon", _MANY, _part(OneBlock)),
+    Variant("V-BP-TX-two-blocks", "puts at most two payloads into a beacon", _MANY, _part(TwoBlocks)),
+    Variant("V-BP-TX-ten-blocks", "puts at most ten payloads into a beacon", _MANY, _part(TenBlocks)),
+    Variant(
+        "V-BP-TX-lowest-first", "serves clients by protocol identifier, the lowest first", _ORDER, _part(LowestFirst)
+    ),
+    Variant(
+        "V-BP-TX-highest-first", "serves clients by protocol identifier, the highest first", _ORDER, _part(HighestFirst)
+    ),
+    Variant("V-BP-TX-vardis-first", "serves VarDis before other clients", _ORDER, _part(VardisFirst)),
+    Variant("V-BP-TX-vardis-last", "serves VarDis after other clients", _ORDER, _part(VardisLast)),
+    Variant("V-BP-TX-sorted", "orders the blocks of a beacon by protocol identifier", _ORDER, _part(SortedBlocks)),
+    Variant("V-BP-TX-triggered", "sends a new payload at once", "BP-TXP-07", _bp(triggered=True)),
+    Variant(
+        "V-BP-TX-triggered-denied",
+        "sends a new payload at once, and its PICS claims it",
+        "BP-TXP-07",
+        lambda profile: setup(profile, bp=BPConfig(triggered=True), pics=Capabilities(triggered_beacons=True)),
+    ),
+    Variant("V-BP-TX-jitter-0", "has no jitter", _INTERVALS, _bp(jitter=0.0)),
+    Variant(
+        "V-BP-TX-jitter-0-denied",
+        "has no jitter, and its PICS says so",
+        _INTERVALS,
+        lambda profile: setup(profile, bp=BPConfig(jitter=0.0), pics=Capabilities(jitter=False)),
+    ),
+    Variant("V-BP-TX-jitter-25", "varies intervals by a quarter to either side", _INTERVALS, _bp(jitter=0.25)),
+    Variant("V-BP-TX-jitter-50", "varies intervals by half to either side", _INTERVALS, _bp(jitter=0.5)),
+    Variant("V-BP-TX-jitter-95", "varies intervals between nothing and twice the period", _INTERVALS, _bp(jitter=0.95)),
+    Variant(
+        "V-BP-TX-ticks",
+        "sends beacons at ticks of 10 ms",
+        "dcp-bp.md: the resolution of time values is system-dependent",
+        _part(CoarsePeriod),
+    ),
+    Variant(
+        "V-BP-MGT-clears",
+        "forgets buffered payloads when BP is deactivated",
+        "BP-MGT-01 says nothing of them",
+        _part(ClearsWhenDeactivated),
+        since=_V.V1_2,
+    ),
+    Variant(
+        "V-BP-PTI-per-beacon",
+        "sends one BP-PayloadTransmitted.indication for each client and beacon",
+        "BP-PTI-01",
+        _part(OneIndicationPerBeacon),
+    ),
+    Variant(
+        "V-BP-RX-count-checked",
+        "discards a beacon whose numPayloads is not the number of its blocks",
+        "dcp-bp.md, Receive Path: an implementation may check it and react (BP-RX-12)",
+        _part(CountChecked),
+        since=_V.V1_1,
+    ),
+    Variant(
+        "V-BP-RX-empty-delivered",
+        "delivers payload blocks without octets",
+        "dcp-bp.md, Receive Path, step 3",
+        _part(EmptyDelivered),
+    ),
+    Variant(
+        "V-BP-RX-no-losses",
+        "does not estimate losses",
+        "BP-RX-11",
+        _part(NoLosses, pics=Capabilities(loss_estimation=False)),
+    ),
+    Variant(
+        "V-SRP-RX-newest",
+        "keeps the report with the highest sequence number",
+        "SRP-RX-04",
+        _part(NewestReport, pics=Capabilities(srp_seqno_filter=True)),
+        where=has_srp,
+    ),
+    Variant(
+        "V-SRP-RX-newest-silent",
+        "keeps the report with the highest sequence number; its PICS is silent",
+        "SRP-RX-04",
+        _part(NewestReport),
+        where=has_srp,
+    ),
+    Variant(
+        "V-VD-IC-two-containers",
+        "sends two containers of a type in place of one",
+        "VD-IC-04",
+        _part(TwoContainers),
+        since=_V.V1_2,
+        where=lambda profile: profile.behaviour.containers_per_type == "several",
+    ),
+    Variant(
+        "V-VD-IC-two-containers-claimed",
+        "sends two containers of a type, and its PICS says so",
+        "VD-IC-04",
+        _part(TwoContainers, pics=Capabilities(several_containers=True)),
+        since=_V.V1_2,
+        where=lambda profile: profile.behaviour.containers_per_type == "several",
+    ),
+    Variant(
+        "V-VD-RUN-just-before",
+        "composes a VarDis payload just before its beacon",
+        "VD-RUN-01: the indication tells when the next beacon is prepared, so that payloads can be fresh",
+        _part(JustBefore),
+    ),
+    Variant(
+        "V-VD-SCR-while-active",
+        "scrubs only while VarDis is active",
+        "dcp-vardis.md, Deactivate: scrubbing is not mentioned",
+        _part(ScrubsWhileActive),
+        since=_V.V2_0,
+    ),
+    Variant(
+        "V-VD-CRE-literal-time",
+        "takes the current time as creation time, also of a second creation",
+        "VD-CRE-09",
+        _part(LiteralVardis),
+        since=_V.V2_0,
+    ),
+    Variant(
+        "V-VD-CRE-ms-clock",
+        "has a clock with a resolution of 1 ms",
+        "dcp-data-types.md: TimeStampT",
+        _part(MillisecondCreation),
+        since=_V.V2_0,
+    ),
+)
