@@ -38,6 +38,8 @@ def why_not(bench: Bench, case: Case) -> str:
             return f"the PICS does not say whether there is {name} ([pics] {name} = true)"
         if claimed is False:
             return f"the PICS denies {name}"
+    if needs.link and session.switch_link is None:
+        return "there are no commands to take its link down and up (pixit.link_down, pixit.link_up)"
     if needs.restart and not session.can_restart:
         return "there is no command to restart the implementation (--restart)"
     return (needs.when(bench) or "") if needs.when is not None else ""

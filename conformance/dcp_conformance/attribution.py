@@ -178,6 +178,9 @@ def survival(trial: Trial) -> tuple[str, ...]:
     case only uses, such as deactivating BP between two beacons, violates none.
     """
     case = trial.case
+    if case.needs.link:
+        # The link was taken from it: no octets have done that.
+        return case.requirements
     named = tuple(each for each in case.requirements if each in _SURVIVAL)
     deadly = trial.stimulus
     if named or deadly is None:

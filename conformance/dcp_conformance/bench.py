@@ -245,6 +245,29 @@ class Bench(Listening):
             raise
         self.must(f"{entity}-MGMT-Activate")
 
+    @contextmanager
+    def link_down(self) -> Iterator[None]:
+        """Have the implementation's link down for a while, for cases whose needs say ``link``.
+
+        Stops as inconclusive if the tester cannot do that. Whatever ends the block, the link is up again.
+        """
+        self._switch_link(False)
+        try:
+            yield
+        finally:
+            self._switch_link(True)
+
+    def _switch_link(self, up: bool) -> None:
+        how = "up" if up else "down"
+        self.traffic.note("note", self.lower.wall(), f"the implementation's link goes {how}")
+        try:
+            if self.session.switch_link is None:
+                raise ConformanceError("there are no commands for it (pixit.link_down, pixit.link_up)")
+            self.session.switch_link(up)
+        except ConformanceError as error:
+            self.inconclusive(f"the implementation's link goes {how}", str(error))
+        self.session.passive.interrupted(self.now())
+
     def restore(self) -> None:
         """Undo what the case has changed and not changed back: activity, parameters, registrations, subscriptions.
 

@@ -68,6 +68,8 @@ class Needs:
     """Capabilities that must be declared true in the PICS, by their names there."""
     header: tuple[str, ...] = ()
     """Fields that the profile's beacon header must have."""
+    link: bool = False
+    """Whether the tester must be able to take the implementation's link down and up."""
     restart: bool = False
     """Whether a command to restart the implementation must be known."""
     when: Callable[[Bench], str | None] | None = None

@@ -105,6 +105,10 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """3000 is assumed unless it is told; the same holds for the next two, with 1000 and 50."""
     scrubbing_period_ms: _Positive | None = None
     buffer_check_period_ms: _Positive | None = None
+    link_down: str | None = None
+    """A command that takes the implementation's link down, as when its cable is pulled; with ``link_up``."""
+    link_up: str | None = None
+    """The command that takes it up again."""
     var_ids: tuple[int, int] | None = None
     """First and last variable identifier that the tester may use; None for all of them."""
 

@@ -54,6 +54,8 @@ QUESTIONS: Final[dict[str, str]] = {
     "pixit.neighbour_timeout_ms": "What is SRPPAR_NEIGHBOUR_TABLE_TIMEOUT?",
     "pixit.scrubbing_period_ms": "What is VARDISPAR_SCRUBBING_PERIOD, or that of SRP?",
     "pixit.buffer_check_period_ms": "What is VARDISPAR_BUFFER_CHECK_PERIOD?",
+    "pixit.link_down": "Which command takes its link down (not the tester's end), as if a cable was pulled?",
+    "pixit.link_up": "Which command takes its link up again?",
     "pixit.var_ids": "First and last variable identifier that the tester may use, if not all of them?",
 }
 _TITLES = {

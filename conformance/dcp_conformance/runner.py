@@ -18,6 +18,7 @@ from .case import SANITY, Case
 from .control import SutControl
 from .errors import CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
 from .life import Life
+from .link import link_switch
 from .node_id import node_id_octets
 from .reaction import prepare
 from .results import CaseResult, Check, EventRecord, Sut
@@ -74,6 +75,7 @@ class Runner:
         """Restarts because identifiers were used up."""
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
+        session.switch_link = link_switch(control, session.pics.pixit)
 
     @property
     def notes(self) -> list[str]:

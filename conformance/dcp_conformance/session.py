@@ -76,6 +76,8 @@ class Session:
         """Whether a case that finds all identifiers used up is run again after a restart."""
         self.restart: Callable[[], None] | None = None
         """Starts the implementation again, from its initial state; None where that cannot be done."""
+        self.switch_link: Callable[[bool], None] | None = None
+        """Takes the implementation's link up (True) or down; None where the tester cannot do that."""
         self.next_peer = 0
         self.next_protocol = 0
         self.held_protocols: set[int] = set()

@@ -1,4 +1,4 @@
-"""Cases that take long are run in a plan of their own, or when they are named."""
+"""Cases that take long, that restart the implementation, and that take its link down."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ import random
 from pathlib import Path
 
 import pytest
-from dcp_conformance.reference.inprocess import InProcess
+from dcp_conformance.bench import Bench, Session
+from dcp_conformance.case import Case, Kind
+from dcp_conformance.errors import StopCase
+from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting.files import load_results
+from dcp_conformance.runner import Runner
 from dcp_conformance.selection import PLANS, Selection, left_out, select
+from dcp_conformance.verdict import Verdict
 
 from .command import Command
-from .rig import known_cases, one_case
+from .rig import codec_of, known_cases, one_case
 
 LONG = {each.id for each in known_cases().values() if each.long}
 ONE = "TC_BP_HDR_BV_11"
@@ -87,3 +93,55 @@ class Strict(InProcess):
 def test_the_jitter_after_two_starts_is_compared(kind: type[InProcess], said: str):
     result = one_case("TC_BP_TX_TI_04", kind=kind)
     assert [each.observed for each in result.checks] == [said]
+
+
+# -- the link ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_link_is_taken_down_and_up_by_commands(tmp_path: Path):
+    log = tmp_path / "log"
+    commands = Testing(link_down=f"sh -c 'echo down >> {log}'", link_up=f"sh -c 'echo up >> {log}'")
+    verdict = one_case("TC_DCP_LINK_BV_01", pics=Pics(pixit=commands)).verdict
+    # The commands do nothing to a node in this process.
+    assert verdict is Verdict.PASS
+    assert log.read_text() == "down\nup\n"
+
+
+def test_a_link_that_cannot_be_switched_decides_nothing():
+    commands = Testing(link_down="false", link_up="true")
+    result = one_case("TC_DCP_LINK_BV_01", pics=Pics(pixit=commands))
+    verdict = result.verdict
+    assert verdict is Verdict.INCONCLUSIVE
+    assert "false: exit status 1" in result.reason
+
+
+def test_the_link_is_up_again_if_the_case_stops():
+    class Unheard(InProcess):
+        """Its beacons are never heard again."""
+
+        def switch_link(self, up: bool) -> None:
+            super().switch_link(up)
+            switched.append(up)
+
+    switched: list[bool] = []
+
+    def body(bench: Bench) -> None:
+        with bench.link_down():
+            raise StopCase
+
+    sut = Unheard(reference_config(codec_of("dcp-2.0")))
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+    runner.prepare()
+    runner.run(Case("TC_DCP_X_BV_01", "", ("UWB-01",), Kind.VALID, "", "", 4, "", __name__, body))
+    assert switched == [False, True]
+    assert sut.linked
+
+
+def test_without_a_way_to_switch_the_link_the_case_does_not_apply():
+    class Fixed(InProcess):
+        switch_link = None  # type: ignore[assignment]
+
+    result = one_case("TC_DCP_LINK_BV_01", kind=Fixed)
+    verdict = result.verdict
+    assert verdict is Verdict.NOT_APPLICABLE
+    assert "link_down" in result.reason

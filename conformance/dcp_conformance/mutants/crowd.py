@@ -1,4 +1,4 @@
-"""Faults that show with many neighbours, large payloads and long timeouts."""
+"""Faults that show with many neighbours, large payloads, long timeouts, and a link that is down for a while."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.neighbours import NeighbourTable
+from dcp_stack.node import Node
 from dcp_stack.vardis import Vardis
 from dcp_stack.vardis_wire import Extracted, Extractor
 
@@ -74,3 +75,20 @@ class SignedTimeout(Scrubs):
 class Minute(Scrubs):
     def measured(self, timeout: int) -> int:
         return min(timeout, 60_000)
+
+
+@mutant("gives-up", "UWB-01", "sends nothing any more after it has heard nobody for 0.7 s")
+class GivesUp(Node):
+    _heard_at: int | None = None
+
+    def handle_frame(self, octets: bytes, now: int, wall: int) -> None:
+        self._heard_at = now if self._listens(now) else self._heard_at
+        super().handle_frame(octets, now=now, wall=wall)
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        super().handle_timeout(now, wall)
+        if not self._listens(now):
+            self.take_effects()
+
+    def _listens(self, now: int) -> bool:
+        return self._heard_at is None or now - self._heard_at < 700_000_000

@@ -49,6 +49,8 @@ class InProcess:
         self.arrivals: deque[Arrival] = deque()
         self.died = ""
         """What the node raised; it is dead then."""
+        self.linked = True
+        """Whether the node's link is up."""
         self._start()
 
     def _start(self) -> None:
@@ -77,7 +79,7 @@ class InProcess:
         if not effects:
             return
         for effect in effects:
-            if isinstance(effect, SendBeacon):
+            if isinstance(effect, SendBeacon) and self.linked:
                 frame = self._header + effect.octets
                 self.arrivals.append(Arrival(self.now, self.wall(), effect.octets, frame, ADDRESS))
         self.server.indicate(effects, now=self.now, wall=self.node_wall())
@@ -98,7 +100,9 @@ class InProcess:
         self.arrivals.clear()
 
     def deliver(self, octets: bytes) -> None:
-        """A frame reaches the node."""
+        """A frame reaches the node, if its link is up."""
+        if not self.linked:
+            return
         self.guarded(self.node.handle_frame, octets, now=self.now, wall=self.node_wall())
 
     def advance(self, until: int) -> None:
@@ -133,6 +137,10 @@ class InProcess:
     def why_dead(self) -> str:
         """What it raised."""
         return self.died
+
+    def switch_link(self, up: bool) -> None:
+        """Take the node's link up or down: while it is down, nothing is carried either way."""
+        self.linked = up
 
     def restart(self) -> None:
         """A new node; connections are open again."""

@@ -77,19 +77,12 @@ class Namespace:
         for name in (SUT_INTERFACE, TESTER_INTERFACE):
             # Without an address the kernel has nothing to say on the interface by itself.
             lines += [f"link set {name} addrgenmode none", f"link set {name} up"]
-        try:
-            done = subprocess.run(
-                ["ip", "-batch", "-"],  # noqa: S607 - wherever the system has it
-                input="".join(f"{line}\n" for line in lines),
-                capture_output=True,
-                text=True,
-                check=False,
-                timeout=_PATIENCE,
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise NamespaceError(f"ip cannot be run: {error}") from None
-        if done.returncode:
-            raise NamespaceError(f"a virtual cable cannot be made: {done.stderr.strip().splitlines()[0]}")
+        _ip(lines, "a virtual cable cannot be made")
+
+    def switch(self, up: bool) -> None:
+        """Take the implementation's interface up or down. Raises :class:`NamespaceError`."""
+        with self.entered():
+            _ip([f"link set {SUT_INTERFACE} {'up' if up else 'down'}"], "the interface cannot be switched")
 
     @contextlib.contextmanager
     def entered(self) -> Iterator[None]:
@@ -118,3 +111,20 @@ class Namespace:
     def _enter(self, descriptor: int) -> None:
         if self._libc.setns(descriptor, _CLONE_NEWNET):
             raise NamespaceError(f"a network namespace cannot be entered ({os.strerror(ctypes.get_errno())})")
+
+
+def _ip(lines: list[str], what: str) -> None:
+    """Carry out commands of ``ip``. Raises :class:`NamespaceError`, which says ``what`` has failed."""
+    try:
+        done = subprocess.run(
+            ["ip", "-batch", "-"],  # noqa: S607 - wherever the system has it
+            input="".join(f"{line}\n" for line in lines),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_PATIENCE,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise NamespaceError(f"ip cannot be run: {error}") from None
+    if done.returncode:
+        raise NamespaceError(f"{what}: {done.stderr.strip().splitlines()[0]}")

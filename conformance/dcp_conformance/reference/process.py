@@ -19,6 +19,7 @@ from typing import Literal
 from dcp_codec.codec import Codec
 from dcp_conformance.control import SutControl
 from dcp_conformance.errors import ConformanceError, LowerTesterError
+from dcp_conformance.link import Switch
 from dcp_conformance.lower import LowerTester, open_ethernet, open_udp
 from dcp_conformance.lower.udp import DEFAULT_GROUP
 from dcp_conformance.process import ProcessControl
@@ -110,6 +111,8 @@ class _NodeControl(ProcessControl):
         self._path = path
         self.upper: Reconnecting | None = None
         self.after_restart.append(self._reconnect)
+        self.switch_link: Switch | None = None if namespace is None else _switch_of(namespace)
+        """Takes the node's link up or down; None over UDP."""
 
     def start(self) -> None:
         """Start the node; a socket that is still there from a life before must not answer for the dead."""
@@ -120,6 +123,16 @@ class _NodeControl(ProcessControl):
         wait_for(self, self._path)
         if self.upper is not None:
             self.upper.reconnect()
+
+
+def _switch_of(namespace: Namespace) -> Switch:
+    def switch(up: bool) -> None:
+        try:
+            namespace.switch(up)
+        except NamespaceError as error:
+            raise ConformanceError(str(error)) from None
+
+    return switch
 
 
 def _first_contact(control: ProcessControl, path: Path, patience: float) -> Reconnecting:
