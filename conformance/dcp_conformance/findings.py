@@ -158,6 +158,11 @@ class Findings:
         self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, ())
         raise StopCase
 
+    def not_applicable(self, reason: str) -> NoReturn:
+        """Stop the case, because it does not concern this implementation; what was checked before stays decided."""
+        self._add(Verdict.NOT_APPLICABLE, reason, "", (), ())
+        raise StopCase
+
     def info(
         self, question: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
     ) -> None:

@@ -246,6 +246,16 @@ class Naming(Findings):
         self.session.creation_time = max(self.session.creation_time + 1, ticks)
         return self.session.creation_time
 
+    @property
+    def longest_timeout(self) -> int:
+        """The longest timeout in ms that the profile's VarTimeoutT expresses."""
+        return int((1 << 8 * self.profile.types.var_timeout.width) - 1)
+
+    def require_timeout(self, timeout: int) -> None:
+        """Stop the case as not applicable if the profile cannot express a timeout of so many ms."""
+        if timeout > self.longest_timeout:
+            self.not_applicable(f"VarTimeoutT expresses at most {self.longest_timeout} ms, this takes {timeout} ms")
+
     def spec(
         self,
         var_id: int,
@@ -256,8 +266,12 @@ class Naming(Findings):
         creation_time: int | None = None,
         timeout: int = 0,
     ) -> VarSpec:
-        """A VarSpec with what the profile's layout has; ``creation_time`` is a fresh one unless given."""
+        """A VarSpec with what the profile's layout has; ``creation_time`` is a fresh one unless given.
+
+        Stops the case as not applicable if the profile cannot express ``timeout`` (in ms).
+        """
         names = self.profile.vardis.var_spec
+        self.require_timeout(timeout)
         return VarSpec(
             var_id,
             producer,

@@ -111,3 +111,11 @@ def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> Chan
 def updated_in_time(bench: Bench, timeout_ms: int) -> int:
     """A timeout in ms that calls of the upper tester can keep up with: this one, or a longer one if they are slow."""
     return max(timeout_ms, round(4 * bench.session.slow_call / MS))
+
+
+def lasting(bench: Bench, timeout_ms: int, beacons: int = 3) -> int:
+    """A timeout in ms after which ``beacons`` beacons have left: this one, or a longer one if beacons are rare.
+
+    A variable that times out before its VarCreate was sent is never seen, rightly.
+    """
+    return max(timeout_ms, round(1.2 * beacons * bench.slowness * bench.period / MS))

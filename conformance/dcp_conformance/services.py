@@ -135,7 +135,11 @@ def create_request(
     value: bytes = b"value",
     timeout: int = 0,
 ) -> dict[str, Any]:
-    """Parameters of RTDB-Create. Up to 1.1 the application says who the producer is (VD-CRE-08)."""
+    """Parameters of RTDB-Create. Up to 1.1 the application says who the producer is (VD-CRE-08).
+
+    Stops the case as not applicable if the profile cannot express ``timeout`` (in ms).
+    """
+    bench.require_timeout(timeout)
     request: dict[str, Any] = {"varId": var_id, "repCnt": rep_cnt, "descr": descr, "value": value.hex()}
     if timeout:
         request["timeout"] = timeout

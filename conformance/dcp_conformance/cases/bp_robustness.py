@@ -50,8 +50,11 @@ def _other_layout(name: str) -> Needs:
     def when(bench: Bench) -> str | None:
         if not bench.profile.bp.header:
             return f"the profile {bench.profile.name} has no beacon header"
-        if Codec(name).profile.bp.header == bench.profile.bp.header:
+        other = Codec(name).profile
+        if other.bp.header == bench.profile.bp.header:
             return "that is the layout of the profile itself"
+        if other.types.var_id.width < bench.profile.types.var_id.width:
+            return f"the layout of {other.spec_version} cannot name the variables: its VarIdT is narrower"
         return None
 
     return Needs(when=when)

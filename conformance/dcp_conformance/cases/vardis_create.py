@@ -48,7 +48,7 @@ _V = ICType.CREATE_VARIABLES
 )
 def announced(bench: Bench) -> None:
     var_id = bench.own_var_id()
-    timeout = 60_000 if bench.features.creation_time else 0
+    timeout = min(60_000, bench.longest_timeout) if bench.features.creation_time else 0
     request = create_request(
         bench, var_id, rep_cnt=1, descr="speed of wind", value=b"\x00\x01\xfe\xff", timeout=timeout
     )

@@ -16,6 +16,7 @@ from dcp_conformance.scrubbing import (
     create_own,
     deleted,
     hurry,
+    lasting,
     latest,
     learn,
     not_by_consumers,
@@ -40,6 +41,7 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
 )
 def consumer(bench: Bench, timeout_ms: int) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    timeout_ms = lasting(bench, timeout_ms, 2)
     since = learn(bench, peer, name, timeout_ms, count)
     found = deleted(bench, name, since, timeout_ms)
     if found is None:
@@ -124,10 +126,11 @@ def _check_known(bench: Bench, name: int, *requirements: str) -> None:
 def deleted_skipped(bench: Bench) -> None:
     hurry(bench)
     peer, name, other, count = bench.peer(), bench.var_id(), bench.var_id(), bench.rep_cnt(2)
-    learn(bench, peer, name, 400, count)
-    since = learn(bench, peer, other, 400)
+    timeout_ms = lasting(bench, 400, 4)
+    learn(bench, peer, name, timeout_ms, count)
+    since = learn(bench, peer, other, timeout_ms)
     peer.send(peer.delete(name))
-    if deleted(bench, other, since, 400) is None:
+    if deleted(bench, other, since, timeout_ms) is None:
         not_by_consumers(bench, other)
     bench.beacons(2)
     found = bench.instructions(_DELETE, name)

@@ -1,0 +1,112 @@
+"""Legal nodes at corners of parameters and types: rare beacons, narrow and wide fields, X26, bare lists."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+from dcp_conformance.bench import Session
+from dcp_conformance.case import SANITY
+from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
+from dcp_conformance.results import CaseResult
+from dcp_conformance.runner import Runner
+from dcp_conformance.upper import Answer
+from dcp_conformance.verdict import Verdict
+from dcp_spec.profile_loading import load_profile
+
+from dcp_codec import Codec
+
+from .rig import codec_of, ids_of, known_cases
+
+FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
+SCRUBBING = [*ids_of("vardis_scrubbing", "vardis_timeouts", "vardis_init"), "TC_VD_TYP_BV_03"]
+
+
+def results(
+    ids: list[str],
+    *,
+    codec: Codec | None = None,
+    period_ms: int = 100,
+    readings: dict[str, str] | None = None,
+    vardis: dict[str, int] | None = None,
+    kind: type[InProcess] = InProcess,
+) -> dict[str, CaseResult]:
+    """The results of cases against one node with this configuration."""
+    config = reference_config(codec or codec_of("dcp-2.0"))
+    config = msgspec.structs.replace(
+        config,
+        bp=msgspec.structs.replace(config.bp, beacon_period_ms=period_ms),
+        vardis=msgspec.structs.replace(config.vardis, **(vardis or {})),
+        readings={**config.readings, **(readings or {})},
+    )
+    sut = kind(config)
+    pics = Pics(pixit=Testing(beacon_period_ms=period_ms))
+    runner = Runner(Session(config.codec, sut.lower_tester(), sut.upper_tester(), pics), sut)
+    runner.prepare()
+    cases = known_cases()
+    return {each: runner.run(cases[each]) for each in (SANITY, *ids) if not cases[each].long}
+
+
+def not_fine(found: dict[str, CaseResult]) -> dict[str, str]:
+    return {each: f"{result.verdict}: {result.reason}" for each, result in found.items() if result.verdict not in FINE}
+
+
+@pytest.mark.parametrize("period_ms", [20, 300, 1000, 5000])
+def test_variables_live_long_enough_to_be_seen_however_rare_beacons_are(period_ms: int):
+    assert not not_fine(results(SCRUBBING, period_ms=period_ms))
+
+
+def test_only_producers_may_scrub():
+    found = results(SCRUBBING, readings={"X26": "producer-only"})
+    assert not not_fine(found)
+    assert found["TC_VD_INI_BV_05"].readings == {"X26": "producer-only"}
+
+
+def _profile(tmp_path: Any, types: str) -> Codec:
+    path = tmp_path / "odd.toml"
+    path.write_text(f'extends = "dcp-2.0"\nname = "odd"\n[types]\n{types}\n', encoding="utf-8")
+    return Codec(load_profile(path))
+
+
+def test_timeouts_of_one_octet_make_cases_with_longer_ones_not_applicable(tmp_path: Any):
+    ids = [*SCRUBBING, *ids_of("vardis_create")]
+    found = results(ids, codec=_profile(tmp_path, "var_timeout = { width = 1 }"))
+    assert not not_fine(found)
+    assert found["TC_VD_CRE_BV_01"].verdict is Verdict.PASS
+    assert found["TC_VD_SCR_TI_01-200"].verdict is Verdict.PASS
+    late = found["TC_VD_SCR_TI_01-1500"]
+    assert late.verdict is Verdict.NOT_APPLICABLE
+    assert "VarTimeoutT expresses at most 255 ms" in late.reason
+
+
+def test_layouts_that_cannot_name_the_variables_of_a_profile_are_not_sent(tmp_path: Any):
+    ids = ids_of("bp_robustness")
+    found = results(ids, codec=_profile(tmp_path, "var_id = { width = 2 }"))
+    assert not not_fine(found)
+    assert "its VarIdT is narrower" in found["TC_BP_RX_BI_20"].reason
+
+
+class BareLists(VirtualUpperTester):
+    """Describes the database with VarSpecT and nothing else, which is all that the specification demands."""
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        answer = super().call(method, params)
+        for row in answer.result.get("variables", ()) if method == "RTDB-DescribeDatabase" else ():
+            for extra in ("isDeleted", "tStamp"):
+                row.pop(extra, None)
+        return answer
+
+
+class Bare(InProcess):
+    def upper_tester(self) -> VirtualUpperTester:
+        return BareLists(self)
+
+
+def test_rows_of_the_database_need_no_more_than_a_specification():
+    found = results([*ids_of("vardis_types", "vardis_read"), "TC_VD_DDB_BV_02"], kind=Bare)
+    assert not not_fine(found)
+    assert found["TC_VD_DB_BV_03-own"].verdict is Verdict.PASS
+    reported = [each for each in found["TC_VD_DDB_BV_02"].checks if each.verdict is Verdict.INFO]
+    assert [each.observed for each in reported] == ["none"]
