@@ -1,8 +1,9 @@
 """Run the tests with new random seeds, round after round, until a time is over or a test fails.
 
 Each round has a seed, which decides what Hypothesis draws, the order of the tests and the hashes of texts. The first
-round runs all tests; later rounds run those that draw examples, as the others would do the same again. What
-the failing round printed is kept in a file, and the command that runs it again is printed: it needs no other state.
+round runs all tests but those in real time (`make test-repeat` is for them); later rounds run those that draw
+examples, as the others would do the same again. What the failing round printed is kept in a file, and the command that
+runs it again is printed: it needs no other state.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ def command_of(seed: int, examples: int, tests: list[str]) -> tuple[dict[str, st
         "PYTHONHASHSEED": str(seed),
     }
     pytest = [str(Path(sys.executable).parent / "pytest"), "-q", "-x", "-n", "auto", "-p", "no:cacheprovider"]
+    pytest += ["-m", "not real_time"]
     return variables, [*pytest, f"--hypothesis-seed={seed}", f"--shuffle={seed}", *tests]
 
 
@@ -50,6 +52,7 @@ def main() -> int:
     parser.add_argument("--examples", type=int, default=5, help="times the usual number of examples (default 5)")
     parser.add_argument("--seed", type=int, help="seed of the first round, below 2**32 (default: random)")
     parser.add_argument("--all", action="store_true", help="run all tests in each round")
+    parser.add_argument("tests", nargs="*", help="only these files and folders, in each round")
     arguments = parser.parse_args()
     seed = random.SystemRandom().randrange(2**32) if arguments.seed is None else arguments.seed
     chance = random.Random(seed)
@@ -57,7 +60,8 @@ def main() -> int:
     rounds = 0
     while rounds == 0 or time.monotonic() < begun + arguments.seconds:
         rounds += 1
-        variables, command = command_of(seed, arguments.examples, [] if rounds == 1 or arguments.all else drawing())
+        tests = arguments.tests or ([] if rounds == 1 or arguments.all else drawing())
+        variables, command = command_of(seed, arguments.examples, tests)
         print(f"round {rounds}, seed {seed}: ", end="", flush=True)
         done = subprocess.run(
             command, cwd=ROOT, env={**os.environ, **variables}, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
@@ -69,7 +73,7 @@ def main() -> int:
             said = f"To run this round again:\n  cd {shlex.quote(str(ROOT))} && {again} {shlex.join(command)}\n"
             failed = re.findall(r"^(?:FAILED|ERROR) (\S+::.*?)(?: - .*)?$", done.stdout, re.MULTILINE)
             if failed:
-                alone = [each for each in command if each not in drawing() and each not in ("-n", "auto")]
+                alone = [each for each in command if each not in tests and each not in ("-n", "auto")]
                 said += f"The failed tests alone:\n  {again} {shlex.join([*alone, *failed])}\n"
             KEPT.write_text(done.stdout + said, encoding="utf-8")
             print(f"{done.stdout[-6000:]}\n{said}All of the output is in {KEPT}", flush=True)
