@@ -39,7 +39,7 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
     derandomize=True,
     print_blob=True,
-    max_examples=examples(50),
+    max_examples=examples(100),
 )
 # Other examples for each seed (--hypothesis-seed), and more of them: this is what finds something new.
 settings.register_profile("fresh", parent=settings.get_profile("default"), derandomize=False, database=None)
