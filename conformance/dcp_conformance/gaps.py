@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Callable
 from typing import Final, TypeVar
 
-from .bench import Bench
+from .bench import MS, Bench
 from .errors import StopCase, UpperTesterError
 from .heard import Heard
 
@@ -75,5 +75,13 @@ def between_beacons(bench: Bench, what: str, act: Callable[[], T], sent: Callabl
         bench.until_quiet(sent, 12)
         bench.beacons(1, 1.5)
     else:
-        bench.inconclusive(f"{what} between two beacons", "a beacon came in between each time")
+        bench.inconclusive(f"{what} between two beacons", f"a beacon came in between each time{_pace(bench)}")
     return result
+
+
+def _pace(bench: Bench) -> str:
+    """How long calls take, if that may be the reason, as the end of a sentence."""
+    slow, period = bench.session.slow_call, bench.period
+    return (
+        f"; calls take up to {slow / MS:.0f} ms, with a beacon every {period / MS:.0f} ms" if slow > period / 4 else ""
+    )

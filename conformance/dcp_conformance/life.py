@@ -27,6 +27,7 @@ Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
 #: How the last lines of a process are quoted (``upper.channels.LastLines.shown``).
 _SAID, _LINES = "; it said: ", " | "
+_FAULT: Final = re.compile(r"fatal|error|terminate|exception|what\(\)|assert|panic|abort|fault", re.IGNORECASE)
 _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
 
 
@@ -56,11 +57,13 @@ class Loss:
     def group(self) -> str:
         """Equal for losses that look alike.
 
-        Numbers (process ids, addresses, line numbers) do not count, and of the last words only the last line does: what
-        several processes print before it comes in any order.
+        Numbers (process ids, addresses, line numbers) do not count, and of the last words only the last line that
+        tells of a fault, or else the last one: several processes print in any order.
         """
         ending, said, words = self.cause.partition(_SAID)
-        cause = f"{ending}{said}{words.rpartition(_LINES)[2]}" or self.observed
+        lines = words.split(_LINES)
+        telling = next((line for line in reversed(lines) if _FAULT.search(line)), lines[-1])
+        cause = f"{ending}{said}{telling}" or self.observed
         return _NUMBERS.sub("#", f"{self.how}: {cause}")
 
 

@@ -370,7 +370,7 @@ def test_a_service_that_kills_fails_what_the_case_is_about():
 
 
 def test_what_several_processes_print_comes_in_any_order():
-    said = ["Running BP | Running SRP | [fatal] no room in 0x7ffe", "Running SRP | Running BP | [fatal] no room in 0x1"]
+    said = ["Running BP | [fatal] no room in 0x7ffe | BP ended", "Running SRP | Running BP | [fatal] no room in 0x1"]
     losses = [Loss(True, "dead", f"it ended with signal SIGABRT; it said: {words}") for words in said]
     assert len({each.group for each in losses}) == 1
     assert losses[0].group == "died: it ended with signal SIGABRT; it said: [fatal] no room in #"

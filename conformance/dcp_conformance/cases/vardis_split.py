@@ -107,13 +107,15 @@ def every_octet(bench: Bench) -> None:
 
 # -- every record ------------------------------------------------------------------------------------------------------
 
-_Make = Callable[[Peer, int], VardisRecord]
+_Make = Callable[[Peer, int, int], VardisRecord]
+#: Makes a record about a variable, given its place in the payload. Sizes follow the place and not the identifier, which
+#: is another one in each run.
 _MAKE: dict[ICType, _Make] = {
-    ICType.SUMMARIES: lambda peer, var_id: peer.summary(var_id, 1),
-    ICType.UPDATES: lambda peer, var_id: peer.update(var_id, 1, b"v" * (1 + var_id % 5)),
-    ICType.REQUEST_VARUPDATES: lambda peer, var_id: peer.request_update(var_id, 1),
-    ICType.REQUEST_VARCREATES: lambda peer, var_id: peer.request_create(var_id),
-    ICType.CREATE_VARIABLES: lambda peer, var_id: peer.create(var_id, value=b"v" * (1 + var_id % 5)),
+    ICType.SUMMARIES: lambda peer, var_id, _: peer.summary(var_id, 1),
+    ICType.UPDATES: lambda peer, var_id, place: peer.update(var_id, 1, b"v" * (1 + place % 5)),
+    ICType.REQUEST_VARUPDATES: lambda peer, var_id, _: peer.request_update(var_id, 1),
+    ICType.REQUEST_VARCREATES: lambda peer, var_id, _: peer.request_create(var_id),
+    ICType.CREATE_VARIABLES: lambda peer, var_id, place: peer.create(var_id, value=b"v" * (1 + place % 5)),
 }
 _REQUESTS = (ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES)
 
@@ -155,7 +157,7 @@ def every_record(bench: Bench, pair: tuple[ICType, ICType]) -> None:
         numbers = [count, total - count]
         made = [_ids(bench, kind, number) for kind, number in zip(pair, numbers, strict=True)]
         containers = [
-            bench.forge.container(*(_MAKE[kind](peer, var_id) for var_id in ids))
+            bench.forge.container(*(_MAKE[kind](peer, var_id, place) for place, var_id in enumerate(ids)))
             for kind, ids in zip(pair, made, strict=True)
         ]
         where = f"{numbers[0]} + {numbers[1]} records"
@@ -243,7 +245,9 @@ def many_containers(bench: Bench) -> None:
     play(bench, peer, [split], (ICType.REQUEST_VARCREATES,), "VD-RX-04")
     kinds = [each for each in _MAKE if each is not ICType.CREATE_VARIABLES]
     since = bench.mark()
-    peer.send(*(bench.forge.container(_MAKE[kinds[index % len(kinds)]](peer, each)) for index, each in enumerate(ids)))
+    peer.send(
+        *(bench.forge.container(_MAKE[kinds[index % len(kinds)]](peer, each, index)) for index, each in enumerate(ids))
+    )
     missing = set(ids)
 
     def all_requested() -> bool:
