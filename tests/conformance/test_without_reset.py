@@ -60,6 +60,15 @@ def test_the_whole_suite_in_one_life_of_the_node(profile: str):
     assert odd(runner.run(each) for each in cases) == []
 
 
+@pytest.mark.parametrize("profile", ["dcp-1.3", "dcp-1.0"])
+def test_up_to_1_3_identifiers_are_never_used_up(profile: str):
+    """Deleted variables leave the database."""
+    runner = runner_of(profile)
+    cases = [each for each in ordered(known_cases().values()) if not each.needs.restart]
+    results = [runner.run(each) for each in cases]
+    assert [f"{each.id}: {each.reason}" for each in results if each.verdict not in FINE] == []
+
+
 def _case(body: Callable[[Bench], None]) -> Case:
     return Case("TC_DCP_X_BV_01", "", ("VD-PS-01",), Kind.VALID, "", "", 4, "", __name__, body)
 
