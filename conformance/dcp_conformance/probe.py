@@ -52,7 +52,7 @@ _EXPLAINED = 0.3
 _LOOKED_AT = 100
 
 #: Where PIXIT values come from, if the implementation tells its parameters.
-_PARAMETERS = {
+PIXIT_OF = {
     "BPPAR_BEACON_PERIOD": "beacon_period_ms",
     "BPPAR_NETWORK_ID": "network_id",
     "BPPAR_MAXIMUM_PACKET_SIZE": "max_packet_size",
@@ -190,7 +190,7 @@ def _take_parameters(found: Draft, method: str, answer: Answer) -> None:
     if not answer.ok or not isinstance(told, dict):
         found.remarks.append(f"{method} is answered with {answer} and no parameters")
         return
-    for name, key in _PARAMETERS.items():
+    for name, key in PIXIT_OF.items():
         value = told.get(name)
         if value is None or isinstance(value, bool) or not isinstance(value, int | float):
             continue

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+from dcp_conformance.case import DECLARED
 from dcp_conformance.mutants import all_mutants
 from dcp_conformance.selection import ordered
 from dcp_conformance.verdict import Verdict
@@ -21,7 +22,7 @@ SLOW: Mapping[str, dict[str, Any]] = {
     "500 ms for each call": {"call_ms": 500},
 }
 #: Variables whose timeout is over before a slow implementation first speaks, and stimuli that it takes one by one.
-MOST_UNDECIDED = 22
+MOST_UNDECIDED = 24
 
 
 @pytest.mark.parametrize(
@@ -30,7 +31,8 @@ MOST_UNDECIDED = 22
 )
 def test_nobody_fails_for_being_slow(how: str, profile: str):
     runner = runner_for(profile, **SLOW[how])
-    results = [runner.run(each) for each in ordered(known_cases().values())]
+    # What a profile declares is no behaviour of a node.
+    results = [runner.run(each) for each in ordered(known_cases().values()) if each.id != DECLARED]
     wrong = [(each.id, each.reason) for each in results if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
     assert wrong == []
     assert sum(each.verdict is Verdict.INCONCLUSIVE for each in results) <= MOST_UNDECIDED
