@@ -133,6 +133,11 @@ class Naming(Findings):
         """A repetition count that the implementation accepts: the wanted one, or the largest."""
         return max(1, min(wanted, self.parameter("VARDISPAR_MAX_REPETITIONS") or wanted))
 
+    def lacks_room(self, variables: int) -> str:
+        """Why so many variables are too many, if the profile says that the implementation keeps fewer; else empty."""
+        room = self.profile.limits.max_variables
+        return f"the profile says that there is room for {room} variables" if room and room < variables else ""
+
     # -- names ---------------------------------------------------------------------------------------------------------
 
     def node_id(self) -> bytes:

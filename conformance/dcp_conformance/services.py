@@ -203,9 +203,21 @@ def registration(bench: Bench, prot_id: int, name: str, *requirements: str) -> d
     """What BP-ListRegisteredProtocols says of the protocol ``name``. Stops as failed if it is not registered."""
     found = rows(bench.must("BP-ListRegisteredProtocols"), "protocols")
     shown = next((row for row in found if row.get("protocolId") == prot_id), None)
+    if shown is None and _may_be_missing(bench, name):
+        entity = name.lower()
+        said = f"it is not, nor are there services of it; if there is none, say so ([pics] {entity} = false)"
+        bench.inconclusive(f"{name} is registered under protocol identifier {prot_id}", said, *requirements)
     if shown is None:
         bench.fail(f"{name} is registered under protocol identifier {prot_id}", "it is not", *requirements, shown=True)
     return shown
+
+
+def _may_be_missing(bench: Bench, name: str) -> bool:
+    """Whether an implementation may have no SRP or VarDis: the PICS is silent, and no service of it is offered."""
+    upper = bench.session.upper
+    prefixes = {"SRP": ("SRP-",), "VarDis": ("RTDB-", "VD-")}[name]
+    offered = upper is not None and any(method.startswith(prefixes) for method in upper.methods)
+    return getattr(bench.pics, name.lower()) is None and not offered
 
 
 def check_registered_name(bench: Bench, shown: object, title: str) -> None:

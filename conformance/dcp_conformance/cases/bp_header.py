@@ -15,6 +15,7 @@ from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.clients import (
     CLIENT,
+    LIST,
     ONCE,
     QUERY,
     BPClient,
@@ -26,6 +27,7 @@ from dcp_conformance.clients import (
 )
 from dcp_conformance.header_rules import judge
 from dcp_conformance.heard import Heard
+from dcp_conformance.services import rows
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
 #: What an Ethernet frame holds at least: shorter bearer payloads may have been padded on their way.
@@ -121,6 +123,16 @@ def constants(bench: Bench) -> None:
     check_field(bench, wires, "magicNo", BP_MAGIC_NO, "BP-HDR-02")
 
 
+def _registered(bench: Bench) -> set[int] | None:
+    """The protocols that are registered now; None if they cannot be listed."""
+    upper = bench.session.upper
+    if upper is None or LIST not in upper.methods:
+        return None
+    return {
+        each["protocolId"] for each in rows(bench.must(LIST), "protocols") if isinstance(each.get("protocolId"), int)
+    }
+
+
 @case(
     "TC_BP_HDR_BV_02",
     "The fields of both headers stand in the order of the specification",
@@ -136,7 +148,15 @@ def order_of_fields(bench: Bench) -> None:
     _judged(bench, wires, "BP-HDR-10")
     check_field(bench, wires, "senderId", bench.sut_id)
     known = {BP_PROTID_SRP, BP_PROTID_VARDIS, *(client.prot_id for client in clients)}
-    strange = [each for each in wires if not each.whole or not {prot_id for prot_id, _ in each.counted} <= known]
+    others = _registered(bench)
+    # Where nobody can say which clients of its own the node has, one known identifier in a beacon has to do.
+    strange = [
+        each
+        for each in wires
+        if not each.whole
+        or (others is None and not known.intersection(prot_id for prot_id, _ in each.counted))
+        or (others is not None and not {prot_id for prot_id, _ in each.counted} <= known | others)
+    ]
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
     frames = [each.heard for each in strange[:8]]
     expected = "blocks of protocols that are registered, as long as they say"

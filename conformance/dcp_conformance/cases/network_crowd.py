@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.bench import Bench
-from dcp_conformance.case import case
+from dcp_conformance.case import Needs, case
 from dcp_conformance.heard import Instruction
 from dcp_conformance.peers import Peer
 from dcp_conformance.session import FLOOR
@@ -31,6 +31,7 @@ _CREATE, _UPDATE, _DELETE, _SUMMARY = (
     stimulus="30 peers create three variables each, and summarise them, within one beacon period",
     expect="a VarCreate of each of the 90 in exactly one beacon; every one of them in the summaries in turn",
     window=30,
+    needs=Needs(when=lambda bench: bench.lacks_room(90) or None),
 )
 def many_variables(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(30)]

@@ -294,7 +294,7 @@ def _room_for_256(bench: Bench) -> str | None:
     needed = 2 * bench.forge.container_header_size + (IC_MAX_RECORDS + 1) * width
     if bench.parameter(PAYLOAD_SIZE) < needed:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
-    return None
+    return bench.lacks_room(IC_MAX_RECORDS + 1) or None
 
 
 @case(

@@ -11,8 +11,17 @@ from dcp_conformance.pics import Capabilities
 from .surroundings import without
 from .variant import Setup, Variant, has_srp, setup
 
-#: Without VarDis nothing in the specification answers a beacon: what only VarDis would show cannot be decided.
-_NO_PROBE = ()
+#: Without VarDis nothing in the specification answers a beacon. The tester cannot tell a node that lacks VarDis from one
+#: whose VarDis is broken as long as the PICS does not say so.
+_NO_VARDIS = (
+    r"VarDis answered nothing that could be read",
+    r"^TC_DCP_SANITY_BV_01: .*but not a summary of an unknown variable",
+    r"^TC_VD_INI_BV_0[12]: .*\[pics\] vardis = false",
+    # The node has nothing to say of its own.
+    r"^TC_BP_HDR_BV_03: 4 beacons, which this case needs",
+)
+#: The same for SRP.
+_NO_SRP = (r"^TC_SRP_INI_BV_0[123]: .*\[pics\] srp = false",)
 
 
 def _only(*, srp: bool, vardis: bool, told: bool, hidden: tuple[str, ...] = ()) -> Callable[[str], Setup]:
@@ -37,18 +46,22 @@ def _variants() -> Iterator[Variant]:
             f"has BP and nothing above it; {pics}",
             why,
             _only(srp=False, vardis=False, told=told),
-            explains=_NO_PROBE,
+            explains=() if told else (*_NO_VARDIS, *_NO_SRP),
         )
         yield Variant(
             f"V-BP-SRP{end}",
             f"has BP and SRP, no VarDis; {pics}",
             why,
             _only(srp=True, vardis=False, told=told),
-            explains=_NO_PROBE,
+            explains=() if told else _NO_VARDIS,
             where=has_srp,
         )
         yield Variant(
-            f"V-BP-VD{end}", f"has BP and VarDis, no SRP; {pics}", why, _only(srp=False, vardis=True, told=told)
+            f"V-BP-VD{end}",
+            f"has BP and VarDis, no SRP; {pics}",
+            why,
+            _only(srp=False, vardis=True, told=told),
+            explains=() if told else _NO_SRP,
         )
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
+import msgspec
+from dcp_spec.profile import Profile
 
-from .variant import Setup, Variant, has_srp, setup
+from dcp_stack.config import BPConfig, VardisConfig
+
+from .variant import Setup, Variant, derived, has_srp, setup
 
 
 def _vardis(**limits: int) -> Callable[[str], Setup]:
@@ -22,12 +25,15 @@ def _small(name: str, what: str, requirement: str, **limits: int) -> Variant:
     return Variant(f"V-LIM-{name}", what, requirement, _vardis(**limits))
 
 
-#: A capacity of ours; the specification has none and none is refused.
-_ROOM = "no entity can keep more than it has memory for"
+#: The specification names no capacity; a profile can.
+_ROOM = "no entity can keep more than it has memory for: max_variables and max_neighbours of the profile"
 
 
-def _neighbours(most: int) -> Callable[[str], Setup]:
-    return lambda profile: setup(profile, srp=SRPConfig(max_neighbours=most))
+def _room(**limits: int) -> Callable[[str], Setup]:
+    def change(profile: Profile) -> Profile:
+        return msgspec.structs.replace(profile, limits=msgspec.structs.replace(profile.limits, **limits))
+
+    return lambda name: setup(derived(name, change))
 
 
 def _all_small(profile: str) -> Setup:
@@ -68,11 +74,18 @@ VARIANTS = (
         max_description_length=2,
     ),
     Variant("V-LIM-all-small", "has small limits throughout", "VD-PAR-02 to VD-PAR-06", _all_small),
-    Variant("V-LIM-packet-200", "has beacons of at most 200 octets", "BP-PAR-04", _bp(200, max_payload_size=140)),
+    Variant(
+        "V-LIM-packet-200",
+        "has beacons of at most 200 octets",
+        "BP-PAR-04",
+        _bp(200, max_payload_size=140),
+        # No client can register for payloads of 255 or 256 octets.
+        explains=(r"^TC_BP_(RXP|TXP)_BV_01-25[56]: .*ILLEGAL-MAX-PAYLOAD-SIZE",),
+    ),
     Variant("V-LIM-queue-5", "registers VarDis with room for 5 payloads", "VD-INI-02", _vardis(bp_queue_entries=5)),
     Variant("V-LIM-queue-20", "registers VarDis with room for 20 payloads", "VD-INI-02", _vardis(bp_queue_entries=20)),
-    Variant("V-LIM-variables-64", "has room for 64 variables", _ROOM, _vardis(max_variables=64)),
-    Variant("V-LIM-variables-200", "has room for 200 variables", _ROOM, _vardis(max_variables=200)),
-    Variant("V-LIM-neighbours-50", "has room for 50 neighbours", _ROOM, _neighbours(50), where=has_srp),
-    Variant("V-LIM-neighbours-10", "has room for 10 neighbours", _ROOM, _neighbours(10), where=has_srp),
+    Variant("V-LIM-variables-64", "has room for 64 variables", _ROOM, _room(max_variables=64)),
+    Variant("V-LIM-variables-200", "has room for 200 variables", _ROOM, _room(max_variables=200)),
+    Variant("V-LIM-neighbours-50", "has room for 50 neighbours", _ROOM, _room(max_neighbours=50), where=has_srp),
+    Variant("V-LIM-neighbours-10", "has room for 10 neighbours", _ROOM, _room(max_neighbours=10), where=has_srp),
 )

@@ -34,6 +34,22 @@ def _vardis(field: str) -> Callable[[int], dict[str, Any]]:
     return lambda value: {"vardis": VardisConfig(**{field: value})}
 
 
+#: Inconclusive verdicts that follow from a value, by corner.
+_EXPLAINS: Final = {
+    # No payload size is so small that it bounds what is this long already.
+    "value-255": (r"^TC_VD_PAR_BI_02: a payload size whose bound is below",),
+    "description-255": (
+        r"^TC_VD_PAR_BI_02: a payload size whose bound is below",
+        # No longer one can be sent.
+        r"^TC_DCP_DATA_BI_02: a description longer than the maximum",
+    ),
+    # By the time of the update all repetitions may be over.
+    "repetitions-3": (r"^TC_VD_UPD_BV_06: VarCreates that are still to be repeated",),
+    "repetitions-2": (r"^TC_VD_UPD_BV_06: VarCreates that are still to be repeated",),
+    # Without summaries VarDis falls silent after the repetitions.
+    "summaries-0": (r"^TC_BP_HDR_BV_03: 4 beacons",),
+}
+
 _CORNERS = (
     _Corner(
         "value", "VARDISPAR_MAX_VALUE_LENGTH", "VD-PAR-02", _vardis("max_value_length"), "max_value_length", (16, 255)
@@ -147,7 +163,8 @@ def _variants() -> Iterator[Variant]:
                     corner.requirement,
                     _build(corner, value, knowledge),
                     since=corner.since,
-                    explains=_NOBODY_TOLD if knowledge == "unknown" else (),
+                    explains=_EXPLAINS.get(f"{corner.name}-{value}", ())
+                    + (_NOBODY_TOLD if knowledge == "unknown" else ()),
                     where=has_srp if corner.name == "neighbours" else anywhere,
                 )
 
