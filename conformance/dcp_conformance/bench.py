@@ -194,6 +194,10 @@ class Bench(Listening):
         self.changes.forget()
         self.session.forget()
         self._acted = None
+        if self.pics.vardis is False:
+            # Nothing but VarDis answers a beacon.
+            self.wait(self.reaction)
+            return
         for _ in range(5):
             if self.probe(self.reaction):
                 return

@@ -57,12 +57,15 @@ def in_a_gap(
     return result, not any(heard.time <= end and sent(heard) for heard in bench.heard[start:])
 
 
-def between_beacons(bench: Bench, what: str, act: Callable[[], T], sent: Callable[[Heard], object]) -> T:
+def between_beacons(
+    bench: Bench, what: str, act: Callable[[], T], sent: Callable[[Heard], object], *, flush: float = 12
+) -> T:
     """Carry out ``act`` between two beacons, and return its result.
 
     ``sent`` says of a beacon that what ``act`` does was seen in it. If one came in between, ``act`` is tried again when
     such beacons have stopped, at last with BP deactivated where that can be done. Stops as inconclusive if a beacon
-    came in between each time. ``what`` completes "... between two beacons".
+    came in between each time. ``what`` completes "... between two beacons". ``flush``: beacon periods in which all that
+    an attempt has submitted can leave the node.
     """
     can_pause = pausable(bench)
     # Calls that take longer than the gap lasts need no attempts.
@@ -72,7 +75,7 @@ def between_beacons(bench: Bench, what: str, act: Callable[[], T], sent: Callabl
         if good:
             break
         # What is still waiting must not be mistaken for the next attempt's, which begins right after a beacon.
-        bench.until_quiet(sent, 12)
+        bench.until_quiet(sent, flush)
         bench.beacons(1, 1.5)
     else:
         bench.inconclusive(f"{what} between two beacons", f"a beacon came in between each time{_pace(bench)}")

@@ -50,7 +50,7 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
 
         start = bench.mark()
         what = f"{_MANY + _BEYOND} payloads are submitted"
-        payloads, number = between_beacons(bench, what, act, client.in_frame)
+        payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * _MANY)
         if number is not None:
             bench.check(number == _MANY, f"{_MANY} payloads are buffered", f"{number} are", dropping, shown=True)
         bench.until_quiet(client.in_frame, 2 * _MANY, start)

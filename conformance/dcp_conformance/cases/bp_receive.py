@@ -224,9 +224,10 @@ def two_protocols(bench: Bench, report_first: bool) -> None:
     peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
     blocks = [bench.forge.srp(bench.report(peer.node_id, 1)), summary_block(bench, peer, var_id)]
     peer.send(*(blocks if report_first else blocks[::-1]))
+    # The entry may be gone by the time of the beacon with the request: a beacon period can be longer than the timeout.
+    found = until_neighbour(bench, peer.node_id) if stores else None
     check_processed(bench, [var_id], start, "the VarDis block")
     if stores:
-        found = until_neighbour(bench, peer.node_id)
         bench.check(found, "the SRP block is processed", "its sender is not in the neighbour table")
     elif asks:
         bench.inconclusive("a record alone in a beacon is stored, which the rest of this case needs", "it is not")

@@ -11,14 +11,17 @@ from dcp_conformance.pics import Capabilities
 from .surroundings import without
 from .variant import Setup, Variant, has_srp, setup
 
-#: Without VarDis nothing in the specification answers a beacon. The tester cannot tell a node that lacks VarDis from one
-#: whose VarDis is broken as long as the PICS does not say so.
+#: Without VarDis nothing in the specification answers a beacon. The tester cannot tell a node that lacks VarDis from
+#: one whose VarDis is broken as long as the PICS does not say so.
 _NO_VARDIS = (
+    r"^TC_(VD|NET|DCP_DATA)_",
     r"VarDis answered nothing that could be read",
     r"^TC_DCP_SANITY_BV_01: .*but not a summary of an unknown variable",
-    r"^TC_VD_INI_BV_0[12]: .*\[pics\] vardis = false",
     # The node has nothing to say of its own.
     r"^TC_BP_HDR_BV_03: 4 beacons, which this case needs",
+    r"^TC_BP_HDR_BV_09: a beacon with the answer to a probe, which this case needs",
+    r"^TC_BP_INI_BV_01: a beacon after the restart",
+    r"takes part again after its restart: no answer to five probes",
 )
 #: The same for SRP.
 _NO_SRP = (r"^TC_SRP_INI_BV_0[123]: .*\[pics\] srp = false",)

@@ -17,7 +17,7 @@ from .variant import Setup, Variant, anywhere, has_srp, setup
 _V = SpecVersion
 
 #: Where nobody has told a limit, cases end as inconclusive and name the entry of the PIXIT that would help.
-_NOBODY_TOLD: Final = (r"pixit", r"nobody has told")
+_NOBODY_TOLD: Final = (r"was taken to be .*\(pixit\.",)
 
 
 class _Corner(NamedTuple):
@@ -104,7 +104,7 @@ _CORNERS = (
         "BP-PAR-04",
         lambda value: {
             "bp": BPConfig(max_packet_size=value),
-            "vardis": VardisConfig(max_payload_size=min(value - 60, 1000)),
+            "vardis": VardisConfig(max_payload_size=_payload_in(value)),
         },
         "max_packet_size",
         (300, 600, 1200),
@@ -129,8 +129,15 @@ _CORNERS = (
 )
 
 
+def _payload_in(packet: int) -> int:
+    """A VarDis payload that fits into packets of so many octets."""
+    return min(packet - 60, 1000)
+
+
 def _testing(name: str, value: int) -> Testing:
     named: dict[str, Any] = {name: value}
+    if name == "max_packet_size":
+        named["max_payload_size"] = _payload_in(value)
     return Testing(**named)
 
 
@@ -163,8 +170,7 @@ def _variants() -> Iterator[Variant]:
                     corner.requirement,
                     _build(corner, value, knowledge),
                     since=corner.since,
-                    explains=_EXPLAINS.get(f"{corner.name}-{value}", ())
-                    + (_NOBODY_TOLD if knowledge == "unknown" else ()),
+                    explains=_EXPLAINS.get(f"{corner.name}-{value}", ()) + (() if knowledge == "get" else _NOBODY_TOLD),
                     where=has_srp if corner.name == "neighbours" else anywhere,
                 )
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 from dcp_spec.constants import SpecVersion
+from dcp_spec.profile import Profile
 
 from dcp_conformance.pics import Capabilities, Testing
 from dcp_conformance.upper import Answer
@@ -16,7 +17,7 @@ from dcp_stack.config import BPConfig
 from dcp_stack.control.methods import METHODS
 
 from .surroundings import slow, without
-from .variant import Setup, UpperTesting, Variant, has_srp, setup
+from .variant import Setup, UpperTesting, Variant, derived, has_srp, setup
 
 _V = SpecVersion
 OPTIONAL = tuple(name for name, method in METHODS.items() if method.optional)
@@ -45,6 +46,7 @@ def _slow() -> Iterator[Variant]:
             f"has an upper tester that takes {delay} ms for each call",
             "the contract has no time limit for answers",
             lambda profile, delay=delay: setup(profile, upper=slow(delay)),  # type: ignore[misc]
+            explains=(_TOO_SLOW,) if delay == 500 else (),
         )
 
 
@@ -162,27 +164,47 @@ def _pics(**capabilities: bool) -> Callable[[str], Setup]:
 
 
 def _denied(name: str) -> Variant:
+    spoken = name.replace("_", " ")
     return Variant(
-        f"V-PICS-no-{name.replace('_', '-')}", f"denies {name}, although it has it", "a PICS may deny what is optional",
+        f"V-PICS-no-{name.replace('_', '-')}",
+        f"has no {spoken}, and its PICS says so",
+        "optional",
         _pics(**{name: False}),
-    )  # fmt: skip
+    )
 
 
 #: The optional capabilities of a PICS; srp and vardis have a module of their own.
 _CAPABILITIES = tuple(name for name in Capabilities.__struct_fields__ if name not in ("srp", "vardis"))
 
 
+def _one_container(profile: Profile) -> Profile:
+    behaviour = msgspec.structs.replace(profile.behaviour, containers_per_type="one")
+    return msgspec.structs.replace(profile, behaviour=behaviour)
+
+
+def _only_the_text(method: str, params: dict[str, Any], answer: Answer) -> Answer:
+    """Members that the specification names, and a BP-TransmitPayload without confirm."""
+    for change in (_specs_only, _no_statistics, _unconfirmed):
+        answer = change(method, params, answer)
+    return answer
+
+
 def _deny_all(profile: str) -> Setup:
     denied = Capabilities(**{name: False for name in _CAPABILITIES if name != "payload_transmitted_indication"})
     return setup(
-        profile,
+        derived(profile, _one_container),
         part=OneForEachClient,
         bp=BPConfig(jitter=0.0),
         readings={"X21": "refuse-locally"},
         pics=denied,
-        upper=UpperTesting(answers=_specs_only, without=frozenset(SETTERS)),
+        upper=UpperTesting(answers=_only_the_text, without=frozenset(SETTERS)),
     )
 
+
+#: Without a reset the identifiers of variables run out; the message says how to have them back.
+_USED_UP = r"identifiers used up: .* A reset frees them"
+#: A call takes a sixth of the time after which a neighbour is forgotten.
+_TOO_SLOW = r"^TC_SRP_NT_TI_02: the neighbours are in the table"
 
 VARIANTS = (
     *_without_each(),
@@ -193,11 +215,17 @@ VARIANTS = (
     Variant(
         "V-UT-no-get-no-set", "has parameters that nobody can ask for or set", "BP-PAR-01", _lacking(*GETTERS, *SETTERS)
     ),
-    Variant("V-UT-no-reset", "has neither UT-Reset nor a restart", "PIXIT reset = none", _no_reset),
-    Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart", _only_restart),
-    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper),
     Variant(
-        "V-UT-none-no-restart", "has no upper tester and no restart", "docs/dcp-conformance.md", _no_upper_no_restart
+        "V-UT-no-reset", "has neither UT-Reset nor a restart", "PIXIT reset = none", _no_reset, explains=(_USED_UP,)
+    ),
+    Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart", _only_restart),
+    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper, explains=(_USED_UP,)),
+    Variant(
+        "V-UT-none-no-restart",
+        "has no upper tester and no restart",
+        "docs/dcp-conformance.md",
+        _no_upper_no_restart,
+        explains=(_USED_UP,),
     ),
     Variant("V-UT-one-connection", "can be asked over one connection at a time", "a command has one", _one_connection),
     Variant(
@@ -250,12 +278,7 @@ VARIANTS = (
         _answering(_whole_records),
         until=_V.V1_0,
     ),
-    *(
-        _denied(name)
-        for name in _CAPABILITIES
-        # These two and the parameters cannot be denied by a node that has them without saying something untrue of it.
-        if name not in ("payload_transmitted_indication", "transmit_payload_confirm", "jitter", "empty_description")
-    ),
+    *map(_denied, ("triggered_beacons", "srp_seqno_filter")),
     Variant(
         "V-PICS-deny-all",
         "has no optional capability, and its PICS denies all",
