@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from dcp_conformance.case import all_cases
 from dcp_conformance.mutants import node_with
+from dcp_conformance.variants import all_variants
+from dcp_conformance.variants.campaign import judge
 from dcp_conformance.verdict import Verdict
 
 from dcp_stack.bp_clients import Chosen, ClientList
@@ -71,3 +74,30 @@ def test_a_payload_that_nothing_keeps_back_and_is_never_sent_fails():
     result = one_case("TC_BP_FMT_BV_01", "dcp-2.0", make)
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     assert failed == {"BP-TX-04"}
+
+
+_SRP = "srp_forwarding srp_init srp_record srp_soft_state srp_table"
+_APPLICATIONS = ["V-APP-initial-report", "V-APP-reports-1Hz", "V-APP-reports-10Hz", "V-APP-reports-50Hz"]
+
+
+def judged(variant: str, profile: str, *modules: str) -> list[str]:
+    """What the suite holds against a variant of the collection."""
+    cases = [all_cases()[each] for each in ids_of(*modules)]
+    result = judge(all_variants()[variant], profile, cases)
+    assert result.passed
+    return [f"{each}" for each in (*result.fails, *result.inconclusive, *result.errors)]
+
+
+@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.2"])
+@pytest.mark.parametrize("variant", _APPLICATIONS)
+def test_reports_of_an_application_are_not_taken_for_the_testers(variant: str, profile: str):
+    assert not judged(variant, profile, *_SRP.split())
+
+
+@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.1"])
+def test_a_beacon_with_another_number_of_blocks_may_be_discarded(profile: str):
+    assert not judged("V-BP-RX-count-checked", profile, "bp_receive")
+
+
+def test_an_empty_payload_is_judged_without_a_confirm_too():
+    assert not judged("V-UT-unconfirmed", "dcp-2.0", "bp_services", "bp_queueing")

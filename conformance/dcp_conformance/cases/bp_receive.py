@@ -53,6 +53,25 @@ def check_processed(bench: Bench, var_ids: Sequence[int], since: int, what: str,
     bench.check(not lost, f"{what} is processed", where, *requirements, frames=bench.heard[since:][-3:])
 
 
+def _processed_or_discarded(bench: Bench, var_ids: Sequence[int], since: int, what: str) -> None:
+    """As :func:`check_processed`, for a beacon whose numPayloads is not the number of blocks that can be extracted.
+
+    An implementation may compare the two and discard the beacon (BP-RX-12). Then it discards one with good blocks only
+    and a wrong numPayloads, too.
+    """
+    bench.until(lambda _: not missing(bench, var_ids, since))
+    if missing(bench, var_ids, since):
+        peer, others, start = bench.peer(), bench.unknown_ids(2), bench.mark()
+        blocks = [Block(unused_protocol_id(bench), bytes(40)), *(summary_block(bench, peer, each) for each in others)]
+        # Without a length field nothing tells what follows the last block from padding.
+        peer.send(*blocks, lies={"bp.numPayloads": 2 if bench.profile.has_header_field("length") else 4})
+        bench.require_alive("a beacon with another number of blocks than it says")
+        if missing(bench, others, start) == others:
+            bench.info("Is a beacon discarded whose numPayloads is not the number of its blocks?", "yes", "BP-RX-12")
+            return
+    check_processed(bench, var_ids, since, what)
+
+
 def missing(bench: Bench, var_ids: Sequence[int], since: int) -> list[int]:
     """Those that were not requested after a mark."""
     asked = {each.var_id for each in bench.instructions(ICType.REQUEST_VARCREATES, since=since)}
@@ -287,7 +306,8 @@ def other_protocol_ids(bench: Bench, prot_id: int) -> None:
     "A block that claims {variant} ends the parsing; blocks before it stay delivered",
     requirements="BP-RX-09",
     stimulus="a beacon with a good VarDis block and another one whose length field says {variant}; then an honest one",
-    expect="a request for the variable of the good block, none for that of the other; then a request for the third",
+    expect="none of the variable of the bad block, a request for the third; one for that of the good block, unless "
+    "numPayloads is compared with the blocks and the beacon discarded (BP-RX-12)",
     needs=Needs(
         since=SpecVersion.V1_1,
         header=("numPayloads",),
@@ -306,7 +326,7 @@ def block_past_the_end(bench: Bench, claimed: Callable[[int], int]) -> None:
     filler = Block(unused_protocol_id(bench), bytes(40))
     lies = {"payloads[2].length": claimed(len(last.octets))}
     peer.send(filler, summary_block(bench, peer, good), last, lies=lies)
-    check_processed(bench, [good], start, "the block in front of the one that is too long")
+    _processed_or_discarded(bench, [good], start, "the block in front of the one that is too long")
     bench.require_alive("a block that is longer than its beacon")
     check_unknown(bench, bad, "the block that is longer than its beacon")
 
@@ -351,7 +371,7 @@ def cut_payload_header(bench: Bench, count: int) -> None:
     tail = bench.forge.beacon(peer.node_id, 0, [block])[header_octets(bench) :]
     size = header + len(block.octets) + count
     peer.send(block, lies={"bp.length": size, "bp.numPayloads": 2}, padding=tail[:count])
-    check_processed(bench, [var_id], start, "the block in front of a piece of a payload header")
+    _processed_or_discarded(bench, [var_id], start, "the block in front of a piece of a payload header")
     bench.require_alive("a piece of a payload header")
 
 

@@ -137,6 +137,8 @@ _BP_WHY = "dcp-bp.md: any number of client protocols may be registered"
 
 #: An application that goes on sending leaves no beacon period in which the node has nothing to send.
 _NO_PAUSE = r"^TC_BP_HDR_BV_09: a pause in which it has nothing to send"
+#: What waits while BP is inactive is what the application has handed down last.
+_REPLACED = r"^TC_SRP_REC_(TI_01|BV_04): .*: an application on the node replaces"
 #: A variable of the node's own is summarised in every payload for as long as it exists.
 _SUMMARISED = r"^TC_VD_RUN_TI_0.*: variables from elsewhere are being summarised"
 
@@ -147,7 +149,7 @@ VARIANTS = (
         _SRP_WHY,
         _running(Pilot),
         where=has_srp,
-        explains=(_NO_PAUSE,),
+        explains=(_NO_PAUSE, _REPLACED),
     ),
     Variant(
         "V-APP-reports-50Hz",
@@ -155,7 +157,7 @@ VARIANTS = (
         _SRP_WHY,
         _running(FastPilot),
         where=has_srp,
-        explains=(_NO_PAUSE,),
+        explains=(_NO_PAUSE, _REPLACED),
     ),
     Variant(
         "V-APP-reports-1Hz",
@@ -163,7 +165,7 @@ VARIANTS = (
         _SRP_WHY,
         _running(SlowPilot),
         where=has_srp,
-        explains=(_NO_PAUSE,),
+        explains=(_NO_PAUSE, _REPLACED),
     ),
     Variant(
         "V-APP-initial-report",
@@ -200,6 +202,6 @@ VARIANTS = (
         f"{_SRP_WHY}; {_VD_WHY}",
         _running(Everything),
         where=has_srp,
-        explains=(_NO_PAUSE, _SUMMARISED),
+        explains=(_NO_PAUSE, _SUMMARISED, _REPLACED),
     ),
 )
