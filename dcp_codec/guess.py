@@ -83,8 +83,9 @@ class Guess(msgspec.Struct, frozen=True):
 
     @property
     def tied(self) -> tuple[Candidate, ...]:
-        """The other candidates with the score of the best."""
-        return tuple(c for c in self.candidates[1:] if self.best.score - c.score < _SAME)
+        """The other candidates that have the score of the best by the same frames."""
+        best = self.best
+        return tuple(c for c in self.candidates[1:] if best.score - c.score < _SAME and c.which == best.which)
 
     @property
     def besides(self) -> tuple[Candidate, int] | None:
@@ -200,6 +201,7 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
         link = with_ether_type(link, ether_type)
     total, damaged = 0, 0
     shares: list[float] = []
+    hints: list[float] = []
     parts = 0
     which: set[int] = set()
     evidence: list[float] = []
@@ -217,10 +219,11 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
             if damaged > LOOKED_AT:
                 continue
             share, part = _share(codec, octets, place.start)
-            shares.append(share)
             if part is None:
+                hints.append(share)
                 continue
             parts += 1
+            shares.append(share)
             beacon = part
         else:
             if not beacon.payloads:
@@ -232,9 +235,12 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
             doubts.update(dict.fromkeys(doubt for weight, doubt in found if weight < _DOUBTFUL))
     # What frames say is weighed apart from whether they decode: most beacons say nothing that could be implausible.
     plausible = sum(evidence) / len(evidence) if evidence else 1.0
-    partly = damaged * sum(shares) / len(shares) if shares else 0.0
+    if not which and not shares:
+        # Resemblance only counts where there is nothing else: it must not break a tie.
+        shares = hints
+    partly = damaged * sum(shares) / max(1, parts + len(hints))
     score = (len(which) + partly) / total * (0.3 + 0.7 * plausible) if total else 0.0
-    in_part = round(damaged * parts / len(shares)) if parts else 0
+    in_part = round(damaged * parts / (parts + len(hints))) if parts else 0
     return Candidate(codec.profile, link, score, len(which), total, tuple(doubts), frozenset(which), in_part)
 
 

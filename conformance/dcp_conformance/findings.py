@@ -21,6 +21,8 @@ from dcp_spec.constants import BP_SEQNO_MODULUS, Features, features
 from dcp_spec.profile import Profile
 from dcp_spec.readings import reading as reading_of
 
+from dcp_codec.fields import Field
+
 from .case import Case
 from .errors import StopCase
 from .heard import Heard, Instruction
@@ -215,7 +217,8 @@ class Findings:
         whole = [each for each in containers if each.path.count("[") == 2]
         path = f"{whole[what.container].path}.records[{what.position}]" if what.container < len(whole) else ""
         field = found.root.find(path) if path else None
-        if field is None or event is None:
+        if field is None or event is None or _var_id_in(field) != what.var_id:
+            # Where a beacon is damaged, its containers may be others than those that could be read.
             return Mark(what.heard.number)
         return Mark(what.heard.number, event.start + field.offset, field.length, path)
 
@@ -312,3 +315,9 @@ class Findings:
                     return f"sequence number {after} follows {before}"
             before, unreadable = after, 0
         return ""
+
+
+def _var_id_in(record: Field) -> object:
+    """The variable that a dissected record is about."""
+    found = (record.child("spec") or record).child("varId")
+    return None if found is None else found.value

@@ -99,6 +99,23 @@ def beacon_format(air: Script, wrong: bool) -> Outcome:
     return Outcome(("BP-HDR-01",), (number,))
 
 
+def _patched(variant: str, requirement: str, patch: Callable[[bytes], bytes]) -> None:
+    """Register a beacon of dcp-2.0 with one fault in its headers."""
+
+    def beacon(air: Script, wrong: bool) -> Outcome:
+        air.say(A, VarSumm(1, 0))
+        number = air.say(A, VarSumm(1, 0), patch=lambda octets: patch(octets) if wrong else octets)
+        return Outcome((requirement,), (number,))
+
+    script("CK_BP_FORMAT", variant=variant)(beacon)
+
+
+_patched("magic", "BP-HDR-02", lambda octets: octets[:1] + octets[2:0:-1] + octets[3:])
+_patched("length", "BP-HDR-06", lambda octets: octets[:12] + bytes([octets[12] + 18]) + octets[13:])
+_patched("one-more", "BP-HDR-07", lambda octets: octets[:13] + bytes([octets[13] + 1]) + octets[14:])
+_patched("block-length", "BP-FMT-01", lambda octets: octets[:21] + bytes([octets[21] + 4]) + octets[22:])
+
+
 @script("CK_UWB_BROADCAST")
 def broadcast(air: Script, wrong: bool) -> Outcome:
     number = air.say(A, VarSumm(1, 0), destination=air.node(B) if wrong else b"\xff" * 6)
