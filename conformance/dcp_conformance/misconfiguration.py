@@ -8,15 +8,14 @@ from typing import Final
 
 from dcp_spec.profile_loading import BUILTIN_PROFILES
 
-from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.guess import SAMPLE, Guess, guess
 
 from .bench import Bench
 from .heard import Heard
 from .lower import HearsEveryType
-from .probe import doubtful, question
+from .probe import question
+from .ranking import EXPLAINED, doubtful, ranked_with
 from .traffic import Event
 
 #: Beacon periods to wait for an answer.
@@ -25,8 +24,6 @@ PERIODS: Final = 8.0
 _NETWORKS: Final = (0, 1, 2, 3, 0x00FF, 0x0100, 0x1111, 0x1234, 0xFFFF)
 #: EtherTypes that are tried when nothing is heard, beside those of the built-in profiles: the local experimental ones.
 _ETHER_TYPES: Final = (0x88B5, 0x88B6)
-#: A profile in which no block can be read of more than this share of the frames explains nothing.
-_EXPLAINED: Final = 0.3
 
 
 def misnamed(bench: Bench) -> Heard | None:
@@ -51,16 +48,10 @@ def suspect(bench: Bench) -> str:
 
 
 def _other_profile(bench: Bench, payloads: Sequence[tuple[int, bytes]]) -> str:
-    ranked = _ranked(bench.codec, payloads)
-    if ranked.best.explained < _EXPLAINED or not doubtful(ranked, bench.profile.name):
+    ranked = ranked_with(bench.codec, payloads)
+    if ranked.best.explained < EXPLAINED or not doubtful(ranked, bench.profile.name):
         return ""
     return f"its frames look like {ranked}; try --profile {ranked.best.profile.name}"
-
-
-def _ranked(codec: Codec, payloads: Sequence[tuple[int, bytes]]) -> Guess:
-    others = [get_codec(name) for name in BUILTIN_PROFILES if name != codec.profile.name]
-    frames = [Frame(number, wall, octets, len(octets)) for number, (wall, octets) in enumerate(payloads[:SAMPLE], 1)]
-    return guess(frames, profiles=[codec, *others], framed=False)
 
 
 def _other_network(bench: Bench) -> str:

@@ -9,16 +9,14 @@ import itertools
 import math
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS
-from dcp_spec.profile_loading import BUILTIN_PROFILES
 
-from dcp_codec.capture import Frame
-from dcp_codec.codec import Codec, get_codec
-from dcp_codec.guess import SAMPLE, Guess, guess
+from dcp_codec.codec import Codec
+from dcp_codec.guess import Guess
 from dcp_codec.values import Beacon, VarSumm
 
 from .forge import Forge
@@ -28,11 +26,12 @@ from .lower import Arrival, LowerTester
 from .node_id import node_id_octets
 from .pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
 from .pics_file import write_pics
+from .ranking import EXPLAINED, doubtful, ranked_by, score_of
 from .reaction import prepare
 from .session import Session
 from .upper import Answer, UpperTester
 
-__all__ = ["Period", "doubtful", "draft", "looks_like", "measured_period", "question", "write_pics"]
+__all__ = ["Period", "draft", "measured_period", "question", "write_pics"]
 
 #: The address and identifier that questions on the air come from.
 ASKER = bytes.fromhex("02dc90000001")
@@ -44,10 +43,6 @@ _ENOUGH, _MOST_LOST = 10, 5
 _LEAST_PERIOD = 1.0
 #: Standard deviation of intervals, as a fraction of their mean, from which it is taken for intended.
 _JITTER = 0.02
-#: Scores of profiles that lie closer together are no reason to doubt the chosen one.
-_CLOSE = 0.05
-#: A profile in which no block can be read of more than this share of the frames explains nothing.
-_EXPLAINED = 0.3
 #: Frames that are judged octet by octet.
 _LOOKED_AT = 100
 
@@ -66,15 +61,6 @@ PIXIT_OF = {
     "VARDISPAR_BUFFER_CHECK_PERIOD": "buffer_check_period_ms",
 }
 _GREATER_THAN_ZERO = frozenset({"beacon_period_ms", "neighbour_timeout_ms", "scrubbing_period_ms"})
-
-
-class Octets(Protocol):
-    """A bearer payload and when it came in ns since 1970: arrivals, and what cases heard."""
-
-    @property
-    def octets(self) -> bytes: ...
-    @property
-    def wall(self) -> int: ...
 
 
 class Period(NamedTuple):
@@ -247,7 +233,7 @@ def _profile(
     """The profile: as the implementation says, else the likeliest; of several equally likely ones that asked for."""
     told = upper.about.get("profile") if upper is not None else None
     by_name = {codec.profile.name: codec for codec in codecs}
-    ranked = guess(_frames(arrivals), profiles=list(codecs), framed=False) if arrivals else None
+    ranked = ranked_by(codecs, ((each.wall, each.octets) for each in arrivals)) if arrivals else None
     if isinstance(told, str) and told in by_name:
         found.set("pixit", "profile", told, "as UT-Hello says")
         if ranked is not None and doubtful(ranked, told):
@@ -255,7 +241,7 @@ def _profile(
         return by_name[told]
     if ranked is None:
         return None
-    if ranked.best.explained < _EXPLAINED:
+    if ranked.best.explained < EXPLAINED:
         return _unexplained(found, ranked, by_name, arrivals, asked_for)
     likely = {each.profile.name: each for each in (ranked.best, *ranked.tied)}
     name = next((each for each in (asked_for, DEFAULT_PROFILE) if each in likely), ranked.best.profile.name)
@@ -264,7 +250,7 @@ def _profile(
     if others:
         text += f"; {', '.join(others)} would explain them as well: is {name} right?"
     if name != asked_for and asked_for in by_name:
-        score = _score(ranked.candidates, asked_for)
+        score = score_of(ranked, asked_for)
         text += f"; {asked_for} explains them less well ({score:.2f}, and {ranked.best.score:.2f} for {name})"
     found.set("pixit", "profile", name, text)
     return by_name[name]
@@ -416,41 +402,3 @@ def rounded(period: Period) -> float:
         if near and abs(period.mean - near) <= max(period.margin, 0.01 * period.mean):
             return float(near)
     return round(period.mean, 2)
-
-
-# -- which profile ---------------------------------------------------------------------------------------------
-
-
-def looks_like(frames: Iterable[Octets], codec: Codec) -> str:
-    """Which profile frames look like, if another one explains them better than the one of ``codec``.
-
-    A clause for a message, as in "its frames look like cpp-1.3 (...); try --profile cpp-1.3"; empty if there are no
-    frames, or nothing speaks against the profile.
-    """
-    taken = _frames(frames)
-    if not taken:
-        return ""
-    others = [get_codec(name) for name in BUILTIN_PROFILES if name != codec.profile.name]
-    ranked = guess(taken, profiles=[codec, *others], framed=False)
-    if not doubtful(ranked, codec.profile.name):
-        return ""
-    if ranked.best.explained < _EXPLAINED:
-        return f"its frames look like no profile that is known here (the best is {ranked}); see: dcp-codec guess"
-    return f"its frames look like {ranked}; try --profile {ranked.best.profile.name}"
-
-
-def doubtful(ranked: Guess, name: str) -> bool:
-    """Whether a ranking speaks against a profile; also if none explains anything."""
-    best = ranked.best
-    return best.score - _score(ranked.candidates, name) > _CLOSE or best.explained < _EXPLAINED
-
-
-def _score(candidates: Iterable[Any], name: str) -> float:
-    return max((each.score for each in candidates if each.profile.name == name), default=0.0)
-
-
-def _frames(frames: Iterable[Octets]) -> list[Frame]:
-    return [
-        Frame(number, each.wall, each.octets, len(each.octets))
-        for number, each in zip(range(1, SAMPLE + 1), frames, strict=False)
-    ]

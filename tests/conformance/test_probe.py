@@ -16,7 +16,8 @@ from dcp_conformance.lower import Arrival
 from dcp_conformance.mutants import all_mutants
 from dcp_conformance.pics import UNKNOWN_PROFILE, Pics, Testing, load_pics
 from dcp_conformance.pics_file import QUESTIONS, pics_text
-from dcp_conformance.probe import Period, draft, looks_like, measured_period, rounded, write_pics
+from dcp_conformance.probe import Period, draft, measured_period, rounded, write_pics
+from dcp_conformance.ranking import doubtful, ranked_with
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
 from dcp_conformance.runner import Runner
 from dcp_conformance.selection import ordered
@@ -198,7 +199,6 @@ def test_garbage_is_no_profile():
     pics, remarks = draft(Air(list(arrivals)), None, CANDIDATES, 1)  # type: ignore[arg-type]
     assert pics == Pics(pixit=Testing(profile=UNKNOWN_PROFILE))
     assert any(each.startswith("pixit.profile: none of the profiles explains what was heard") for each in remarks)
-    assert "its frames look like no profile that is known here" in looks_like(arrivals, codec("dcp-2.0"))
 
 
 class Lying(VirtualUpperTester):
@@ -235,7 +235,7 @@ def test_which_profile_frames_look_like(profile):
     heard = heard_from(sut, 5)
     assert heard
     # Nothing speaks against the right one.
-    assert looks_like(heard, codec(profile)) == ""
+    assert not doubtful(ranked_with(codec(profile), ((each.wall, each.octets) for each in heard)), profile)
 
 
 def test_a_draft_without_a_profile_is_not_run(tmp_path):
@@ -323,13 +323,12 @@ def test_a_draft_never_makes_a_conforming_node_fail(profile, told, tmp_path):
         assert not wrong or case.id == DECLARED, (case.id, result.reason)
 
 
-def test_another_profile_is_named():
+def test_another_profile_is_doubted():
     sut = node("cpp-1.3")
     busy(sut)
-    found = looks_like(heard_from(sut, 5), codec("dcp-2.0"))
-    assert found.startswith("its frames look like cpp-1.3 (")
-    assert found.endswith("; try --profile cpp-1.3")
-    assert looks_like([], codec("dcp-2.0")) == ""
+    ranked = ranked_with(codec("dcp-2.0"), ((each.wall, each.octets) for each in heard_from(sut, 5)))
+    assert doubtful(ranked, "dcp-2.0")
+    assert ranked.best.profile.name == "cpp-1.3"
 
 
 def beacons_at(times: list[float], seqnos: list[int]) -> list[tuple[Arrival, Any]]:
