@@ -108,12 +108,12 @@ def largest_payload(bench: Bench) -> int:
     Before 1.1 the bound takes four octets for the BP header, whatever it has.
     """
     header = header_octets(bench) if bench.features.registration_counts_bp_header else 4
-    return bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - header - block_header_octets(bench)
+    return bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header - block_header_octets(bench)
 
 
 def room(bench: Bench) -> int:
     """Octets for payload blocks, their headers included, in one beacon."""
-    return bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
+    return bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
 
 
 def areas_of_fixed_size(bench: Bench) -> str | None:

@@ -101,3 +101,24 @@ def test_a_beacon_with_another_number_of_blocks_may_be_discarded(profile: str):
 
 def test_an_empty_payload_is_judged_without_a_confirm_too():
     assert not judged("V-UT-unconfirmed", "dcp-2.0", "bp_services", "bp_queueing")
+
+
+@pytest.mark.parametrize("profile", ["dcp-2.0", "cpp-2.0"])
+@pytest.mark.parametrize(
+    "variant",
+    [
+        "V-BP-TX-priority-one-block",
+        "V-BP-PAR-derived",
+        "V-BP-PAR-ticks",
+        "V-UT-ascii-names",
+        "V-APP-every-beacon",
+        "V-PAR-packet-600-unknown",
+    ],
+)
+def test_freedoms_of_bp_do_not_fail(variant: str, profile: str):
+    modules = "bp_fitting bp_header bp_parameters bp_queueing bp_registration bp_services bp_timing"
+    assert not judged(variant, profile, *modules.split())
+
+
+def test_whole_records_may_be_listed_in_1_0():
+    assert not judged("V-UT-whole-records", "dcp-1.0", "bp_deregistration")

@@ -122,7 +122,7 @@ def registers_again(bench: Bench, mode: QueueingMode) -> None:
     "All registered clients are listed, and nothing of what they have buffered",
     requirements="BP-LST-01 BP-LST-02",
     stimulus="three registrations, a payload in each; BP-ListRegisteredProtocols",
-    expect="BP-STATUS-OK, each client once, and no payload",
+    expect="BP-STATUS-OK, each client once, and since 1.1 no payload",
     needs=Needs(entities=(), ut=(*CLIENT, LIST)),
 )
 def list_clients(bench: Bench) -> None:
@@ -141,7 +141,9 @@ def list_clients(bench: Bench) -> None:
             )
         text = str(answer.result).lower()
         shown = [payload.hex() for payload in payloads if payload.hex() in text]
-        bench.check(not shown, "what is buffered is not reported", f"it is: {shown}", "BP-LST-02", shown=True)
+        # 1.0 returns whole records, which have what is buffered.
+        if bench.profile.spec_version >= V1_1:
+            bench.check(not shown, "what is buffered is not reported", f"it is: {shown}", "BP-LST-02", shown=True)
 
 
 @case(

@@ -323,7 +323,7 @@ def number_of_blocks(bench: Bench) -> None:
     ),
 )
 def largest_beacons(bench: Bench) -> None:
-    limit = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
+    limit = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")
     size = min(largest_payload(bench), limit - header_octets(bench) - block_header_octets(bench))
     with (
         BPClient(bench, ONCE, size=size) as one,

@@ -56,7 +56,7 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
     variants=each_mode(*CLIENT, LIST),
 )
 def register(bench: Bench, mode: QueueingMode) -> None:
-    client = BPClient(bench, mode, size=48, entries=3, several=True, name="tester \u03b1")
+    client = BPClient(bench, mode, size=48, entries=3, several=True, name="tester of this mode")
     before = bench.lower.wall()
     answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", **client.registration)
     after = bench.lower.wall()
@@ -70,10 +70,9 @@ def register(bench: Bench, mode: QueueingMode) -> None:
     ):
         return
     names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
-    if bench.features.allow_multiple_payloads:
-        names |= {"allowMultiplePayloads": "allowMultiplePayloads"}
-        # For the other modes the value is irrelevant.
-        names |= {"maxEntries": "maxEntries"} if mode.is_queue else {}
+    if bench.features.allow_multiple_payloads and mode.is_queue:
+        # For the other modes both are irrelevant.
+        names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
     for listed, given in names.items():
         right, said = client.registration[given], entry.get(listed)
         bench.check(
@@ -194,7 +193,7 @@ def size_zero(bench: Bench) -> None:
 )
 def size_too_large(bench: Bench, what: int | None) -> None:
     largest = largest_payload(bench)
-    size = {1: largest + 1, None: bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")}.get(what, 0xFFFF)
+    size = {1: largest + 1, None: bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")}.get(what, 0xFFFF)
     expect(bench, ILLEGAL_SIZE, BPClient(bench, ONCE), maxPayloadSize=size)
 
 

@@ -79,7 +79,7 @@ def transmit_unregistered(bench: Bench, registered_before: bool) -> None:
 def full_size(bench: Bench, size: int | None) -> None:
     if size is None:
         # Before 1.1 the bound of registrations leaves out the BP header; what is larger is never sent.
-        fits = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
+        fits = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
         size = min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
     with BPClient(bench, ONCE, size=size) as client:
         payload = client.payload(size)

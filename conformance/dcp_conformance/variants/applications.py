@@ -173,6 +173,8 @@ VARIANTS = (
         _SRP_WHY,
         _configured,
         where=has_srp,
+        # Up to 1.2 it is repeated.
+        explains=(_NO_PAUSE,),
     ),
     Variant(
         "V-APP-variable",

@@ -7,10 +7,12 @@ from typing import Any, ClassVar
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_VARDIS, SpecVersion
+from dcp_spec.parameters import Violation
 
 from dcp_codec.values import Container
 from dcp_conformance.pics import Capabilities
 from dcp_stack.bp_clients import Chosen, ClientList
+from dcp_stack.bp_parameters import BPParameters
 from dcp_stack.bp_receive import Receiver
 from dcp_stack.bp_statistics import LossTable
 from dcp_stack.bp_timing import BeaconSchedule
@@ -78,6 +80,30 @@ class VardisFirst(_Priority):
 class VardisLast(_Priority):
     def rank(self, protocol_id: int) -> int:
         return protocol_id == BP_PROTID_VARDIS
+
+
+class PriorityOneBlock(LowestFirst):
+    """Puts the payload of the client with the lowest identifier into a beacon, and nothing else."""
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        return super().take(room, size, min(most, 1))
+
+
+class DerivedValue(BPParameters):
+    """Tells a value that follows from a parameter."""
+
+    def as_dict(self) -> dict[str, Any]:
+        found = super().as_dict()
+        return {**found, "beaconsPerSecond": 1000 / found["BPPAR_BEACON_PERIOD"]}
+
+
+class CoarseValue(BPParameters):
+    """Keeps beacon periods in ticks of 20 ms."""
+
+    def set(self, name: str, value: object) -> Violation | None:
+        if name == "BPPAR_BEACON_PERIOD" and isinstance(value, int) and value > 0:
+            value = max(20, value // 20 * 20)
+        return super().set(name, value)
 
 
 class SortedBlocks(ClientList):
@@ -281,6 +307,26 @@ VARIANTS = (
     ),
     Variant("V-BP-TX-vardis-first", "serves VarDis before other clients", _ORDER, _part(VardisFirst)),
     Variant("V-BP-TX-vardis-last", "serves VarDis after other clients", _ORDER, _part(VardisLast)),
+    Variant(
+        "V-BP-TX-priority-one-block",
+        "puts one payload into each beacon, that of the lowest protocol identifier",
+        _ORDER,
+        _part(PriorityOneBlock),
+        # Up to 1.2 SRP repeats its reports, and would keep everybody else back for good.
+        since=_V.V1_3,
+    ),
+    Variant(
+        "V-BP-PAR-derived",
+        "tells a value beside its parameters that follows from one of them",
+        "UPPER-TESTER.md: answers may have further members",
+        _part(DerivedValue),
+    ),
+    Variant(
+        "V-BP-PAR-ticks",
+        "keeps beacon periods in ticks of 20 ms",
+        "dcp-bp.md: the resolution of time values is system-dependent",
+        _part(CoarseValue),
+    ),
     Variant("V-BP-TX-sorted", "orders the blocks of a beacon by protocol identifier", _ORDER, _part(SortedBlocks)),
     Variant("V-BP-TX-triggered", "sends a new payload at once", "BP-TXP-07", _bp(triggered=True)),
     Variant(
