@@ -64,6 +64,8 @@ class Findings:
         """When (ns) the last step of the case ended (a wait, call or transmission); None before the first."""
         self.assumptions: dict[str, str] = {}
         """What this case hangs on and nobody has told, by parameter; in words for who can tell."""
+        self.doubts: dict[str, str] = {}
+        """As ``assumptions``, where only something missing can follow from them: a stimulus that was not accepted."""
 
     @property
     def profile(self) -> Profile:
@@ -155,8 +157,8 @@ class Findings:
 
     def inconclusive(self, expected: str, observed: str, /, *requirements: str) -> NoReturn:
         """The case cannot be decided: stops it."""
-        if self.assumptions:
-            observed = f"{observed}; {self.assumed()}"
+        if untold := "; ".join({**self.doubts, **self.assumptions}.values()):
+            observed = f"{observed}; {untold}"
         self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, ())
         raise StopCase
 
@@ -232,11 +234,12 @@ class Findings:
         """Why a failed check does not count against the implementation, in words; empty if it counts.
 
         ``shown`` and ``numbers``: see :meth:`check`. A parameter that was assumed excuses both kinds of failure, since
-        the expectation itself may be wrong; losses and lateness of the tester excuse only what is missing.
+        the expectation itself may be wrong; losses and lateness of the tester, and ``doubts``, excuse only what is
+        missing.
         """
         if not shown and (lost := self.own_losses(numbers=numbers)):
             return f"the tester has lost something: {lost}"
-        return self.assumed()
+        return self.assumed() or ("" if shown else "; ".join(self.doubts.values()))
 
     def unreadable(self, requirements: Iterable[str]) -> str:
         """Why something may have been sent and not be seen: beacons of this case that cannot be read to their end.

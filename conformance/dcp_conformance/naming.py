@@ -114,12 +114,16 @@ class Naming(Findings):
 
     def bound(self, name: str) -> int:
         """As :meth:`parameter`, where the verdict hangs on it: if nobody has told it, nobody fails for it."""
-        value, pixit = self.parameter(name), _PIXIT[name]
-        if name not in self.session.parameters and getattr(self.pixit, pixit) is None:
-            self.assumptions[name] = (
-                f"{name} was taken to be {value}, as {_usual(name)}: say what it is (pixit.{pixit})"
-            )
-        return value
+        if untold := self._untold(name):
+            self.assumptions[name] = untold
+        return self.parameter(name)
+
+    def _untold(self, name: str) -> str:
+        """That a parameter was assumed, in words; empty if somebody has told it."""
+        pixit = _PIXIT[name]
+        if name in self.session.parameters or getattr(self.pixit, pixit) is not None:
+            return ""
+        return f"{name} was taken to be {self.parameter(name)}, as {_usual(name)}: say what it is (pixit.{pixit})"
 
     def not_learnt(self, missing: Collection[int]) -> NoReturn:
         """Stop the case as inconclusive: it needs variables that the implementation has not taken."""
@@ -130,8 +134,14 @@ class Naming(Findings):
         self.inconclusive("the implementation learns variables, which this case needs", f"not {names}{more}")
 
     def rep_cnt(self, wanted: int) -> int:
-        """A repetition count that the implementation accepts: the wanted one, or the largest."""
-        return max(1, min(wanted, self.parameter("VARDISPAR_MAX_REPETITIONS") or wanted))
+        """A repetition count that the implementation accepts: the wanted one, or the largest.
+
+        If nobody has told the largest, more than 1 may be too many: then nothing that is missing counts as a failure.
+        """
+        name = "VARDISPAR_MAX_REPETITIONS"
+        if wanted > 1 and (untold := self._untold(name)):
+            self.doubts[name] = untold
+        return max(1, min(wanted, self.parameter(name) or wanted))
 
     def lacks_room(self, variables: int) -> str:
         """Why so many variables are too many, if the profile says that the implementation keeps fewer; else empty."""

@@ -231,7 +231,7 @@ def check_registered_name(bench: Bench, shown: object, title: str) -> None:
 
 def max_repetitions(bench: Bench) -> int:
     """VARDISPAR_MAX_REPETITIONS, no more than what a case has time for."""
-    return min(bench.parameter("VARDISPAR_MAX_REPETITIONS"), 15)
+    return bench.rep_cnt(15)
 
 
 def least_left(bench: Bench, count: int, since: int) -> int:

@@ -55,7 +55,7 @@ def many_variables(bench: Bench) -> None:
     if summarises(bench):
         return
     start = bench.mark()
-    most = bench.parameter("VARDISPAR_MAX_SUMMARIES")
+    most = bench.bound("VARDISPAR_MAX_SUMMARIES")
 
     def complete(_: object) -> bool:
         return {each.var_id for each in bench.instructions(_SUMMARY, since=start)} >= everything

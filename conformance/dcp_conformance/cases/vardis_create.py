@@ -147,7 +147,7 @@ def repetitions(bench: Bench, name: str) -> None:
     expect="a summary of the variable with seqno 0",
     needs=Needs(
         ut=("RTDB-Create",),
-        when=lambda bench: None if bench.parameter("VARDISPAR_MAX_SUMMARIES") else "summaries are switched off",
+        when=lambda bench: None if bench.bound("VARDISPAR_MAX_SUMMARIES") else "summaries are switched off",
     ),
 )
 def summarized(bench: Bench) -> None:
@@ -291,7 +291,7 @@ def empty_value(bench: Bench) -> None:
     needs=_CREATE_READ,
 )
 def repetition_count(bench: Bench) -> None:
-    most = bench.parameter("VARDISPAR_MAX_REPETITIONS")
+    most = bench.bound("VARDISPAR_MAX_REPETITIONS")
     refused(bench, ILLEGAL_REPCOUNT, "VD-CRE-07", rep_cnt=0)
     accepted(bench, "VD-CRE-07", rep_cnt=1)
     accepted(bench, "VD-CRE-07", rep_cnt=most)

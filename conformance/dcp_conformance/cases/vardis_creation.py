@@ -110,7 +110,7 @@ def replaced(bench: Bench) -> None:
     bench.check(not wrong, "it is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
     _held(bench, var_id, second, "it is stored with all of its contents", "VD-PC-07")
     summary = bench.until_instruction(ICType.SUMMARIES, var_id)
-    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.check(
             summary is not None and summary.seqno == 3,
             "summaries carry its number 3",
@@ -233,7 +233,7 @@ def revived(bench: Bench) -> None:
         found = bench.check_repeated(kind, var_id, 1, since)
         wrong = [each for each in found if each.record != what]
         bench.check(not wrong, f"the {kind.label} record is repeated as it came", f"{what}", frames=wrong, shown=True)
-        if kind is CREATES and bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+        if kind is CREATES and bench.bound("VARDISPAR_MAX_SUMMARIES"):
             summary = bench.until_instruction(ICType.SUMMARIES, var_id)
             bench.check(
                 summary is not None and summary.seqno == 0,

@@ -24,7 +24,7 @@ _COUNTS: dict[str, Count] = {"r1": lambda _: 1, "r2": lambda _: 2, "max": max_re
 
 
 def _too_many(bench: Bench) -> str | None:
-    if bench.parameter("VARDISPAR_MAX_REPETITIONS") < 2:
+    if bench.bound("VARDISPAR_MAX_REPETITIONS") < 2:
         return "VARDISPAR_MAX_REPETITIONS is 1"
     return None
 
@@ -83,7 +83,7 @@ def creation(bench: Bench, count: Count) -> None:
         not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
     )
     _nothing_else(bench, var_id, since, CREATES)
-    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.until_instruction(ICType.SUMMARIES, var_id)
         summaries = bench.instructions(ICType.SUMMARIES, var_id, since)
         bench.check(summaries, "summaries of the variable follow", "there are none", "VD-PC-09")

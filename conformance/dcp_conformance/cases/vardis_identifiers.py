@@ -84,7 +84,7 @@ def producer(bench: Bench, name: str) -> None:
     request = create_request(bench, var_id, value=b"first")
     request.pop("varId")
     _check_answer(bench, lambda: served("RTDB-Create", **request), _CREATE, var_id, "VD-CRE-12")
-    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         told = bench.until_instruction(_SUMMARY, var_id, 2 * bench.reaction)
         bench.check(told, f"a summary of variable {var_id}", "none came", "VD-CRE-12", "VD-TYP-01")
     _check_answer(bench, lambda: served("RTDB-Update", value=b"second".hex()), _UPDATE, var_id, "VD-TYP-01")

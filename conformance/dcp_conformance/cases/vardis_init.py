@@ -63,7 +63,7 @@ def registered(bench: Bench) -> None:
 )
 def after_reset(bench: Bench) -> None:
     peer = bench.peer()
-    mine = produced(bench, rep_cnt=bench.parameter("VARDISPAR_MAX_REPETITIONS"))
+    mine = produced(bench, rep_cnt=bench.bound("VARDISPAR_MAX_REPETITIONS"))
     theirs, wanted = taught(bench, peer), bench.unknown_id()
     peer.send(peer.summary(wanted, 1))
     bench.must("UT-Reset")

@@ -72,7 +72,7 @@ def no_payloads(bench: Bench) -> None:
         )
     again = bench.until(lambda heard: heard.has_vardis and heard)
     # All repetitions may have gone, and summaries may be switched off.
-    if not again and not bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+    if not again and not bench.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.require_alive("being inactive", "VD-MGT-05")
     else:
         bench.check(bool(again), "active again, VarDis generates payloads", "none came", "VD-MGT-05")
@@ -129,7 +129,7 @@ def database_kept(bench: Bench) -> None:
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
         shown = answer.result.get("value")
         bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}", shown=True)
-    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         wanted = {mine, theirs}
         bench.until(lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}, 12)
         seen = {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}

@@ -98,7 +98,7 @@ def check_order_of_queue(bench: Bench, kind: ICType, var_ids: Sequence[int], sin
     requirements="VD-PAY-01 VD-PAY-02 VD-IC-02",
     stimulus="one beacon that creates, deletes and updates a variable, summarises an unknown and a newer one",
     expect="one payload with all six kinds of containers, in the order that the version prescribes",
-    needs=Needs(when=lambda bench: None if bench.parameter("VARDISPAR_MAX_SUMMARIES") else "it sends no summaries"),
+    needs=Needs(when=lambda bench: None if bench.bound("VARDISPAR_MAX_SUMMARIES") else "it sends no summaries"),
     smoke=True,
 )
 def order_of_containers(bench: Bench) -> None:

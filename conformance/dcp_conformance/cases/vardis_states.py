@@ -82,7 +82,7 @@ _ONLY_1_0 = Needs(until=SpecVersion.V1_0)
 
 
 def _one_repetition(bench: Bench) -> str | None:
-    if bench.parameter("VARDISPAR_MAX_REPETITIONS") < 2:
+    if bench.bound("VARDISPAR_MAX_REPETITIONS") < 2:
         return "a variable that is being deleted can only be met with at least two repetitions"
     return None
 

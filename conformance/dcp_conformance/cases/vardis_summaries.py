@@ -18,7 +18,7 @@ _MANY = 60
 
 def summarises(bench: Bench) -> str | None:
     """The reason for which cases about summaries do not apply, or None."""
-    return None if bench.parameter(SUMMARIES) else f"{SUMMARIES} is 0: it sends no summaries"
+    return None if bench.bound(SUMMARIES) else f"{SUMMARIES} is 0: it sends no summaries"
 
 
 _WIRE = Needs(when=summarises)
@@ -26,9 +26,9 @@ _WIRE = Needs(when=summarises)
 
 def _never_summarises(bench: Bench) -> str | None:
     """For ``Needs.when``: why the parameter is not 0."""
-    if settable(bench) or not bench.parameter(SUMMARIES):
+    if settable(bench) or not bench.bound(SUMMARIES):
         return None
-    return f"{SUMMARIES} is {bench.parameter(SUMMARIES)} and cannot be set (VD-SetParameter, UT-Reset)"
+    return f"{SUMMARIES} is {bench.bound(SUMMARIES)} and cannot be set (VD-SetParameter, UT-Reset)"
 
 
 def _know(bench: Bench, count: int) -> list[int]:
@@ -81,7 +81,7 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     smoke=True,
 )
 def rotation(bench: Bench) -> None:
-    most = bench.parameter(SUMMARIES)
+    most = bench.bound(SUMMARIES)
     names = _know(bench, min(max(3, most + most // 2), _MANY))
     _check_rotation(bench, names, most, "VD-CMP-03")
 

@@ -40,7 +40,7 @@ def _everything(bench: Bench, peer: Peer) -> int:
         (ICType.REQUEST_VARUPDATES, behind),
         (ICType.REQUEST_VARCREATES, unknown),
     }
-    if bench.parameter("VARDISPAR_MAX_SUMMARIES"):
+    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         wanted.add((ICType.SUMMARIES, behind))
 
     def complete() -> bool:

@@ -31,8 +31,7 @@ def _safety(*fields: SafetyField) -> Callable[[str], Setup]:
 
 _WHY = "dcp-data-types.md, Conventions: implementers choose the widths of transmissible types"
 _WIDE: dict[str, Any] = {
-    "magic_no": IntType(4), "protocol_id": IntType(4), "bp_length": IntType(4), "network_id": IntType(4),
-    "bp_seqno": IntType(8), "srp_seqno": IntType(8), "var_id": IntType(2), "var_rep_cnt": IntType(2),
+    "network_id": IntType(4), "var_id": IntType(2), "var_rep_cnt": IntType(2),
     "var_seqno": IntType(4), "var_timeout": IntType(4), "value": TextType((IntType(2),)),
 }  # fmt: skip
 
@@ -58,13 +57,8 @@ VARIANTS = (
     _wider("var-timeout-1", "a VarTimeoutT of one octet", _V.V2_0, var_timeout=IntType(1)),
     _wider("var-timeout-4", "a VarTimeoutT of 4 octets", _V.V2_0, var_timeout=IntType(4)),
     _wider("var-len-2", "a VarLenT of 2 octets", value=TextType((IntType(2),))),
-    _wider("bp-length-4", "a BPLengthT of 4 octets", bp_length=IntType(4)),
-    _wider("protocol-id-4", "a BPProtocolIdT of 4 octets", protocol_id=IntType(4)),
-    _wider("magic-4", "a magic number of 4 octets", magic_no=IntType(4)),
     _wider("network-id-3", "a BPNetworkIdentifierT of 3 octets", _V.V2_0, network_id=IntType(3)),
     _wider("network-id-4", "a BPNetworkIdentifierT of 4 octets", _V.V2_0, network_id=IntType(4)),
-    _wider("bp-seqno-8", "sequence numbers of beacons of 8 octets", bp_seqno=IntType(8)),
-    _wider("srp-seqno-2", "sequence numbers of reports of 2 octets", srp_seqno=IntType(2)),
     Variant("V-TYPE-all-wide", "has wider types throughout", _WHY, _types(**_WIDE), since=_V.V1_1, where=by_letter),
     Variant(
         "V-TYPE-safety-integers",
