@@ -292,6 +292,8 @@ def _bp(**changes: Any) -> Callable[[str], Setup]:
 _MANY = "dcp-bp.md, Transmit Path: how many payloads and which is left to the implementation"
 _ORDER = "dcp-bp.md: the order of clients is free, and no payload is promised a beacon (BP-GEN-02)"
 _INTERVALS = "dcp-bp.md, Transmit Path: the mean interval tends to the period (BP-TX-01, BP-TX-02)"
+#: Before 1.2 BP cannot be deactivated, so that no two payloads can be submitted between two triggered beacons.
+_NO_GAP = r"are submitted between two beacons: a beacon came in between each time"
 #: A mean of intervals that vary so much is only known after more of them than a case has time for.
 _TOO_FEW = r"^TC_BP_TX_TI_0[12].*: the sample is too small for how much they vary"
 
@@ -328,12 +330,13 @@ VARIANTS = (
         _part(CoarseValue),
     ),
     Variant("V-BP-TX-sorted", "orders the blocks of a beacon by protocol identifier", _ORDER, _part(SortedBlocks)),
-    Variant("V-BP-TX-triggered", "sends a new payload at once", "BP-TXP-07", _bp(triggered=True)),
+    Variant("V-BP-TX-triggered", "sends a new payload at once", "BP-TXP-07", _bp(triggered=True), explains=(_NO_GAP,)),
     Variant(
         "V-BP-TX-triggered-denied",
         "sends a new payload at once, and its PICS claims it",
         "BP-TXP-07",
         lambda profile: setup(profile, bp=BPConfig(triggered=True), pics=Capabilities(triggered_beacons=True)),
+        explains=(_NO_GAP,),
     ),
     Variant("V-BP-TX-jitter-0", "has no jitter", _INTERVALS, _bp(jitter=0.0)),
     Variant(
