@@ -172,7 +172,6 @@ VARIANTS = (
         "has safety data configured, which it hands down at its start",
         _SRP_WHY,
         _configured,
-        explains=(_NO_PAUSE,),
         where=has_srp,
         # Up to 1.2 it is repeated.
         explains=(_NO_PAUSE,),
