@@ -22,6 +22,7 @@ from dcp_conformance.clients import (
     block_header_octets,
     header_octets,
     largest_payload,
+    registered,
     some_beacons,
     talking,
 )
@@ -390,6 +391,12 @@ def silence(bench: Bench) -> None:
     ]
     bench.check(not bare, "no beacon without blocks", f"{len(bare)} of them", frames=bare, shown=True)
     upper = bench.session.upper
+    if heard and upper is not None and LIST in upper.methods:
+        # A payload is that of a client.
+        clients = set(registered(bench))
+        strange = [each for each in heard if not {prot_id for prot_id, _ in each.blocks} & clients]
+        said = f"{len(strange)} have none"
+        bench.check(not strange, "beacons with a block of a registered protocol", said, frames=strange[:8], shown=True)
     if heard and upper is not None and {"UT-Reset", QUERY} <= upper.methods:
         waiting = [bench.call(QUERY, protId=each).result.get("number") for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)]
         what = f"{len(heard)} beacons came; SRP and VarDis have {waiting} payloads"

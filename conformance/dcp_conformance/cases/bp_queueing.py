@@ -46,7 +46,7 @@ def until_done(client: BPClient, since: int) -> list[bytes]:
     requirements="BP-QM-01 BP-TXP-04 BP-TXP-09",
     stimulus="a client with maxEntries 2 submits A, B, C between two beacons",
     expect="BP-STATUS-OK each time; A, then B on the air, and no C",
-    needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=no_confirm),
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT),
     smoke=True,
 )
 def droptail(bench: Bench) -> None:
@@ -59,7 +59,7 @@ def droptail(bench: Bench) -> None:
     requirements="BP-QM-02 BP-TXP-05",
     stimulus="a client with maxEntries 2 submits A, B, C between two beacons",
     expect="BP-STATUS-OK each time; B, then C on the air, and no A",
-    needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=no_confirm),
+    needs=Needs(since=V1_1, entities=(), ut=CLIENT),
 )
 def drophead(bench: Bench) -> None:
     full_queue(bench, DROPHEAD, [1, 2], "BP-QM-02", "BP-TXP-05")
@@ -73,7 +73,8 @@ def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requiremen
         payloads = client.submit(3, must=False)
         said = [each.text for each in bench.traffic.events[events:] if each.direction == "answer"]
         refused = [text for text in said if not text.endswith(("STATUS-OK", "STATUS_OK"))]
-        bench.check(not refused, "each submission is answered with OK", f"{refused}", *requirements[1:], shown=True)
+        if no_confirm(bench) is None:
+            bench.check(not refused, "each submission is answered with OK", f"{refused}", *requirements[1:], shown=True)
         sent = [each for each in until_done(client, start) if each in payloads]
         right = [payloads[place] for place in kept]
         expected = f"payloads {listed(right, payloads)} on the air"

@@ -264,6 +264,7 @@ def two_protocols(bench: Bench, report_first: bool) -> None:
         "between": (None, (40,), None),
         "several": ((3,), (200,), None, (1,), None, (5,)),
         "long": ((300,), None),
+        "many": Variant((*[(1,)] * 60, None), requirements="BP-RX-07 BP-RX-08"),
     },
 )
 def unregistered_blocks(bench: Bench, layout: Sequence[tuple[int] | None]) -> None:
@@ -378,9 +379,10 @@ def cut_payload_header(bench: Bench, count: int) -> None:
 @case(
     "TC_BP_RX_BV_04",
     "A block of length 0 is survived ({variant})",
-    requirements="BP-RX-16",
+    requirements="BP-RX-16 BP-RX-08",
     stimulus="a beacon with a block of length 0 ({variant}) and a VarDis block with the summary of an unknown variable",
-    expect="a request for the variable of the next beacon; whether the VarDis block is processed is reported",
+    expect="a request for the variable of the next beacon; behind one of no registered protocol the VarDis "
+    "block is processed, else that is reported",
     variants={"vardis": BP_PROTID_VARDIS, "unregistered": None},
     robustness=True,
     destructive=True,
@@ -390,7 +392,12 @@ def empty_block(bench: Bench, prot_id: int | None) -> None:
     empty = Block(unused_protocol_id(bench) if prot_id is None else prot_id, b"")
     peer.send(empty, summary_block(bench, peer, var_id))
     processed = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id) is not None
-    bench.info("Is a block behind one of length 0 processed?", "yes" if processed else "no")
+    if prot_id is None:
+        # Its steps are those of any block that is skipped.
+        expected = "the block behind an empty one of a protocol that is not registered is processed"
+        bench.check(processed, expected, "its variable is not requested", "BP-RX-08")
+    else:
+        bench.info("Is a block behind one of length 0 processed?", "yes" if processed else "no")
     bench.require_alive("a block of length 0")
 
 

@@ -1,0 +1,75 @@
+"""dcp-srp.md: Receive Path, The Neighbour Table, Service SRP-UpdateSafetyData.
+
+Clocks of neighbours that are set back, more than a few neighbours, and services while BP is not active.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, case
+from dcp_conformance.services import neighbours, safety_data, until_neighbour
+
+_TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
+#: Neighbours of a small swarm: a table with less room would be of little use.
+_SWARM = 8
+
+
+@case(
+    "TC_SRP_RX_BV_06",
+    "A record replaces the stored one although its tStamp is older",
+    requirements="SRP-RX-03",
+    stimulus="a record with seqno 5, then one of the same node with seqno 6 and a tStamp of an hour before",
+    expect="the entry is the second record: only sequence numbers may be a filter",
+    needs=_TABLE,
+)
+def older_stamp(bench: Bench) -> None:
+    peer, now = bench.peer(), bench.creation_time()
+    hour = 3600 * bench.profile.types.timestamp.per_second
+    later = max(now, hour)
+    peer.send(bench.report(peer.node_id, 5, t_stamp=later))
+    if until_neighbour(bench, peer.node_id, 5) is None:
+        bench.inconclusive("the table has an entry of the first record", "it has none")
+    peer.send(bench.report(peer.node_id, 6, t_stamp=later - hour))
+    entry = until_neighbour(bench, peer.node_id, 6)
+    bench.check(entry is not None, "the entry is that of the second record", "it is still the first")
+
+
+@case(
+    "TC_SRP_NT_BV_05",
+    "The table has room for eight neighbours",
+    requirements="SRP-RX-03 SRP-NT-02",
+    stimulus="a record of each of eight neighbours",
+    expect="all of them are listed",
+    needs=_TABLE,
+)
+def small_swarm(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(_SWARM)]
+    for _ in range(2):
+        # A record may be lost, and the first may time out while the upper tester takes its time.
+        for peer in peers:
+            peer.send(bench.report(peer.node_id, 1))
+        for peer in peers:
+            until_neighbour(bench, peer.node_id)
+        missing = {peer.node_id for peer in peers} - set(neighbours(bench))
+        if not missing:
+            break
+    bench.check(not missing, f"all {_SWARM} are listed", f"{len(missing)} are not")
+
+
+@case(
+    "TC_SRP_SRV_BO_02",
+    "SRP serves while BP is deactivated, as it stays registered",
+    requirements="SRP-SRV-01 SRP-SRV-03",
+    stimulus="SRP-UpdateSafetyData while BP is inactive",
+    expect="SRP-STATUS-OK",
+    needs=Needs(
+        since=SpecVersion.V1_2,
+        ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"),
+        entities=("srp",),
+    ),
+)
+def bp_inactive(bench: Bench) -> None:
+    with bench.deactivated("BP"):
+        bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", sData=safety_data(bench, 1))

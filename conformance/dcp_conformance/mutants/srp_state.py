@@ -1,0 +1,47 @@
+"""Faults of SRP that show with many neighbours, with clocks that are set back, or while BP is not active."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from dcp_spec.constants import SpecVersion
+from dcp_spec.status import SRPStatus
+
+from dcp_codec.values import ExtendedSafetyData, SafetyData
+from dcp_stack.neighbours import NeighbourTable
+from dcp_stack.srp import StateReporting, UpdateSafetyDataConfirm
+
+from .mutant import mutant
+
+
+@mutant("stamp-filter", "SRP-RX-03", "ignores a report whose tStamp is older than that of the entry")
+class StampFilter(NeighbourTable):
+    def record(
+        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
+    ) -> Literal["new", "replaced", "full"]:
+        old = self.lookup(report.node_id)
+        if old is not None and report.t_stamp < old.ext_sd.t_stamp:
+            return "replaced"
+        return super().record(report, sender_id, now=now, wall=wall)
+
+
+@mutant("four", "SRP-RX-03 SRP-NT-02", "has room for four neighbours")
+class CapacityFour(NeighbourTable):
+    def record(
+        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
+    ) -> Literal["new", "replaced", "full"]:
+        self.capacity = 4
+        return super().record(report, sender_id, now=now, wall=wall)
+
+
+@mutant("bp-inactive", "SRP-SRV-01 SRP-SRV-03", "answers INACTIVE while BP is deactivated", since=SpecVersion.V1_2)
+class InactiveWithBP(StateReporting):
+    def update_safety_data(
+        self, data: SafetyData | Mapping[str, Any], *, now: int, wall: int
+    ) -> UpdateSafetyDataConfirm | None:
+        # Between SRP and BP there is the port of the client.
+        port: Any = self._bp
+        if not port._bp.active:
+            return UpdateSafetyDataConfirm(SRPStatus.INACTIVE)
+        return super().update_safety_data(data, now=now, wall=wall)
