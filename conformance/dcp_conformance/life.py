@@ -168,8 +168,12 @@ class Life:
                 if not self.hung_up or self.serves():
                     self.hung_up = ""
                     return None
-                why, self.hung_up = self.hung_up, ""
-                return Loss(False, f"its upper tester is gone, though it answers on the link: {why}", upper_only=True)
+                # Looking for the upper tester takes seconds, and it often ends before the implementation does.
+                why = self.hung_up
+                if not self.ended() and self.answers(bench):
+                    self.hung_up = ""
+                    observed = f"its upper tester is gone, though it answers on the link: {why}"
+                    return Loss(False, observed, upper_only=True)
         self.await_end(bench)
         if not self._shown and not self.ended():
             return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from dcp_conformance.bench import Bench, Session
@@ -12,10 +13,10 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.gaps import pausable
 from dcp_conformance.life import Loss
 from dcp_conformance.pics import Pics, Testing
-from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.results import CaseResult
 from dcp_conformance.runner import Runner
-from dcp_conformance.upper import Answer
+from dcp_conformance.upper import Answer, Notification
 from dcp_conformance.verdict import Verdict
 
 from .rig import codec_of
@@ -367,6 +368,58 @@ def test_a_service_that_kills_fails_what_the_case_is_about():
     assert result.reason.startswith("the implementation survives RTDB-DescribeDatabase: it is dead after this case")
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     assert failed == {"VD-RX-04"}
+
+
+class Detached(Frail):
+    """Nobody knows about its process."""
+
+    told = False
+    """Whether its adapter was seen to go."""
+
+    def restart(self) -> None:
+        self.told = False
+        super().restart()
+
+    def alive(self) -> bool:
+        super().alive()
+        return None  # type: ignore[return-value]
+
+
+class Leaving(VirtualUpperTester):
+    """An adapter that goes as soon as the word has come, before the implementation dies of it.
+
+    To notice that nobody listens any more takes five seconds.
+    """
+
+    def _gone(self) -> None:
+        sut = self._sut
+        if isinstance(sut, Frail) and sut.got:
+            sut.elapse(5_000_000_000)
+            sut.alive()
+            raise UpperTesterError("nobody listens there, after 5 s")
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        self._gone()
+        return super().call(method, params)
+
+    def poll(self) -> list[Notification]:
+        sut = self._sut
+        if isinstance(sut, Detached) and sut.got and not sut.told:
+            sut.told = True
+            raise UpperTesterError("closed by the other side")
+        return super().poll()
+
+
+def test_an_answer_from_before_the_upper_tester_was_looked_for_is_no_sign_of_life():
+    """The adapter ends first; the implementation dies while the tester tries to reach the adapter."""
+    sut = Detached()
+    sut.delay_ms = 2600
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), Leaving(sut), Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    first = results_of(runner, SECOND, FIRST)[FIRST.id]
+    assert first.killed
+    assert first.reason == "the implementation survives: it does not answer any more"
 
 
 def test_what_several_processes_print_comes_in_any_order():
