@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import os
 import re
+import secrets
 import signal
 import subprocess
 import tempfile
@@ -22,6 +23,7 @@ from .upper.channels import LastLines, end_group, ending, split
 PATIENCE = 30.0
 #: Seconds in which a start command may end by itself if it only launches something.
 SETTLE = 0.5
+_MARK = "DCP_CONFORMANCE_STARTED"
 #: Seconds that a process has to end after SIGTERM.
 END_PATIENCE = 3.0
 #: Octets of output that are kept on disk; when there is more, it begins anew.
@@ -37,7 +39,8 @@ _PUNCH_HOLE = 0x01 | 0x02
 class ProcessControl:
     """Handles the implementation with what was given; all of it is optional.
 
-    * ``start``: a command that is the implementation, or launches it and ends with status 0 within ``SETTLE`` s.
+    * ``start``: a command that is the implementation, or launches it and ends with status 0: within ``SETTLE`` s, or
+      later, if something that it has started still runs.
     * ``stop``: a command that stops it; without one the process of ``start`` gets SIGTERM, and SIGKILL after 3 s.
     * ``restart``: a command that restarts it and ends; without one it is stopped and started.
     * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a number used again is no mistake; the
@@ -78,6 +81,8 @@ class ProcessControl:
         self._output: IO[bytes] | None = None
         self._watched: tuple[int, int] | None = None
         self._why = ""
+        self._mark = secrets.token_hex(8)
+        """Is in the environment of all that the start command starts, also of what leaves its session."""
         if pid is not None:
             started = started_at(pid)
             if started is None:
@@ -104,6 +109,10 @@ class ProcessControl:
         if status is None:
             self._trim()
             return True
+        if status == 0 and self._settle and not self._why and self._runs_on():
+            # It has launched the implementation, on a machine that was too busy to end it within the settling time.
+            self._launched = True
+            return None
         self._why = self._why or f"it ended with {ending(status)}{self._last_words()}"
         return False
 
@@ -157,6 +166,7 @@ class ProcessControl:
                     stdout=appending,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
+                    env={**os.environ, _MARK: self._mark},
                     preexec_fn=ending_with_parent() if self._ends_with_tester else None,
                 )
         except OSError as error:
@@ -224,6 +234,16 @@ class ProcessControl:
                     )
                 return
             time.sleep(0.02)
+
+    def _runs_on(self) -> bool:
+        """Whether something that the start command has started runs."""
+        wanted = os.fsencode(f"{_MARK}={self._mark}")
+        for path in Path("/proc").glob("[0-9]*/environ"):
+            # Gone, or of another user.
+            with contextlib.suppress(OSError):
+                if wanted in path.read_bytes().split(b"\0") and started_at(int(path.parent.name)) is not None:
+                    return True
+        return False
 
     def _last_words(self) -> str:
         return "" if self._output is None else _end_of(self._output)

@@ -157,6 +157,33 @@ def test_a_launcher(tmp_path, control):
     assert (blind.alive(), blind.why_dead()) == (None, "")
 
 
+def test_a_launcher_on_a_busy_machine(tmp_path, control):
+    """It ends with status 0 long after the settling time: what it has launched is not dead."""
+    service = program(tmp_path, FOREVER, "service")
+    launch = (
+        f"import subprocess\nsubprocess.Popen({shlex.split(service)!r}, start_new_session=True)\n"
+        "while not (here / 'go').exists(): time.sleep(0.01)"
+    )
+    it = control(start=program(tmp_path, launch, "launch"), stop=f"kill $(cat {tmp_path}/pid)", settle=0.01)
+    it.start()
+    pid_in(tmp_path)
+    assert it.alive() is True
+    (tmp_path / "go").touch()
+    eventually(lambda: it.alive() is None, "the launcher ends")
+    assert it.why_dead() == ""
+
+
+def test_a_program_that_ends_in_peace_is_dead_all_the_same(tmp_path, control):
+    """Status 0 after the settling time, and nothing that it has started is left."""
+    code = "while not (here / 'go').exists(): time.sleep(0.01)"
+    it = control(start=program(tmp_path, code), settle=0.01)
+    it.start()
+    assert it.alive() is True
+    (tmp_path / "go").touch()
+    eventually(lambda: it.alive() is False, "it ends")
+    assert it.why_dead() == "it ended with exit status 0; it said nothing"
+
+
 def test_restarting_by_a_command(tmp_path, control):
     calls = []
     it = control(restart=f"echo again >> {tmp_path}/log && echo ok")
