@@ -25,7 +25,8 @@ def test_a_mean_that_is_not_certain_is_no_failure() -> None:
 
 def test_without_confirms_statuses_of_submissions_are_not_judged() -> None:
     denied = Pics(pics=Capabilities(transmit_payload_confirm=False))
-    assert one_case("TC_BP_TXP_BI_01-1", pics=denied).verdict is Verdict.NOT_APPLICABLE
+    assert one_case("TC_BP_TXP_BI_01-1", pics=denied).verdict is Verdict.PASS
+    assert one_case("TC_BP_TXP_BV_01-64", pics=denied).verdict is Verdict.NOT_APPLICABLE
     assert one_case("TC_BP_QM_BV_07", pics=denied).verdict is Verdict.PASS
 
 
