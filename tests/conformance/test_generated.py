@@ -111,3 +111,19 @@ class TestCommand:
         assert "dcp_stack/vardis_db.py:" in done.out
         assert "1 of 1 random changes killed (100.0%)" in done.out
         assert (tmp_path / "generated.json").exists()
+
+
+def test_a_node_that_sends_without_end_at_one_time_is_dead():
+    """In virtual time the tester would listen for ever; on a link time passes."""
+    from dcp_conformance.mutants import all_mutants
+    from dcp_conformance.reference.inprocess import InProcess, reference_config
+
+    from .rig import codec_of
+
+    sut = InProcess(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-BP-TX-01-bursts"].make)
+    assert sut.upper_tester().call("RTDB-Create", {"varId": 1, "repCnt": 3, "descr": "d", "value": "01"}).ok
+    lower, frames = sut.lower_tester(), 0
+    while lower.receive(60_000_000_000) is not None:
+        frames += 1
+        assert frames < 5_000
+    assert sut.died == "" or "timeouts were handled" in sut.died

@@ -25,7 +25,7 @@ ADDRESS = NODE_ID
 EPOCH = 1_767_225_600 * 1_000_000_000
 
 #: Timeouts in a row without time passing after which the node counts as dead: it would never come to an end.
-_MOST_TIMEOUTS = 10_000
+_MOST_TIMEOUTS = 500
 
 MakeNode = Callable[[NodeConfig, random.Random, int, int], Any]
 
@@ -55,6 +55,8 @@ class InProcess:
 
     def _start(self) -> None:
         self.died = ""
+        self._timeouts = 0
+        """Timeouts in a row without time passing, also if each of them sends a beacon."""
         self.arrivals.clear()
         self.node = self._make(self.config, self._rng, self.now, self.node_wall())
         self.server = ControlServer(self.node)
@@ -121,6 +123,11 @@ class InProcess:
         due = None if self.died else self.node.poll_timeout()
         if due is None or due > until:
             self.now = max(self.now, until)
+            return False
+        self._timeouts = self._timeouts + 1 if due <= self.now else 0
+        if self._timeouts > _MOST_TIMEOUTS:
+            many = f"{self._timeouts} timeouts were handled, and the next one is due at the same time"
+            self.dies(RuntimeError(many))
             return False
         self.now = max(self.now, due)
         self.guarded(self.node.handle_timeout, self.now, self.node_wall())
