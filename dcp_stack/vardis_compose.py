@@ -59,6 +59,7 @@ class Composer:
 
         Everything in it counts as sent: counters go down and requests leave their queues.
         """
+        ##= VD-CMP-14
         if self._purge:
             self._database.purge()
         largest = room - self._sizes.ic_header
@@ -106,6 +107,7 @@ class Composer:
                     break
                 size += header
             ##= VD-CMP-08
+            ##= VD-CMP-13
             if used + size > room:
                 break
             chosen.append(var_id)

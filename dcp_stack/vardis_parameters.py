@@ -61,6 +61,7 @@ class VardisParameters:
         ##= VD-PAR-06
         ##= VD-PAR-07
         ##= VD-PAR-08
+        ##= VD-PAR-09
         if name not in _ORDER:
             raise UnknownParameterError(f"VarDis has no parameter {name!r}")
         changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)

@@ -38,6 +38,7 @@ class VariableServices:
 
     ##= VD-SRV-01
     ##= VD-SRV-02
+    ##= VD-SRV-03
     ##= DATA-10
     # A confirm is what the call returns, so it gets to the application that asked, whoever else does.
 
@@ -112,6 +113,7 @@ class VariableServices:
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         """``RTDB-Update``."""
         ##= VD-UPD-01
+        ##= VD-UPD-11
         if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
@@ -131,6 +133,7 @@ class VariableServices:
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:  # noqa: ARG002 - every service takes the time
         """``RTDB-Delete``."""
         ##= VD-DEL-01
+        ##= VD-DEL-07
         if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
@@ -145,6 +148,7 @@ class VariableServices:
     def read(self, var_id: int) -> ReadConfirm:
         """``RTDB-Read``."""
         ##= VD-REA-01
+        ##= VD-REA-05
         if not self._serving():
             return ReadConfirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)

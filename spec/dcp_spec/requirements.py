@@ -19,7 +19,7 @@ class UnknownRequirementError(UnknownEntryError):
 
 
 class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One requirement of the specification, in the state of the draft 2.0."""
+    """One requirement of the specification: as the draft 2.0 has it, or as the last version that had it (`until`)."""
 
     id: str
     protocol: Literal["DATA", "UWB", "BP", "SRP", "VD"]
@@ -40,8 +40,10 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Black-box stimulus and expectation; "the node" is under test, "the kit" tests it."""
     since: SpecVersion
     """First version in which the statement holds in full."""
+    until: SpecVersion | None = None
+    """Last version in which it holds, for a rule that has ended; None if it holds in the newest one."""
     not_in: tuple[SpecVersion, ...] = ()
-    """Later versions in which it nevertheless does not hold."""
+    """Versions between the two in which it nevertheless does not hold."""
     derived: bool = False
     """True where no sentence of the specification says it, but the rest makes no sense without it."""
     history: str | None = None
@@ -51,6 +53,8 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def holds_in(self, version: SpecVersion | str) -> bool:
         """Whether the statement holds in `version`. Raises ValueError for a version that does not exist."""
         version = SpecVersion(version)
+        if self.until is not None and version > self.until:
+            return False
         return version >= self.since and version not in self.not_in
 
     def cite(self) -> str:

@@ -100,21 +100,22 @@ def mutant(
     what: str,
     *,
     since: SpecVersion | None = None,
-    until: SpecVersion = SpecVersion.V2_0,
+    until: SpecVersion | None = None,
 ) -> Callable[[Part], Part]:
     """Make a mutant of a subclass of a part of the node.
 
     ``requirements`` are ids separated by spaces, the violated one first. ``since`` is by default the first version that
-    has this requirement. Raises ``UnknownRequirementError`` for an id that is none, ``TypeError`` for a class that is
+    has this requirement, and ``until`` the last one. Raises ``UnknownRequirementError`` for an id that is none, ``TypeError`` for a class that is
     no part of the node.
     """
     first, *also = requirements.split()
     for each in also:
         requirement(each)
     begin = requirement(first).since if since is None else since
+    end = until or requirement(first).until or SpecVersion.V2_0
 
     def decorate(part: Part) -> Part:
-        made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, _maker(node_with(part)), begin, until)
+        made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, _maker(node_with(part)), begin, end)
         setattr(part, _ATTRIBUTE, made)
         return part
 

@@ -1,0 +1,127 @@
+"""Faults in the order of checks: a later condition decides where an earlier one must."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from dcp_spec.constants import SpecVersion
+from dcp_spec.status import VardisStatus
+
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_confirms import Confirm, DescribeVariableConfirm, ReadConfirm
+
+from .mutant import mutant
+
+V2 = SpecVersion.V2_0
+V1_2 = SpecVersion.V1_2
+
+EMPTY, TOO_LONG = VardisStatus.EMPTY_VALUE, VardisStatus.VALUE_TOO_LONG
+DESCRIPTION = VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG
+REPCOUNT = VardisStatus.ILLEGAL_REPCOUNT
+UNKNOWN, NOT_PRODUCER = VardisStatus.VARIABLE_DOES_NOT_EXIST, VardisStatus.NOT_PRODUCER
+EXISTS, DELETED = VardisStatus.VARIABLE_EXISTS, VardisStatus.VARIABLE_IS_DELETED
+
+Given = tuple[bytes, bytes, int]
+
+
+class Hasty(Vardis):
+    """Looks for one condition of a service before one that comes first.
+
+    ``service`` and ``first``: the status that it gives too early; ``before``: the status that would have been right.
+    """
+
+    service: ClassVar[str]
+    first: ClassVar[VardisStatus]
+    before: ClassVar[VardisStatus]
+
+    def _also(self, var_id: int, value: bytes = b"-", descr: bytes = b"-", rep_cnt: int = 1) -> bool:
+        """Whether the condition of ``first`` holds."""
+        entry, parameters = self._database.lookup(var_id), self._parameters
+        own = entry is not None and entry.spec.prod_id == self._core.own_id
+        conditions: dict[VardisStatus, Callable[[], bool]] = {
+            EMPTY: lambda: not value,
+            TOO_LONG: lambda: len(value) > parameters.max_value_length,
+            DESCRIPTION: lambda: len(descr) > parameters.longest_description,
+            REPCOUNT: lambda: not 1 <= rep_cnt <= parameters.max_repetitions,
+            UNKNOWN: lambda: entry is None,
+            NOT_PRODUCER: lambda: entry is not None and not own,
+            DELETED: lambda: entry is not None and entry.is_deleted,
+            EXISTS: lambda: entry is not None and not own,
+        }
+        return conditions[self.first]()
+
+    def _hasty(self, service: str, confirm: Any, *given: Any) -> VardisStatus:
+        right: VardisStatus = confirm.status
+        expected = self.before.in_version(self._core.config.profile.spec_version)
+        if service == self.service and right in (self.before, expected) and self._also(*given):
+            return self.first.in_version(self._core.config.profile.spec_version)
+        return right
+
+    def create(
+        self,
+        var_id: int,
+        prod_id: bytes | None,
+        rep_cnt: int,
+        descr: bytes,
+        value: bytes,
+        timeout_ms: int = 0,
+        **times: int,
+    ) -> Confirm:
+        confirm = super().create(var_id, prod_id, rep_cnt, descr, value, timeout_ms, **times)
+        return Confirm(self._hasty("create", confirm, var_id, value, descr, rep_cnt))
+
+    def update(self, var_id: int, value: bytes, **times: int) -> Confirm:
+        return Confirm(self._hasty("update", super().update(var_id, value, **times), var_id, value))
+
+    def delete(self, var_id: int, **times: int) -> Confirm:
+        return Confirm(self._hasty("delete", super().delete(var_id, **times), var_id))
+
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        status = self._hasty("read", confirm, var_id)
+        return confirm if status is confirm.status else ReadConfirm(status)
+
+    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
+        confirm = super().describe_variable(var_id)
+        status = self._hasty("describe", confirm, var_id)
+        return confirm if status is confirm.status else DescribeVariableConfirm(status)
+
+
+INACTIVE = VardisStatus.INACTIVE
+
+
+def _hasty(service: str, first: VardisStatus, before: VardisStatus, requirement: str, since: SpecVersion) -> type[Hasty]:
+    names = (first.value, before.value)
+    short = [name.removeprefix("VARDIS-STATUS-").removeprefix("VARIABLE-").lower() for name in names]
+    made = type(
+        f"Hasty{service.title()}{first.name}{before.name}",
+        (Hasty,),
+        {"__module__": __name__, "service": service, "first": first, "before": before},
+    )
+    what = f"answers {names[0]} where both that and {names[1]} hold (RTDB-{service.title()})"
+    return mutant(f"{short[0]}-before-{short[1]}", requirement, what, since=since)(made)
+
+
+def _pairs(service: str, requirement: str, since: SpecVersion, *order: VardisStatus) -> dict[str, type[Hasty]]:
+    """A mutant for each two conditions that can hold together."""
+    never = [{UNKNOWN, NOT_PRODUCER}, {UNKNOWN, DELETED}, {EMPTY, TOO_LONG}]
+    made: dict[str, type[Hasty]] = {}
+    for index, before in enumerate(order):
+        for first in order[index + 1 :]:
+            if {first, before} in never:
+                continue
+            begin = V2 if DELETED in (first, before) else V1_2 if before is INACTIVE else since
+            each = _hasty(service, first, before, requirement, begin)
+            made[each.__name__] = each
+    return made
+
+
+V1_1 = SpecVersion.V1_1
+globals().update(
+    _pairs("create", "VD-CRE-13", V1_1, INACTIVE, EXISTS, DESCRIPTION, TOO_LONG, EMPTY, REPCOUNT)
+    | _pairs("update", "VD-UPD-11", V1_1, INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED, TOO_LONG, EMPTY)
+    | _pairs("delete", "VD-DEL-07", V1_1, INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED)
+    | _pairs("read", "VD-REA-05", V1_1, INACTIVE, UNKNOWN, DELETED)
+    | _pairs("describe", "VD-DVA-04", V1_1, INACTIVE, UNKNOWN)
+)

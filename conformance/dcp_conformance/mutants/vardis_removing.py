@@ -1,0 +1,162 @@
+"""Faults in what a timeout removes, in going on after a deactivation, and in limits that are equal by default."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from dcp_spec.constants import SpecVersion
+
+from dcp_stack.config import MS
+from dcp_stack.vardis import Vardis
+from dcp_stack.vardis_confirms import Confirm
+from dcp_stack.vardis_parameters import VardisParameters
+from dcp_stack.vardis_receive import Receiver
+
+from .mutant import mutant
+
+V2 = SpecVersion.V2_0
+V1_2 = SpecVersion.V1_2
+HALF = 32_768
+
+
+# -- what a timeout removes --------------------------------------------------------------------------------------------
+
+
+class LeavesQueue(Vardis):
+    """Scrubs, and leaves the variable in one queue with its counter."""
+
+    queue: ClassVar[str]
+    counter: ClassVar[str] = ""
+
+    def _scrub(self, now: int) -> None:
+        queue = self._database.queues[self.queue]
+        held = {
+            var_id: getattr(entry, self.counter, 0)
+            for var_id, entry in self._database.entries.items()
+            if not entry.is_deleted and var_id in queue
+        }
+        super()._scrub(now)
+        for var_id, count in held.items():
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                queue.append(var_id)
+                if self.counter:
+                    setattr(entry, self.counter, count)
+
+
+@mutant("updateQ", "VD-SCR-04", "goes on repeating the update of a variable that has timed out", since=V2)
+class ScrubLeavesUpdate(LeavesQueue):
+    queue, counter = "updateQ", "count_update"
+
+
+@mutant("createQ", "VD-SCR-04", "goes on repeating the creation of a variable that has timed out", since=V2)
+class ScrubLeavesCreate(LeavesQueue):
+    queue, counter = "createQ", "count_create"
+
+
+@mutant("summaryQ", "VD-SCR-04 VD-CMP-05", "goes on summarising a variable that has timed out", since=V2)
+class ScrubLeavesSummary(LeavesQueue):
+    queue = "summaryQ"
+
+
+@mutant("reqUpdQ", "VD-SCR-04", "requests an update of a variable that has timed out", since=V2)
+class ScrubLeavesRequest(LeavesQueue):
+    queue = "reqUpdQ"
+
+
+@mutant("counts-left", "VD-SCR-04", "leaves the counters of a variable that has timed out as they were", since=V2)
+class ScrubLeavesCounts(Vardis):
+    def _scrub(self, now: int) -> None:
+        held = {
+            var_id: (entry.count_create, entry.count_update)
+            for var_id, entry in self._database.entries.items()
+            if not entry.is_deleted
+        }
+        super()._scrub(now)
+        for var_id, counts in held.items():
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                entry.count_create, entry.count_update = counts
+
+
+@mutant("signed", "VD-TYP-04 VD-SCR-03", "deletes variables with timeouts of 32,768 ms and more at once", since=V2)
+class SignedTimeouts(Vardis):
+    def _scrub(self, now: int) -> None:
+        super()._scrub(now)
+        for entry in list(self._database.entries.values()):
+            if (entry.spec.timeout or 0) >= HALF and not entry.is_deleted:
+                self._database.mark_deleted(entry)
+
+
+@mutant("one-octet", "VD-TYP-04 VD-SCR-03", "counts timeouts with one octet", since=V2)
+class OneOctetTimeouts(Vardis):
+    def _scrub(self, now: int) -> None:
+        super()._scrub(now)
+        for entry in list(self._database.entries.values()):
+            timeout = (entry.spec.timeout or 0) % 256 * MS
+            if timeout and not entry.is_deleted and now - entry.refreshed > timeout:
+                self._database.mark_deleted(entry)
+
+
+# -- deactivation ------------------------------------------------------------------------------------------------------
+
+
+@mutant("once-deactivated", "VD-SCR-01 VD-MGT-05", "never scrubs again once it was deactivated", since=V2)
+class ScrubbingEnds(Vardis):
+    _ended = False
+
+    def deactivate(self) -> Confirm:
+        self._ended = True
+        return super().deactivate()
+
+    def _scrub(self, now: int) -> None:
+        if not self._ended:
+            super()._scrub(now)
+
+
+@mutant("no-check-after", "VD-RUN-02 VD-MGT-05", "looks at the buffer no more once it was deactivated", since=V1_2)
+class CheckingEnds(Vardis):
+    _ended = False
+
+    def deactivate(self) -> Confirm:
+        self._ended = True
+        return super().deactivate()
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        if self._ended:
+            self._last_check = now
+        super().handle_timeout(now, wall)
+
+
+# -- limits that are equal by default ----------------------------------------------------------------------------------
+
+
+@mutant("value-by-description", "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05", "measures values with the limit for descriptions")
+class ValueByDescription(VardisParameters):
+    @property
+    def max_value_length(self) -> int:
+        return self.longest_description
+
+
+@mutant("description-by-value", "VD-PC-05 VD-CRE-04", "measures descriptions with the limit for values")
+class DescriptionByValue(VardisParameters):
+    @property
+    def longest_description(self) -> int:
+        return self.max_value_length
+
+
+@mutant("received-by-description", "VD-PC-04 VD-PU-04", "measures received values with the limit for descriptions")
+class ReceivedByDescription(Receiver):
+    def _is_bad_value(self, value: bytes) -> bool:
+        too_long = self._check_too_long and len(value) > self._parameters.longest_description
+        return too_long or (self._check_empty_and_repcnt and not value)
+
+
+@mutant("left-in-reqCreateQ", "VD-CRE-11", "goes on requesting a variable that its application has created", since=V2)
+class RequestsItsOwn(Vardis):
+    def create(self, var_id: int, *args: Any, **more: Any) -> Confirm:
+        wanted = var_id in self._database.req_create_q
+        confirm = super().create(var_id, *args, **more)
+        if wanted and confirm.status.is_ok:
+            self._database.req_create_q.append(var_id)
+        return confirm
