@@ -45,7 +45,7 @@ class Vardis(VariableServices):
         *,
         emit: Callable[[Effect], None],
         now: int,
-        wall: int,  # noqa: ARG002 - every core is made in the same way
+        wall: int,
     ) -> None:
         """Raises ValueError if ``config`` has no VarDis, or parameters that are out of bounds."""
         core = self.core_class(config, emit)
@@ -57,9 +57,13 @@ class Vardis(VariableServices):
         self._receiver = self.receiver_class(core)
         self._has_scrubbing = core.features.creation_time
         self._timed_out_at_timeout = config.reading("X27") == "at-least"
+        self._scrubbing_pauses = config.reading("X36") == "pauses-while-inactive"
+        self._pending_is_dropped = config.reading("X37") == "are-dropped"
+        self._registers_anew = config.reading("X41") == "register-anew"
         self._registered_size = 0
         self._last_check = now
         self._last_scrub = now
+        self._wall = wall
 
     @property
     def active(self) -> bool:
@@ -130,9 +134,11 @@ class Vardis(VariableServices):
         return Confirm(VardisStatus.OK if self.active else VardisStatus.INACTIVE)
 
     def deactivate(self) -> Confirm:
-        """``VD-MGMT-Deactivate``: send, receive and serve nothing until activated; scrubbing goes on."""
+        """``VD-MGMT-Deactivate``: send, receive and serve nothing until activated; scrubbing goes on (X36)."""
         ##= VD-MGT-01
         self._core.active = False
+        if self._pending_is_dropped:
+            self._database.drop_pending()
         return Confirm(VardisStatus.OK)
 
     @property
@@ -170,7 +176,8 @@ class Vardis(VariableServices):
 
     def handle_timeout(self, now: int, wall: int) -> None:
         """Time has come, or passed; calling too early does no harm."""
-        if self._has_scrubbing and self.registered:
+        self._wall = wall
+        if self._scrubs:
             period = self._parameters.scrubbing_period_ms * MS
             ##= VD-SCR-01
             if now - self._last_scrub >= period:
@@ -189,11 +196,15 @@ class Vardis(VariableServices):
         due = None
         if self._core.active:
             due = self._last_check + self._parameters.buffer_check_period_ms * MS
-        if self._has_scrubbing and self.registered:
+        if self._scrubs:
             scrub = self._last_scrub + self._parameters.scrubbing_period_ms * MS
             if due is None or scrub < due:
                 due = scrub
         return due
+
+    @property
+    def _scrubs(self) -> bool:
+        return self._has_scrubbing and self.registered and (self._core.active or not self._scrubbing_pauses)
 
     def _generate(self, now: int, wall: int) -> None:
         """Compose the next payload and hand it to BP."""
@@ -211,6 +222,8 @@ class Vardis(VariableServices):
     def _fit_registration(self, now: int, wall: int) -> None:
         """Register anew when the maximum payload has grown; only while BP holds nothing, which would be lost."""
         wanted = self._parameters.max_payload_size
+        if not self._registers_anew:
+            return
         if wanted <= self._registered_size or self._bp.query_number_buffered(BP_PROTID_VARDIS).number:
             return
         registered = self._registered_size
@@ -225,8 +238,8 @@ class Vardis(VariableServices):
             ##= VD-SCR-02
             if not timeout:
                 continue
-            age = now - entry.refreshed
-            ##= VD-SCR-03
+            ##= VD-SCR-03 | exception: the age is that of a clock which is never set, not of the system time (X38)
+            age = now - entry.refreshed if self._steady else self._wall - entry.t_stamp
             if age < timeout or (age == timeout and not self._timed_out_at_timeout):
                 continue
             ##= VD-SCR-04

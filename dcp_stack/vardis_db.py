@@ -151,6 +151,15 @@ class Database:
         if entry.count_update:
             self.update_q.append(entry.spec.var_id)
 
+    def drop_pending(self) -> None:
+        """Forget all repetitions and requests that are still to be sent; summaries stay (X37)."""
+        for entry in list(self.entries.values()):
+            entry.count_create = entry.count_update = entry.count_delete = 0
+            if entry.is_deleted and self.remove_deleted:
+                del self.entries[entry.spec.var_id]
+        for queue in (self.create_q, self.delete_q, self.update_q, self.req_upd_q, self.req_create_q):
+            queue.clear()
+
     def purge(self) -> None:
         """Take identifiers of missing and deleted variables out of the queues that need them alive (up to 1.2)."""
         for queue in (self.create_q, self.update_q, self.summary_q, self.req_upd_q):

@@ -41,6 +41,7 @@ class VardisParameters:
         values, self._sizes = config.once(_initial)
         self._values = dict(values)
         self._record_bound = config.reading("X23") == "record-bound"
+        self._takes_nearest = config.reading("X39") == "nearest-value"
         ##= VD-CRE-04
         # The parameter of 1.0 counts the terminating NUL, the limit of a profile is what a description may have.
         self._terminator = _terminator(config)
@@ -65,6 +66,9 @@ class VardisParameters:
         if name not in _ORDER:
             raise UnknownParameterError(f"VarDis has no parameter {name!r}")
         changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)
+        if isinstance(changed, Violation) and self._takes_nearest and isinstance(value, int):
+            value = _nearest(name, value, self._sizes)
+            changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)
         if isinstance(changed, Violation):
             return changed
         assert isinstance(value, int)
@@ -107,6 +111,13 @@ class VardisParameters:
     def buffer_check_period_ms(self) -> int:
         """Time between two looks at the buffer of BP in ms."""
         return self._values[BUFFER_CHECK_PERIOD]
+
+
+def _nearest(name: str, value: int, sizes: Sizes) -> int:
+    """The legal value that is nearest to one out of bounds (X39)."""
+    lowest, highest = parameter(name).minimum(sizes), parameter(name).maximum(sizes)
+    value = value if highest is None else min(value, highest)
+    return value if lowest is None else max(value, lowest)
 
 
 def _terminator(config: NodeConfig) -> int:

@@ -34,6 +34,8 @@ class VariableServices:
         self.registered = False
         """Whether VarDis is registered with BP, as far as it knows."""
         self._silent = core.config.reading("X30") == "no-response"
+        self._steady = core.config.reading("X38") == "steady-clock"
+        """Whether ages and creation times do not follow a system time that is set."""
         self._refuses_empty_description = core.config.reading("X21") == "refuse-locally"
 
     ##= VD-SRV-01
@@ -95,8 +97,11 @@ class VariableServices:
             creation_time=creation_time,
             timeout=timeout_ms if self._core.features.creation_time else None,
         )
+        ##= VD-CRE-04 | exception: a description is too long as well if the VarCreate fits into no payload (X42)
+        ##= VD-CRE-05 | exception: as above, for the value
         if status := self._refused_size(spec, value):
             return self._confirm(status)
+        ##= VD-CRE-01 | exception: INACTIVE if there is no room for another variable (X43)
         if entry is None and len(self._core.database) >= self._core.max_variables:
             return self._confirm(VardisStatus.INACTIVE)
         if creation_time is not None and creation_time > self._core.sizes.highest_stamp:
@@ -120,7 +125,10 @@ class VariableServices:
         cell = self._core.cell(Event.APP_UPDATE, entry)
         if cell.status is not None or entry is None:
             return self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST)
-        status = self._refused_value(value) or self._refused_size(entry.spec, value)
+        status = self._refused_value(value)
+        ##= VD-UPD-05 | exception: a value is too long as well if its VarUpdate fits into no payload any more (X42)
+        if status is None and self._core.sizes.update(value) > self._room():
+            status = VardisStatus.VALUE_TOO_LONG
         if status is not None:
             return self._confirm(status)
         ##= VD-UPD-07
@@ -230,12 +238,15 @@ class VariableServices:
         return None if value else VardisStatus.EMPTY_VALUE
 
     def _refused_size(self, spec: VarSpec, value: bytes) -> VardisStatus | None:
-        """Why no payload can ever hold the variable: parameters can allow lengths that are too much together (X23)."""
-        longest = self._core.sizes.longest_description
-        room = self._core.parameters.max_payload_size - self._core.sizes.ic_header
+        """Why no payload can ever hold the variable: parameters allow lengths that are too much together (X23, X42)."""
+        longest, room = self._core.sizes.longest_description, self._room()
         if (longest is not None and len(spec.descr) > longest) or self._core.sizes.create(spec, b"\0") > room:
             return VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG
         return VardisStatus.VALUE_TOO_LONG if self._core.sizes.create(spec, value) > room else None
+
+    def _room(self) -> int:
+        """Octets that the largest payload has for records of one type."""
+        return self._core.parameters.max_payload_size - self._core.sizes.ic_header
 
     def _producer(self, given: bytes | None) -> bytes:
         """Up to 1.1 the application is trusted to give its own node's identifier."""
@@ -247,11 +258,11 @@ class VariableServices:
         """The current time, but later than any creation of the variable that is known here.
 
         Others ignore a creation that is not later, so a second one within a unit of the profile, or after the clock
-        was set back, takes the next stamp.
+        was set back, takes the next stamp (X38).
         """
         if not self._core.features.creation_time:
             return None
-        ##= VD-CRE-09
+        ##= VD-CRE-09 | exception: later than the creation that is known, if the system time is not (X38)
         stamp = self._core.clock.stamp(wall)
         known = entry.spec.creation_time if entry is not None else None
-        return stamp if known is None else max(stamp, known + 1)
+        return max(stamp, known + 1) if known is not None and self._steady else stamp

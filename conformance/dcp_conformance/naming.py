@@ -40,6 +40,8 @@ class Naming(Findings):
         super().__init__(session, case)
         self.created: set[int] = set()
         """Identifiers that this case has chosen for variables, or has made a VarCreate for."""
+        self.called_unknown: set[int] = set()
+        """Identifiers that this case was given for variables that stay unknown."""
         self.produced: set[int] = set()
         """Those of the variables that the implementation's application has created."""
 
@@ -181,9 +183,13 @@ class Naming(Findings):
         :meth:`unknown_id`. Raises ``NamesUsedUp``.
         """
         session = self.session
-        number = session.identifiers.for_peer(
-            self.now(), session.creation_time + 1, self.created, reuse=not session.renewable
-        )
+        # Up to 1.3 one range serves both: what the case calls unknown must not become a variable of it.
+        for without in (self.created | self.called_unknown, self.created):
+            number = session.identifiers.for_peer(
+                self.now(), session.creation_time + 1, without, reuse=not session.renewable
+            )
+            if number is not None:
+                break
         if number is None:
             self._no_variables_left("an identifier that a peer can create a variable with")
         self.created.add(number)
@@ -201,6 +207,7 @@ class Naming(Findings):
         found = self.session.identifiers.unknown(count, self.now(), self.created)
         if len(found) < count:
             self._no_variables_left(f"{count} identifiers of variables that the implementation does not know")
+        self.called_unknown.update(found)
         return found
 
     def has_unknown_ids(self, count: int = 1) -> bool:
@@ -216,7 +223,10 @@ class Naming(Findings):
 
         Raises ``NamesUsedUp`` when no more are left than the probes of other cases need.
         """
-        number = self.session.identifiers.for_own(self.now(), self.created)
+        for without in (self.created | self.called_unknown, self.created):
+            number = self.session.identifiers.for_own(self.now(), without)
+            if number is not None:
+                break
         if number is None:
             self._no_variables_left("an identifier that no variable has had, for one of the implementation's own")
         self.created.add(number)

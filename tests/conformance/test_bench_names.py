@@ -251,3 +251,13 @@ def test_no_peer_has_the_identifier_of_the_implementation():
     bench = bench_of()
     bench.session.sut_id = b"\x02\xdc\x90\x00\x00\x02"
     assert [bench.peer().node_id[-1] for _ in range(3)] == [1, 3, 4]
+
+
+@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-2.0"])
+def test_what_a_case_calls_unknown_is_no_variable_of_it(profile: str):
+    bench = bench_of(profile)
+    unknown = [bench.unknown_id() for _ in range(20)]
+    # Just before them in the order in which peers are given identifiers.
+    bench.session.identifiers._next_for_peers = min(unknown) - bench.session.identifiers.first - 2
+    assert not set(bench.var_ids(10)) & set(unknown)
+    assert not {bench.own_var_id() for _ in range(10)} & set(unknown)

@@ -335,7 +335,7 @@ def deleted(air: Script, wrong: bool) -> Outcome:
 def recreation(air: Script, wrong: bool) -> Outcome:
     first = air.say(A, air.create(1, A, age=10), VarSumm(1, 0))
     second = air.say(A, air.create(1, A, age=20 if wrong else 5), VarSumm(1, 0))
-    return Outcome(("VD-CRE-09",), (first, second))
+    return Outcome(("VD-CRE-09",), (first, second), verdict=Verdict.INFO)
 
 
 @script("CK_VD_REPEAT")

@@ -275,10 +275,14 @@ def test_a_variable_that_fits_into_no_payload_is_refused() -> None:
     assert rig.vardis.set_parameter("VARDISPAR_MAX_VALUE_LENGTH", 60) is None
     assert rig.create(1, bytes(30), descr=bytes(10)) is S.OK
     assert rig.create(2, bytes(31), descr=bytes(10)) is S.VALUE_TOO_LONG
-    assert rig.update(1, bytes(31)) is S.VALUE_TOO_LONG
+    # Its VarCreate fits into no payload any more, its VarUpdate does: RTDB-Update looks at the value alone.
+    assert rig.update(1, bytes(31)) is S.OK
     assert rig.vardis.set_parameter("VARDISPAR_MAX_PAYLOAD_SIZE", 40) is None
     assert rig.create(2, b"v", descr=bytes(16)) is S.VARIABLE_DESCRIPTION_TOO_LONG
     assert rig.create(2, b"v", descr=bytes(15)) is S.OK
+    # The header and VarUpdate take 2 and 3 octets of the 40.
+    assert rig.update(1, bytes(35)) is S.OK
+    assert rig.update(1, bytes(36)) is S.VALUE_TOO_LONG
 
 
 def test_a_description_longer_than_its_length_field_is_refused() -> None:

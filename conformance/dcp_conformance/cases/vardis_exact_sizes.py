@@ -27,12 +27,12 @@ _FEW = 6
 
 def _fillable(bench: Bench) -> str | None:
     """For ``Needs.when``: why no payload can be filled to the last octet."""
-    if settable(bench) or bench.parameter(PAYLOAD_SIZE) >= 2 * _largest_create(bench):
+    if settable(bench) or bench.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
         return None
     return f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and is too small for two VarCreates"
 
 
-def _largest_create(bench: Bench) -> int:
+def largest_create(bench: Bench) -> int:
     """The octets that a container with one VarCreate of the longest value and description has."""
     value, description = longest(bench)
     return bench.forge.container_header_size + bench.forge.record_size(bench.sample(value=value, descr=description))
@@ -171,7 +171,7 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
 
 def _never_fits(bench: Bench) -> str | None:
     """For ``Needs.when``: why no VarCreate can be larger than a payload."""
-    if settable(bench) or _largest_create(bench) > bench.parameter(PAYLOAD_SIZE):
+    if settable(bench) or largest_create(bench) > bench.parameter(PAYLOAD_SIZE):
         return None
     return (
         f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and the PIXIT tells no maximum sizes with which a "

@@ -8,6 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
+from dcp_conformance.heard import Instruction
 from dcp_conformance.services import (
     EXISTS,
     OK,
@@ -252,3 +253,31 @@ def being_deleted(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
     bench.must("RTDB-Delete", varId=var_id)
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id))
+
+
+@case(
+    "TC_VD_CRE_BV_08",
+    "An application that creates a variable ends the request for it",
+    requirements="VD-CRE-11",
+    stimulus="a summary of an unknown variable, and at once RTDB-Create with its identifier; up to three times",
+    expect="at least once no VarReqCreate follows",
+    window=10,
+    needs=Needs(since=SpecVersion.V1_1, ut=("RTDB-Create",)),
+)
+def request_ended(bench: Bench) -> None:
+    late: list[Instruction] = []
+    for _ in range(3):
+        peer, var_id = bench.peer(), bench.own_var_id()
+        bench.beacons(1)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 1))
+        bench.must("RTDB-Create", **create_request(bench, var_id))
+        bench.require_alive("summary and creation")
+        bench.beacons(1, 1.5)
+        late = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
+        if not late:
+            break
+    if late and bench.session.slow_call > bench.period // 2:
+        bench.inconclusive("no VarReqCreate for an own variable", "calls take so long that it may come before them")
+    text = "there is one every time"
+    bench.check(not late, "at least once no VarReqCreate for an own variable", text, frames=late, shown=True)

@@ -104,9 +104,9 @@ def mutant(
 ) -> Callable[[Part], Part]:
     """Make a mutant of a subclass of a part of the node.
 
-    ``requirements`` are ids separated by spaces, the violated one first. ``since`` is by default the first version that
-    has this requirement, and ``until`` the last one. Raises ``UnknownRequirementError`` for an id that is none, ``TypeError`` for a class that is
-    no part of the node.
+    ``requirements`` are ids separated by spaces, the violated one first. ``since`` and ``until`` are by default the
+    first and the last version that has this requirement. Raises ``UnknownRequirementError`` for an id that is none,
+    ``TypeError`` for a class that is no part of the node.
     """
     first, *also = requirements.split()
     for each in also:

@@ -48,7 +48,9 @@ class OtherEntry(OtherField):
         return msgspec.structs.replace(confirm, entry=msgspec.structs.replace(entry, spec=self._changed(entry.spec)))
 
 
-def _others(base: type[OtherField], requirement: str, where: str, fields: dict[str, Any]) -> dict[str, type[OtherField]]:
+def _others(
+    base: type[OtherField], requirement: str, where: str, fields: dict[str, Any]
+) -> dict[str, type[OtherField]]:
     """A mutant for each field."""
     made: dict[str, type[OtherField]] = {}
     for field, value in fields.items():

@@ -91,7 +91,9 @@ class Hasty(Vardis):
 INACTIVE = VardisStatus.INACTIVE
 
 
-def _hasty(service: str, first: VardisStatus, before: VardisStatus, requirement: str, since: SpecVersion) -> type[Hasty]:
+def _hasty(
+    service: str, first: VardisStatus, before: VardisStatus, requirement: str, since: SpecVersion
+) -> type[Hasty]:
     names = (first.value, before.value)
     short = [name.removeprefix("VARDIS-STATUS-").removeprefix("VARIABLE-").lower() for name in names]
     made = type(
@@ -123,5 +125,5 @@ globals().update(
     | _pairs("update", "VD-UPD-11", V1_1, INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED, TOO_LONG, EMPTY)
     | _pairs("delete", "VD-DEL-07", V1_1, INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED)
     | _pairs("read", "VD-REA-05", V1_1, INACTIVE, UNKNOWN, DELETED)
-    | _pairs("describe", "VD-DVA-04", V1_1, INACTIVE, UNKNOWN)
+    | _pairs("describe", "VD-DVA-01", V1_1, INACTIVE, UNKNOWN)
 )

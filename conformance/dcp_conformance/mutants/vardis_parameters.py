@@ -169,3 +169,9 @@ class Retroactive(Vardis):
                 if (long or len(entry.spec.descr) > self._parameters.longest_description) and not entry.is_deleted:
                     self._database.mark_deleted(entry)
         return violation
+
+
+@mutant("check-period-fixed", "VD-PAR-09 VD-PAR-08", "has no VARDISPAR_BUFFER_CHECK_PERIOD that could be told or set")
+class NoCheckPeriod(VardisParameters):
+    def as_dict(self) -> dict[str, int]:
+        return {name: value for name, value in super().as_dict().items() if name != "VARDISPAR_BUFFER_CHECK_PERIOD"}

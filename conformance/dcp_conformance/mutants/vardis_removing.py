@@ -79,7 +79,9 @@ class ScrubLeavesCounts(Vardis):
                 entry.count_create, entry.count_update = counts
 
 
-@mutant("signed", "VD-TYP-04 VD-SCR-03", "deletes variables with timeouts of 32,768 ms and more at once", since=V2)
+@mutant(
+    "signed-at-once", "VD-TYP-04 VD-SCR-03", "deletes variables with timeouts of 32,768 ms and more at once", since=V2
+)
 class SignedTimeouts(Vardis):
     def _scrub(self, now: int) -> None:
         super()._scrub(now)
@@ -131,7 +133,9 @@ class CheckingEnds(Vardis):
 # -- limits that are equal by default ----------------------------------------------------------------------------------
 
 
-@mutant("value-by-description", "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05", "measures values with the limit for descriptions")
+@mutant(
+    "value-by-description", "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05", "measures values with the limit for descriptions"
+)
 class ValueByDescription(VardisParameters):
     @property
     def max_value_length(self) -> int:

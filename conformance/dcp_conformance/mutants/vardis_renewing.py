@@ -71,7 +71,9 @@ class EqualCreateRenews(Renews):
     kinds = ("equal-create",)
 
 
-@mutant("earlier-create-renews", "VD-SCR-06 VD-PC-01 VD-DB-03", "renews tStamp when an earlier VarCreate comes", since=V2)
+@mutant(
+    "earlier-create-renews", "VD-SCR-06 VD-PC-01 VD-DB-03", "renews tStamp when an earlier VarCreate comes", since=V2
+)
 class EarlierCreateRenews(Renews):
     kinds = ("earlier-create",)
 
@@ -112,7 +114,9 @@ class RenewsOwn(Renews):
             super()._seen(kind, var_id)
 
 
-@mutant("own-echo-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when neighbours repeat it", since=V2)
+@mutant(
+    "own-echo-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when neighbours repeat it", since=V2
+)
 class OwnEchoRenews(RenewsOwn):
     kinds = ("equal-create", "equal-update", "summary")
 
@@ -182,7 +186,12 @@ class StaleAge(Database):
         return entry
 
 
-@mutant("own-age-kept", "VD-CRE-10 VD-SCR-03 VD-DB-03", "keeps tStamp when its application creates a variable again", since=V2)
+@mutant(
+    "own-age-kept",
+    "VD-CRE-10 VD-SCR-03 VD-DB-03",
+    "keeps tStamp when its application creates a variable again",
+    since=V2,
+)
 class OwnAgeKept(StaleAge):
     own = True
 

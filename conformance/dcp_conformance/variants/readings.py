@@ -20,6 +20,9 @@ _VERSIONS = {
     "X26": (_V.V2_0, _V.V2_0),
     "X27": (_V.V2_0, _V.V2_0),
     "X34": (_V.V1_2, _V.V2_0),  # 1.0 and 1.1 say what is to be done
+    "X36": (_V.V2_0, _V.V2_0),
+    "X37": (_V.V1_2, _V.V2_0),
+    "X38": (_V.V2_0, _V.V2_0),
 }
 #: Inconclusive verdicts that follow from the alternative.
 _EXPLAINS: dict[str, tuple[str, ...]] = {}

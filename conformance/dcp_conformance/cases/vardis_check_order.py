@@ -1,0 +1,180 @@
+"""dcp-vardis.md: VarDis Application Service Interface, the order of checks.
+
+Of two conditions that hold together, the one that is checked first decides. RTDB-Create has cases of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from dcp_spec.constants import SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.services import (
+    INACTIVE,
+    NOT_EXPRESSIBLE,
+    NOT_PRODUCER,
+    UNKNOWN,
+    create_request,
+    deleted_status,
+    longest_description,
+    produced,
+    settled,
+    taught,
+    untaught,
+)
+
+_MANAGE = ("VD-MGMT-Activate", "VD-MGMT-Deactivate")
+
+
+def _too_long(bench: Bench) -> str:
+    return (b"v" * (bench.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)).hex()
+
+
+def _own_deleted(bench: Bench) -> int:
+    var_id = produced(bench)
+    settled(bench, var_id)
+    bench.must("RTDB-Delete", varId=var_id)
+    return var_id
+
+
+def _foreign_deleted(bench: Bench) -> int:
+    peer = bench.peer()
+    var_id = taught(bench, peer)
+    untaught(bench, peer, var_id)
+    return var_id
+
+
+def _foreign(bench: Bench) -> int:
+    return taught(bench, bench.peer())
+
+
+def _asked(bench: Bench, status: str, method: str, *requirements: str, **params: Any) -> None:
+    """Check the status of a request with two mistakes, unless the profile cannot express it."""
+    answer = bench.call(method, **params)
+    if answer.code == NOT_EXPRESSIBLE:
+        bench.info("a request that the profile cannot express", str(answer))
+        return
+    bench.check_status(answer, (status,), method, *requirements)
+
+
+_Two = tuple[str, Callable[[Bench], int], Callable[[Bench], str] | str]
+_V2 = SpecVersion.V2_0
+
+
+@case(
+    "TC_VD_UPD_BI_04",
+    "Of two mistakes in RTDB-Update the one that is checked first decides the status ({variant})",
+    requirements="VD-UPD-11",
+    stimulus="RTDB-Update with two mistakes: {variant}",
+    expect="the status of the first",
+    needs=Needs(ut=("RTDB-Update",)),
+    variants={
+        "unknown+long": (UNKNOWN, Bench.unknown_id, _too_long),
+        "unknown+empty": (UNKNOWN, Bench.unknown_id, ""),
+        "foreign+long": (NOT_PRODUCER, _foreign, _too_long),
+        "foreign+empty": (NOT_PRODUCER, _foreign, ""),
+        "foreign+deleted": Variant((NOT_PRODUCER, _foreign_deleted, "00"), needs=Needs(since=_V2, ut=("RTDB-Update",))),
+        "deleted+long": Variant(
+            ("", _own_deleted, _too_long), needs=Needs(since=_V2, ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
+        ),
+        "deleted+empty": Variant(
+            ("", _own_deleted, ""), needs=Needs(since=_V2, ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
+        ),
+    },
+)
+def update(bench: Bench, mistakes: _Two) -> None:
+    status, variable, value = mistakes
+    octets = value if isinstance(value, str) else value(bench)
+    # Whatever the maximum is, the first mistake is not about lengths.
+    bench.assumptions.clear()
+    _asked(bench, status or deleted_status(bench), "RTDB-Update", varId=variable(bench), value=octets)
+
+
+@case(
+    "TC_VD_DEL_BI_02",
+    "RTDB-Delete looks for another producer before it looks for a deletion",
+    requirements="VD-DEL-07",
+    stimulus="RTDB-Delete of a deleted variable of a peer",
+    expect="VARDIS-STATUS-NOT-PRODUCER",
+    needs=Needs(since=_V2, ut=("RTDB-Delete",)),
+)
+def delete(bench: Bench) -> None:
+    bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=_foreign_deleted(bench))
+
+
+def _create_mistakes(bench: Bench) -> list[dict[str, Any]]:
+    taken, free = _foreign(bench), bench.unknown_id()
+    longest = longest_description(bench)
+    return [
+        create_request(bench, taken),
+        create_request(bench, free, descr="d" * (longest + 1)),
+        create_request(bench, free, value=bytes.fromhex(_too_long(bench))),
+        create_request(bench, free, value=b""),
+        create_request(bench, free, rep_cnt=0),
+    ]
+
+
+def _mistaken(bench: Bench) -> list[int]:
+    """Variables that are unknown, another node's, and deleted ones, as far as the upper tester makes them."""
+    found = [bench.unknown_id(), _foreign(bench)]
+    if not bench.features.removed_after_deletion:
+        found.append(_foreign_deleted(bench))
+        if bench.session.upper is not None and {"RTDB-Create", "RTDB-Delete"} <= bench.session.upper.methods:
+            found.append(_own_deleted(bench))
+    return found
+
+
+def _update_mistakes(bench: Bench) -> list[dict[str, Any]]:
+    variables = _mistaken(bench)
+    alive = [{"varId": _foreign(bench), "value": each} for each in (_too_long(bench), "")]
+    if bench.session.upper is not None and "RTDB-Create" in bench.session.upper.methods:
+        own = produced(bench)
+        alive += [{"varId": own, "value": each} for each in (_too_long(bench), "")]
+    return [*({"varId": each, "value": "00"} for each in variables), *alive]
+
+
+def _by_variable(bench: Bench) -> list[dict[str, Any]]:
+    return [{"varId": each} for each in _mistaken(bench)]
+
+
+def _needs(method: str) -> Needs:
+    return Needs(since=SpecVersion.V1_2, ut=(method, *_MANAGE))
+
+
+@case(
+    "TC_VD_MGT_BO_09",
+    "An inactive VarDis refuses a request as inactive, whatever else is wrong with it ({variant})",
+    requirements="VD-MGT-04",
+    stimulus="VD-MGMT-Deactivate; {variant} with one mistake of each kind that it checks for",
+    expect="VARDIS-STATUS-INACTIVE each time",
+    needs=Needs(since=SpecVersion.V1_2, ut=_MANAGE),
+    variants={
+        "RTDB-Create": Variant(
+            ("RTDB-Create", _create_mistakes), requirements="VD-CRE-13 VD-CRE-01 VD-MGT-04", needs=_needs("RTDB-Create")
+        ),
+        "RTDB-Update": Variant(
+            ("RTDB-Update", _update_mistakes), requirements="VD-UPD-11 VD-UPD-01 VD-MGT-04", needs=_needs("RTDB-Update")
+        ),
+        "RTDB-Delete": Variant(
+            ("RTDB-Delete", _by_variable), requirements="VD-DEL-07 VD-DEL-01 VD-MGT-04", needs=_needs("RTDB-Delete")
+        ),
+        "RTDB-Read": Variant(
+            ("RTDB-Read", _by_variable), requirements="VD-REA-05 VD-REA-01 VD-MGT-04", needs=_needs("RTDB-Read")
+        ),
+        "RTDB-DescribeVariable": Variant(
+            ("RTDB-DescribeVariable", _by_variable),
+            requirements="VD-DVA-01 VD-MGT-04",
+            needs=_needs("RTDB-DescribeVariable"),
+        ),
+    },
+)
+def inactive_first(bench: Bench, variant: tuple[str, Callable[[Bench], list[dict[str, Any]]]]) -> None:
+    method, mistakes = variant
+    requests = mistakes(bench)
+    bench.assumptions.clear()
+    with bench.deactivated("VD"):
+        for request in requests:
+            _asked(bench, INACTIVE, method, **request)

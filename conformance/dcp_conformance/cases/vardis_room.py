@@ -1,0 +1,228 @@
+"""dcp-vardis.md: Construction of Payloads, records for which there is no room.
+
+VarCreates come first in every payload. As many as fill one to the last octet keep everything else out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.filling import PAYLOAD_SIZE, filling, settable
+from dcp_conformance.heard import Heard
+from dcp_conformance.peers import Peer
+from dcp_conformance.scrubbing import hurry, lasting, latest, learn
+from dcp_conformance.variables import taught_all
+
+from .vardis_exact_sizes import largest_create
+from .vardis_summaries import SUMMARIES, summarises
+
+_CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
+_SUMMARY, _ASK, _ASK_UPDATE = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
+_COUNTED = (_CREATE, _UPDATE, _DELETE)
+
+
+def _fillable(bench: Bench) -> str | None:
+    """For ``Needs.when``: why VarCreates cannot fill a payload to the last octet."""
+    if bench.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
+        return None
+    return f"{PAYLOAD_SIZE} is too small for two VarCreates of the longest value and description"
+
+
+def _fillable_without_summaries(bench: Bench) -> str | None:
+    """For kinds that come after the summaries, which would take what room is left."""
+    if not settable(bench):
+        return f"{SUMMARIES} cannot be set (VD-SetParameter, UT-Reset)"
+    return _fillable(bench)
+
+
+def _fillers(bench: Bench, peer: Peer, left: int) -> list[VarCreate]:
+    """Variables that are learnt, whose VarCreates leave so many octets of a payload."""
+    octets = bench.bound(PAYLOAD_SIZE) - bench.forge.container_header_size - left
+    creates = filling(bench, peer, _CREATE, octets)
+    if creates is None:
+        bench.inconclusive("VarCreates that fill a payload", f"none have {octets} octets together")
+    for first in range(0, len(creates), 6):
+        taught_all(bench, peer, creates[first : first + 6])
+    return creates
+
+
+@dataclass
+class _Pending:
+    """Records that the implementation has to send, and what makes it."""
+
+    kind: ICType
+    names: list[int]
+    stimuli: list[VardisRecord]
+    count: int
+    """Payloads that each of the records is due in."""
+
+
+def _pending(bench: Bench, peer: Peer, kind: ICType, number: int) -> _Pending:
+    """So many variables of which a record of this kind is about to be due."""
+    if kind is _ASK:
+        names = bench.unknown_ids(number)
+        return _Pending(kind, names, [peer.summary(each, 1) for each in names], 1)
+    count = bench.rep_cnt(3)
+    creates = [peer.create(each, seqno=5, rep_cnt=count) for each in bench.var_ids(number)]
+    bench.learn(peer, *creates)
+    names = [each.spec.var_id for each in creates]
+    made: dict[ICType, Sequence[VardisRecord]] = {
+        _CREATE: [peer.request_create(each) for each in names],
+        _UPDATE: [peer.update(each, 6) for each in names],
+        _DELETE: [peer.delete(each) for each in names],
+        _ASK_UPDATE: [peer.summary(each, 6) for each in names],
+        _SUMMARY: [],
+    }
+    return _Pending(kind, names, list(made[kind]), count if kind in _COUNTED else 1)
+
+
+def _full(bench: Bench, fillers: Sequence[VarCreate]) -> Heard:
+    """The beacon that all of them fill. Stops as inconclusive if there is none."""
+    wanted = {each.spec.var_id for each in fillers}
+
+    def has_all(heard: Heard) -> Heard | None:
+        return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
+
+    found = bench.until(has_all)
+    if found is None:
+        bench.inconclusive("a payload that is full of VarCreates, which this case needs", "there is none")
+    return found
+
+
+@case(
+    "TC_VD_ROOM_BV_01",
+    "What a payload has no room for stays queued ({variant})",
+    requirements="VD-CMP-13",
+    stimulus="in one beacon: requests for VarCreates that fill a payload to the last octet, and what makes {variant} "
+    "due",
+    expect="a payload of VarCreates alone; after it the records as often as if there had been room",
+    window=20,
+    needs=Needs(when=_fillable),
+    variants={
+        "a-VarUpdate": Variant(_UPDATE, requirements="VD-CMP-13 VD-CMP-09"),
+        "a-VarDelete": Variant(_DELETE, requirements="VD-CMP-13 VD-CMP-10"),
+        "a-VarReqCreate": Variant(_ASK, requirements="VD-CMP-13 VD-CMP-12"),
+        "a-VarReqUpdate": Variant(_ASK_UPDATE, requirements="VD-CMP-13 VD-CMP-11"),
+        "a-VarCreate": Variant(_CREATE, requirements="VD-CMP-13 VD-CMP-06"),
+    },
+)
+def stays_queued(bench: Bench, kind: ICType) -> None:
+    peer = bench.peer()
+    fillers = _fillers(bench, peer, 0)
+    pending = _pending(bench, peer, kind, 1)
+    since = bench.mark()
+    requests = [peer.request_create(each.spec.var_id) for each in fillers]
+    peer.send(*requests, *pending.stimuli)
+    if kind is not _CREATE:
+        _full(bench, fillers)
+    for name in pending.names:
+        bench.check_repeated(kind, name, pending.count, since)
+
+
+@case(
+    "TC_VD_ROOM_BV_02",
+    "Of two records one of which has room the other one stays queued ({variant})",
+    requirements="VD-CMP-13",
+    stimulus="in one beacon: requests for VarCreates that leave room for one record, and what makes two {variant} due",
+    expect="each of them as often as if there had been room for both",
+    window=20,
+    needs=Needs(when=_fillable),
+    variants={
+        "VarUpdates": Variant(
+            _UPDATE, requirements="VD-CMP-13 VD-CMP-09", needs=Needs(when=_fillable_without_summaries)
+        ),
+        "VarDeletes": Variant(_DELETE, requirements="VD-CMP-13 VD-CMP-10"),
+        "VarReqCreates": Variant(_ASK, requirements="VD-CMP-13 VD-CMP-12"),
+        "VarReqUpdates": Variant(
+            _ASK_UPDATE, requirements="VD-CMP-13 VD-CMP-11", needs=Needs(when=_fillable_without_summaries)
+        ),
+    },
+)
+def rest_stays_queued(bench: Bench, kind: ICType) -> None:
+    peer, size = bench.peer(), bench.forge.record_size
+    samples: dict[ICType, VardisRecord] = {
+        _UPDATE: peer.update(0, 6),
+        _DELETE: peer.delete(0),
+        _ASK: peer.request_create(0),
+        _ASK_UPDATE: peer.request_update(0, 5),
+    }
+    if settable(bench):
+        bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    fillers = _fillers(bench, peer, bench.forge.container_header_size + size(samples[kind]))
+    pending = _pending(bench, peer, kind, 2)
+    since = bench.mark()
+    peer.send(*(peer.request_create(each.spec.var_id) for each in fillers), *pending.stimuli)
+    _full(bench, fillers)
+    for name in pending.names:
+        bench.check_repeated(kind, name, pending.count, since)
+
+
+@case(
+    "TC_VD_ROOM_BV_03",
+    "A payload without room for summaries takes no variable out of the turn",
+    requirements="VD-CMP-13 VD-CMP-03",
+    stimulus="VarCreates are requested that fill a payload to the last octet",
+    expect="a payload of VarCreates alone; after it summaries of all variables, as before",
+    window=20,
+    needs=Needs(when=lambda bench: summarises(bench) or _fillable(bench)),
+)
+def summaries_stay_queued(bench: Bench) -> None:
+    peer = bench.peer()
+    fillers = _fillers(bench, peer, 0)
+    peer.send(*(peer.request_create(each.spec.var_id) for each in fillers))
+    _full(bench, fillers)
+    bench.mark()
+    since, wanted = len(bench.heard), {each.spec.var_id for each in fillers}
+    turn = 3 + 2 * len(wanted) / bench.parameter(SUMMARIES)
+
+    def missing() -> set[int]:
+        return wanted - {each.var_id for each in bench.instructions(_SUMMARY, since=since)}
+
+    bench.until(lambda _: not missing(), bench.reaction + turn)
+    left = sorted(missing())
+    bench.check(not left, f"summaries of all {len(wanted)} variables", f"none of {left}")
+
+
+@case(
+    "TC_VD_SCR_TI_15",
+    "A timeout takes back a request for an update that had no room",
+    requirements="VD-SCR-04",
+    stimulus="a variable with a timeout is created, and a newer summary of it comes; until the variable has timed out "
+    "VarCreates are requested that fill all payloads",
+    expect="when there is room again, no VarReqUpdate of it",
+    window=60,
+    needs=Needs(since=SpecVersion.V2_0, when=_fillable),
+)
+def request_taken_back(bench: Bench) -> None:
+    hurry(bench)
+    peer = bench.peer()
+    fillers = _fillers(bench, peer, 0)
+    requests = [peer.request_create(each.spec.var_id) for each in fillers]
+    name, timeout_ms = bench.var_id(), lasting(bench, 800, 5)
+    begun = learn(bench, peer, name, timeout_ms).after
+    since = bench.mark()
+    peer.send(*requests, peer.summary(name, 1))
+    until = begun + latest(bench, timeout_ms)
+    while bench.now() < until:
+        bench.wait(0.4)
+        peer.send(*requests)
+    early = bench.instructions(_ASK_UPDATE, name, since)
+    if early:
+        bench.inconclusive("payloads that are full of VarCreates, which this case needs", "there was room")
+    bench.until_instruction(_DELETE, name)
+    bench.beacons(2)
+    late = bench.instructions(_ASK_UPDATE, name, since)
+    deleted = bench.instructions(_DELETE, name, since)
+    if not deleted:
+        # Only producers scrub (X26): nothing has taken the request back.
+        bench.info("whether a consumer deletes a variable whose time has run out", "no VarDelete came")
+        return
+    bench.check(
+        not late, "no VarReqUpdate of a variable that has timed out", f"{len(late)} came", frames=late, shown=True
+    )
