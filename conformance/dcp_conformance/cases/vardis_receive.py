@@ -276,6 +276,28 @@ def summary_of_update(bench: Bench, reverse: bool) -> None:
     _not_requested(bench, var_id, since, (_RU,))
 
 
+def _require_both(bench: Bench, peer: Peer, reverse: bool) -> None:
+    """Stop as inconclusive unless both containers of a payload with a VarUpdate and a summary are processed.
+
+    An implementation that loses one of them (VD-RX-04) shows nothing about their order.
+    """
+    updated, unknown = taught(bench, peer), bench.unknown_id()
+    since = _send(bench, peer, (peer.update(updated, 1, b"newer"), peer.summary(unknown, 2)), reverse)
+    bench.until(
+        lambda _: bench.instructions(_RC, unknown, since) and bench.instructions(ICType.UPDATES, updated, since)
+    )
+    lost = [
+        name
+        for name, found in (
+            ("the VarUpdate", bench.instructions(ICType.UPDATES, updated, since)),
+            ("the summary", bench.instructions(_RC, unknown, since)),
+        )
+        if not found
+    ]
+    if lost:
+        bench.inconclusive("both containers of such a payload are processed, which this case needs", f"not {lost[0]}")
+
+
 @case(
     "TC_VD_RX_BV_11",
     "Updates are processed before summaries (containers {variant})",
@@ -286,6 +308,7 @@ def summary_of_update(bench: Bench, reverse: bool) -> None:
 )
 def update_before_summary(bench: Bench, reverse: bool) -> None:
     peer = bench.peer()
+    _require_both(bench, peer, reverse)
     var_id = taught(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 2)), reverse)
     came = bench.until_instruction(_RU, var_id)
