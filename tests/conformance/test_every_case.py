@@ -28,6 +28,7 @@ OPEN = frozenset(
             "TC_BP_REC_BV_01",
             "TC_BP_TX_TI_03",
             "TC_BP_TX_TI_04",
+            "TC_DCP_UWB_BV_02",
             "TC_SRP_NT_BV_03",
             "TC_SRP_REC_BV_01",
         ),

