@@ -162,6 +162,18 @@ def produced(bench: Bench, **request: Any) -> int:
     return var_id
 
 
+def created_again(bench: Bench, var_id: int, **request: Any) -> None:
+    """Create a living variable of the implementation's own again; not applicable to one that refuses it (X20)."""
+    params = create_request(bench, var_id, **request)
+    answer = bench.call("RTDB-Create", **params)
+    if answer.is_status(EXISTS):
+        bench.reading("X20", "by-description")
+        bench.not_applicable("RTDB-Create refuses the identifier of a living variable (X20)")
+    bench.require_asked(answer, "RTDB-Create succeeds, which this case needs")
+    if not answer.ok:
+        bench.inconclusive("RTDB-Create succeeds, which this case needs", str(answer))
+
+
 def settled(bench: Bench, var_id: int) -> None:
     """Wait until the repetitions of the variable's VarCreate are over."""
     bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id))

@@ -38,7 +38,7 @@ _PARAMETERS = Needs(ut=(_GET, _SET))
 
 
 #: How far beyond a bound the values are that must not be taken.
-_BEYOND = 2
+_BEYOND = 3
 
 
 def _in_force(bench: Bench, name: str) -> Any:
@@ -67,7 +67,7 @@ def _check_refused(bench: Bench, name: str, *values: float) -> None:
         before = _in_force(bench, name)
         answer = bench.call(_SET, name=name, value=value)
         shown = _in_force(bench, name)
-        # What is refused here lies just beyond a bound; two, where it is open whether a NUL counts.
+        # What is refused here lies just beyond a bound; further, where it is open whether a NUL counts.
         nearest = shown != before and shown != value and abs(shown - value) <= _BEYOND
         if nearest and name.startswith("VARDISPAR_"):
             bench.reading("X39", "nearest-value")
