@@ -11,6 +11,7 @@ hearing), and here what is done to the implementation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -96,6 +97,16 @@ class Bench(Listening):
         self.until_quiet(present, since=start)
         if missing := wanted - {each.var_id for each in self.instructions(ICType.CREATE_VARIABLES, since=start)}:
             self.not_learnt(missing)
+
+    def sending(self, count: int) -> float:
+        """Beacon periods in which the implementation sends so many VarCreates of usual length at the latest.
+
+        As :attr:`reaction`, and longer where one payload has no room for all of them.
+        """
+        header = self.forge.container_header_size
+        room = self.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") - header
+        each = max(1, room // self.forge.record_size(self.sample()))
+        return self.reaction + math.ceil(count / each) - 1
 
     def probe(self, periods: float | None = None) -> bool:
         """Ask VarDis something that it must answer; whether it does.

@@ -40,6 +40,7 @@ class Naming(Findings):
         super().__init__(session, case)
         self.created: set[int] = set()
         """Identifiers that this case has chosen for variables, or has made a VarCreate for."""
+        self._short: dict[int, dict[bytes, bytes]] = {}
         self.called_unknown: set[int] = set()
         """Identifiers that this case was given for variables that stay unknown."""
         self.produced: set[int] = set()
@@ -271,6 +272,33 @@ class Naming(Findings):
         self.session.creation_time = max(self.session.creation_time + 1, ticks)
         return self.session.creation_time
 
+    def value(self, wanted: bytes) -> bytes:
+        """``wanted``, or shorter octets in its place if values are limited to less; two that are cut stay different."""
+        return self._shortened(wanted, self.parameter("VARDISPAR_MAX_VALUE_LENGTH"))
+
+    def descr(self, wanted: bytes) -> bytes:
+        """As :meth:`value`, for a description in UTF-8."""
+        return self._shortened(wanted, self.longest_description)
+
+    @property
+    def longest_description(self) -> int:
+        """The octets that a description may have; in 1.0 the parameter counts the NUL at its end (VD-CRE-04)."""
+        name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
+        told = name in self.session.parameters and self.features.string_format == "nul-terminated"
+        return self.parameter(name) - (1 if told else 0)
+
+    def _shortened(self, wanted: bytes, most: int) -> bytes:
+        """Octets of at most this length, at least one, that no other ``wanted`` of this case has."""
+        if len(wanted) <= most or most < 1:
+            return wanted
+        taken = self._short.setdefault(most, {})
+        if wanted not in taken:
+            # Printable, so that it may be a description, too.
+            others = (wanted[: most - 1] + bytes((each,)) for each in (wanted[most - 1] & 0x7F, *range(0x21, 0x7F)))
+            free = (each for each in others if each not in taken.values())
+            taken[wanted] = next(free, wanted[:most])
+        return taken[wanted]
+
     @property
     def longest_timeout(self) -> int:
         """The longest timeout in ms that the profile's VarTimeoutT expresses."""
@@ -290,8 +318,11 @@ class Naming(Findings):
         descr: bytes = b"tester",
         creation_time: int | None = None,
         timeout: int = 0,
+        exact: bool = False,
     ) -> VarSpec:
         """A VarSpec with what the profile's layout has; ``creation_time`` is a fresh one unless given.
+
+        ``exact``: the description is as given, otherwise as :meth:`descr` makes it.
 
         Stops the case as not applicable if the profile cannot express ``timeout`` (in ms).
         """
@@ -301,7 +332,7 @@ class Naming(Findings):
             var_id,
             producer,
             rep_cnt,
-            descr,
+            descr if exact else self.descr(descr),
             (self.creation_time() if creation_time is None else creation_time) if "creationTime" in names else None,
             timeout if "timeout" in names else None,
         )
@@ -317,8 +348,9 @@ class Naming(Findings):
         descr: bytes = b"tester",
         creation_time: int | None = None,
         timeout: int = 0,
+        exact: bool = False,
     ) -> VarCreate:
-        """A VarCreate record. From now on the implementation may know the variable."""
+        """A VarCreate record, as :meth:`sample` makes it. From now on the implementation may know the variable."""
         made = self.sample(
             var_id,
             producer,
@@ -328,6 +360,7 @@ class Naming(Findings):
             descr=descr,
             creation_time=creation_time,
             timeout=timeout,
+            exact=exact,
         )
         self.created.add(var_id)
         self.session.identifiers.offered(var_id, made.spec.creation_time)
@@ -344,11 +377,23 @@ class Naming(Findings):
         descr: bytes = b"tester",
         creation_time: int | None = None,
         timeout: int = 0,
+        exact: bool = False,
     ) -> VarCreate:
-        """A VarCreate record that is measured and not sent."""
+        """A VarCreate record that is measured and not sent.
+
+        Value and description are cut to what the implementation takes (:meth:`value`, :meth:`descr`), unless ``exact``.
+        """
         producer = self.node_id() if producer is None else producer
-        spec = self.spec(var_id, producer, rep_cnt=rep_cnt, descr=descr, creation_time=creation_time, timeout=timeout)
-        return VarCreate(spec, VarUpdate(var_id, seqno, value))
+        spec = self.spec(
+            var_id,
+            producer,
+            rep_cnt=rep_cnt,
+            descr=descr,
+            creation_time=creation_time,
+            timeout=timeout,
+            exact=exact,
+        )
+        return VarCreate(spec, VarUpdate(var_id, seqno, value if exact else self.value(value)))
 
     def report(self, node_id: bytes, seqno: int, *, t_stamp: int | None = None, **fields: float) -> ExtendedSafetyData:
         """A state report; the fields of the safety data that are not given are zero."""

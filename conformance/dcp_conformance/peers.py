@@ -123,8 +123,12 @@ class Peer:
         creation_time: int | None = None,
         timeout: int = 0,
         producer: bytes | None = None,
+        exact: bool = False,
     ) -> VarCreate:
-        """A VarCreate of which this peer is the producer, unless another is named."""
+        """A VarCreate of which this peer is the producer, unless another is named.
+
+        Value and description are cut to what the implementation takes, unless ``exact``.
+        """
         return self._bench.create(
             var_id,
             self.node_id if producer is None else producer,
@@ -134,11 +138,12 @@ class Peer:
             descr=descr,
             creation_time=creation_time,
             timeout=timeout,
+            exact=exact,
         )
 
-    def update(self, var_id: int, seqno: int, value: bytes = b"newer") -> VarUpdate:
-        """A VarUpdate."""
-        return VarUpdate(var_id, seqno, value)
+    def update(self, var_id: int, seqno: int, value: bytes = b"newer", *, exact: bool = False) -> VarUpdate:
+        """A VarUpdate; the value is cut to what the implementation takes, unless ``exact``."""
+        return VarUpdate(var_id, seqno, value if exact else self._bench.value(value))
 
     def delete(self, var_id: int) -> VarDelete:
         """A VarDelete."""

@@ -134,12 +134,17 @@ def create_request(
     descr: str = "tester",
     value: bytes = b"value",
     timeout: int = 0,
+    exact: bool = False,
 ) -> dict[str, Any]:
     """Parameters of RTDB-Create. Up to 1.1 the application says who the producer is (VD-CRE-08).
+
+    Value and description are cut to what the implementation takes, unless ``exact``.
 
     Stops the case as not applicable if the profile cannot express ``timeout`` (in ms).
     """
     bench.require_timeout(timeout)
+    if not exact:
+        value, descr = bench.value(value), bench.descr(descr.encode()).decode(errors="ignore")
     request: dict[str, Any] = {"varId": var_id, "repCnt": rep_cnt, "descr": descr, "value": value.hex()}
     if timeout:
         request["timeout"] = timeout
@@ -160,6 +165,18 @@ def produced(bench: Bench, **request: Any) -> int:
     var_id = bench.own_var_id()
     bench.must("RTDB-Create", **create_request(bench, var_id, **request))
     return var_id
+
+
+def created_again(bench: Bench, var_id: int, **request: Any) -> None:
+    """Create a living variable of the implementation's own again; not applicable to one that refuses it (X20)."""
+    params = create_request(bench, var_id, **request)
+    answer = bench.call("RTDB-Create", **params)
+    if answer.is_status(EXISTS):
+        bench.reading("X20", "by-description")
+        bench.not_applicable("RTDB-Create refuses the identifier of a living variable (X20)")
+    bench.require_asked(answer, "RTDB-Create succeeds, which this case needs")
+    if not answer.ok:
+        bench.inconclusive("RTDB-Create succeeds, which this case needs", str(answer))
 
 
 def settled(bench: Bench, var_id: int) -> None:
@@ -247,6 +264,12 @@ def several_repetitions(bench: Bench) -> str | None:
     """Why a case that needs three repetitions does not apply; None if it does."""
     most = bench.parameter("VARDISPAR_MAX_REPETITIONS")
     return None if most >= 3 else f"VARDISPAR_MAX_REPETITIONS is {most}, this takes 3"
+
+
+def holds_two_octets(bench: Bench) -> str | None:
+    """Why a case that counts with values of two octets does not apply; None if it does."""
+    most = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")
+    return None if most >= 2 else f"VARDISPAR_MAX_VALUE_LENGTH is {most}, this takes 2"
 
 
 def count_of(bench: Bench, name: str) -> int:

@@ -123,7 +123,7 @@ def own(bench: Bench, state: str) -> Situation:
     """A variable of the implementation's application, with sequence number 2."""
     var_id, rep_cnt, since = bench.own_var_id(), _repetitions(bench, state), bench.mark()
     bench.must("RTDB-Create", **create_request(bench, var_id, rep_cnt=rep_cnt))
-    for value in (b"first", b"next"):
+    for value in (bench.value(b"first"), bench.value(b"next")):
         bench.must("RTDB-Update", varId=var_id, value=value.hex())
 
     def newest(heard: Heard) -> VarUpdate | None:

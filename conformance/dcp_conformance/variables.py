@@ -89,7 +89,7 @@ def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[V
         missing.difference_update(each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start))
         return not missing
 
-    bench.until(lambda _: heard_all(), bench.reaction + len(creates) / 2)
+    bench.until(lambda _: heard_all(), max(bench.reaction + len(creates) / 2, bench.sending(2 * len(creates))))
     if not heard_all():
         bench.not_learnt(missing)
     return creates

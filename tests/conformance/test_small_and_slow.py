@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.bench import Session
+from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import SANITY
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
@@ -110,3 +110,38 @@ def test_rows_of_the_database_need_no_more_than_a_specification():
     assert found["TC_VD_DB_BV_03-own"].verdict is Verdict.PASS
     reported = [each for each in found["TC_VD_DDB_BV_02"].checks if each.verdict is Verdict.INFO]
     assert [each.observed for each in reported] == ["none"]
+
+
+@pytest.mark.parametrize(
+    "vardis",
+    [
+        {"max_value_length": 1, "max_description_length": 1},
+        {"max_value_length": 4},
+        {"max_description_length": 5},
+        {"max_payload_size": 60, "max_value_length": 10, "max_description_length": 10, "max_summaries": 5},
+    ],
+    ids=str,
+)
+def test_small_limits_fail_nobody(vardis: dict[str, int]):
+    ids = [each for each in known_cases() if each.startswith(("TC_VD", "TC_NET", "TC_DCP_DATA"))]
+    assert not not_fine(results(ids, vardis=vardis))
+
+
+def test_values_that_are_cut_stay_different():
+    codec = codec_of("dcp-2.0")
+    config = reference_config(codec)
+    config = msgspec.structs.replace(config, vardis=msgspec.structs.replace(config.vardis, max_value_length=3))
+    sut = InProcess(config)
+    session = Session(codec, sut.lower_tester(), sut.upper_tester(), Pics())
+    Runner(session, sut).prepare()
+    bench = Bench(session, known_cases()[SANITY])
+    words = [b"value", b"valley", b"val", b"v", b"valid", b"volume", bytes(range(200))]
+    cut = [bench.value(each) for each in words]
+    assert all(1 <= len(each) <= 3 for each in cut)
+    assert cut[3] == b"v"
+    assert [bench.value(each) for each in words] == cut == [bench.value(each) for each in cut]
+    longer = [each for word, each in zip(words, cut, strict=True) if len(word) > 3]
+    assert len(set(longer)) == len(longer)
+    # A case about lengths says what it sends.
+    assert bench.peer().create(1, value=b"value", exact=True).upd.value == b"value"
+    assert bench.peer().update(1, 1, b"value").value == cut[0]

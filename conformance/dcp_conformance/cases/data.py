@@ -131,7 +131,7 @@ def order_of_creation_times(bench: Bench) -> None:
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
     expected = f"the variable created at {first + 1:#x} replaces that of {first:#x}"
     bench.check(
-        passed is not None and passed.upd.value == b"second",
+        passed is not None and passed.upd.value == bench.value(b"second"),
         expected,
         "it does not",
         frames=found,
@@ -279,7 +279,7 @@ def any_identifier(bench: Bench, made: Callable[[bytes], bytes]) -> None:
 def check_passed_on(bench: Bench, value: bytes, descr: bytes, *requirements: str) -> None:
     """Check that a variable with this value and description is taken and passed on as it is."""
     peer, var_id = bench.peer(), bench.var_id()
-    peer.send(peer.create(var_id, value=value, descr=descr))
+    peer.send(peer.create(var_id, value=value, descr=descr, exact=True))
     record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.require(record is not None, "the variable is taken and passed on", "it is not", *requirements)
     assert record is not None
@@ -302,7 +302,7 @@ def memory_blocks(bench: Bench, length: int | None) -> None:
     if length != 1:
         length = max(1, min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), length or 255))
     octets = bytes([0, 0xFF, 0x0A, 0x05, 0x49, 0x7E, 0x0D]) * 40
-    check_passed_on(bench, octets[:length], b"octets")
+    check_passed_on(bench, octets[:length], bench.descr(b"octets"))
 
 
 @case(
@@ -324,7 +324,9 @@ def memory_blocks(bench: Bench, length: int | None) -> None:
     },
 )
 def descriptions(bench: Bench, descr: bytes) -> None:
-    check_passed_on(bench, b"value", descr)
+    if len(descr) > bench.longest_description:
+        bench.not_applicable(f"descriptions have at most {bench.longest_description} octets, this takes {len(descr)}")
+    check_passed_on(bench, bench.value(b"value"), descr)
 
 
 @case(
@@ -353,7 +355,9 @@ def length_of_text(bench: Bench) -> None:
     )
     # Fewer characters than the limit, but more octets.
     longer = "\u00e9" * (longest // 2 + 1)
-    bench.expect_status(DESCRIPTION_TOO_LONG, CREATE, "DATA-08", **create_request(bench, other, descr=longer))
+    bench.expect_status(
+        DESCRIPTION_TOO_LONG, CREATE, "DATA-08", **create_request(bench, other, descr=longer, value=b"v", exact=True)
+    )
 
 
 # -- the bearer --------------------------------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def many_variables(bench: Bench) -> None:
     bench.check(not missing, f"all {len(everything)} variables are passed on", f"not {missing[:8]}", "VD-PC-09")
     twice = sorted({each for each in passed if passed.count(each) > 1})
     bench.check(not twice, "each in exactly one beacon", f"more of {twice[:8]}", "VD-SCP-02", shown=True)
-    wrong = [each for each in found if each.record.upd.value != b"%d" % each.var_id]
+    wrong = [each for each in found if each.record.upd.value != bench.value(b"%d" % each.var_id)]
     bench.check(
         not wrong, "each with its own value", f"{len(wrong)} with another", "VD-PC-09", frames=wrong[:4], shown=True
     )

@@ -38,7 +38,7 @@ def passes_through(bench: Bench, wanted: int) -> None:
     create = peer.create(name, rep_cnt=count, producer=producer, descr=b"a far one", value=b"\x00\xff\x80", seqno=200)
     steps = (
         (_CREATE, create, ("VD-TYP-06", "VD-PC-10")),
-        (_UPDATE, VarUpdate(name, 201, b"another length"), ("VD-PU-07",)),
+        (_UPDATE, VarUpdate(name, 201, bench.value(b"another length")), ("VD-PU-07",)),
         (_DELETE, VarDelete(name), ("VD-PD-04",)),
     )
     for kind, record, requirements in steps:

@@ -79,7 +79,7 @@ def catches_up(bench: Bench) -> None:
     bench.check(asked.seqno == 2, "the number that it has, 2", f"{asked.seqno}", "VD-CMP-11", shown=True)
     peer.send(peer.update(name, 7, b"seven"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
-    wrong = [each for each in found if each.record != VarUpdate(name, 7, b"seven")]
+    wrong = [each for each in found if each.record != VarUpdate(name, 7, bench.value(b"seven"))]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the VarUpdate as it was sent", text, "VD-PU-07", frames=wrong, shown=True)
     bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
@@ -105,7 +105,7 @@ def teaches_create(bench: Bench) -> None:
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
-    wanted = VarCreate(create.spec, VarUpdate(name, 2, b"new"))
+    wanted = VarCreate(create.spec, VarUpdate(name, 2, bench.value(b"new")))
     wrong = [each for each in found if each.record != wanted]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, f"{wanted}", text, "VD-CMP-07", frames=wrong, shown=updated)
@@ -126,7 +126,7 @@ def teaches_update(bench: Bench) -> None:
     mark = bench.mark()
     stale.send(stale.request_update(name, 4))
     found = bench.check_repeated(_UPDATE, name, count, mark)
-    wrong = [each for each in found if each.record != VarUpdate(name, 5, b"five")]
+    wrong = [each for each in found if each.record != VarUpdate(name, 5, bench.value(b"five"))]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the value that it has, with number 5", text, frames=wrong, shown=True)
 
@@ -148,7 +148,7 @@ def teaches_stale(bench: Bench, by: ICType) -> None:
     mark = bench.mark()
     stale.send(stale.summary(name, 8) if by is _SUMMARY else stale.update(name, 8, b"eight"))
     found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
-    wrong = [each for each in found if each.record != VarUpdate(name, 9, b"nine")]
+    wrong = [each for each in found if each.record != VarUpdate(name, 9, bench.value(b"nine"))]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the newer value with number 9", text, requirement, frames=wrong, shown=True)
     mark = bench.mark()
@@ -208,7 +208,7 @@ def converges(bench: Bench) -> None:
     for turn in (1, 2):
         mark = bench.mark()
         for name in names[turn::2]:
-            truth[name] = (turn, b"turn %d" % turn)
+            truth[name] = (turn, bench.value(b"turn %d" % turn))
             producer.send(producer.update(name, *truth[name]))
         bench.repeated(_UPDATE, names[turn], mark)
         converged = bench.until(caught_up, 60)
@@ -253,13 +253,13 @@ def taught_by_producer(bench: Bench) -> None:
     bench.until_instruction(_CREATE, name)
     settled(bench, name)
     mark = bench.mark()
-    bench.must("RTDB-Update", varId=name, value="0102")
+    bench.must("RTDB-Update", varId=name, value=bench.value(b"\x01\x02").hex())
     bench.repeated(_UPDATE, name, mark)
     joiner, stale = bench.peer(), bench.peer()
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
-    wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, b"\x01\x02")]
+    wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, bench.value(b"\x01\x02"))]
     text = f"{wrong[0].record.upd}" if wrong else ""
     bench.check(not wrong, "the current value with number 1", text, "VD-CMP-07", frames=wrong, shown=True)
     mark = bench.mark()

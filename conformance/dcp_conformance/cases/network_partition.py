@@ -42,7 +42,7 @@ def heals(bench: Bench, numbers: tuple[int, int]) -> None:
     for peer in peers[1:]:
         peer.send(peer.summary(name, new))
     found = bench.repeated(_UPDATE, name, mark)
-    right = bool(found) and all((each.record.seqno, each.record.value) == (new, b"last") for each in found)
+    right = bool(found) and all((each.record.seqno, each.record.value) == (new, bench.value(b"last")) for each in found)
     bench.check(
         right and len(found) == count,
         f"VarUpdate {new} in {count} beacons",

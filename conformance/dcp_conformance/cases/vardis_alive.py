@@ -26,7 +26,7 @@ from dcp_conformance.scrubbing import (
     sent,
     updated_in_time,
 )
-from dcp_conformance.services import described, several_repetitions
+from dcp_conformance.services import created_again, described, several_repetitions
 from dcp_conformance.variables import ask
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
@@ -104,7 +104,12 @@ def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) 
     timeout_ms = max(lasting(bench, 900, 8), round(4 * bench.session.slow_call / MS))
     first = create(bench, peer, name, timeout_ms)
     bench.wait_ns(max(0, first.before + timeout_ms * MS * 2 // 3 - bench.now()))
-    since = create(bench, peer, name, timeout_ms)
+    if own:
+        before = bench.now()
+        created_again(bench, name, timeout=timeout_ms)
+        since = Change(before, bench.now())
+    else:
+        since = create(bench, peer, name, timeout_ms)
     if since.after - first.before >= timeout_ms * MS:
         bench.inconclusive("a re-creation within the timeout", "it took longer")
     found = deleted(bench, name, since, timeout_ms)

@@ -110,8 +110,8 @@ def _create_mistakes(bench: Bench) -> list[dict[str, Any]]:
     longest = longest_description(bench)
     return [
         create_request(bench, taken),
-        create_request(bench, free, descr="d" * (longest + 1)),
-        create_request(bench, free, value=bytes.fromhex(_too_long(bench))),
+        create_request(bench, free, descr="d" * (longest + 1), value=b"v", exact=True),
+        create_request(bench, free, value=bytes.fromhex(_too_long(bench)), descr="d", exact=True),
         create_request(bench, free, value=b""),
         create_request(bench, free, rep_cnt=0),
     ]

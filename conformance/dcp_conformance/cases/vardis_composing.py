@@ -123,7 +123,7 @@ def current_value(bench: Bench) -> None:
     found = bench.instructions(_CREATE, var_id, mark)
     record = found[0].record
     value, seqno = record.upd.value, record.upd.seqno
-    bench.check(value == b"the third", "the current value", f"{value!r}", frames=found[:1], shown=updated)
+    bench.check(value == bench.value(b"the third"), "the current value", f"{value!r}", frames=found[:1], shown=updated)
     bench.check(seqno == 7, "the current sequence number, 7", f"{seqno}", frames=found[:1], shown=updated)
     bench.check(
         record.spec == create.spec, f"the specification {create.spec}", f"{record.spec}", frames=found[:1], shown=True
@@ -153,7 +153,7 @@ def changes_while_repeated(bench: Bench) -> None:
     behind = [each for heard in frames[begun:] for each in heard.instructions(_CREATE, var_id)]
     if not behind:
         bench.inconclusive("VarCreates that are still to be repeated", "the VarUpdate came when there were none left")
-    stale = [each for each in behind if (each.record.upd.seqno, each.record.upd.value) != (1, b"new")]
+    stale = [each for each in behind if (each.record.upd.seqno, each.record.upd.value) != (1, bench.value(b"new"))]
     bench.check(
         not stale, "value and number of the update", f"{len(stale)} VarCreates without", frames=stale[:4], shown=True
     )

@@ -61,9 +61,9 @@ def announced(bench: Bench) -> None:
     spec, upd = record.spec, record.upd
     for name, expected, observed, requirement in (
         ("seqno", 0, upd.seqno, "VD-CRE-10"),
-        ("value", b"\x00\x01\xfe\xff", upd.value, "VD-CRE-10"),
+        ("value", bench.value(b"\x00\x01\xfe\xff"), upd.value, "VD-CRE-10"),
         ("repCnt", 1, spec.rep_cnt, "VD-CRE-10"),
-        ("descr", b"speed of wind", spec.descr.removesuffix(b"\0"), "VD-CRE-10"),
+        ("descr", bench.descr(b"speed of wind"), spec.descr.removesuffix(b"\0"), "VD-CRE-10"),
         ("varId of the update", var_id, upd.var_id, "VD-CRE-10"),
     ):
         bench.check(
@@ -222,7 +222,8 @@ def producer(bench: Bench) -> None:
 def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None:
     """RTDB-Create must answer with this status and create nothing."""
     var_id = bench.unknown_id()
-    answer = bench.call("RTDB-Create", **create_request(bench, var_id, **request))
+    request = {"descr": "d", "value": b"v"} | request
+    answer = bench.call("RTDB-Create", **create_request(bench, var_id, exact=True, **request))
     if answer.code == NOT_EXPRESSIBLE:
         # Beyond what the field can hold there is nothing that VarDis could be asked.
         bench.info(f"a request that the profile cannot express, in place of {status}", str(answer), requirement)
@@ -234,7 +235,8 @@ def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None
 def accepted(bench: Bench, requirement: str, **request: Any) -> None:
     """RTDB-Create must create the variable, and announce it."""
     var_id = bench.own_var_id()
-    bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, **request))
+    request = {"descr": "d", "value": b"v"} | request
+    bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, exact=True, **request))
     shown = bench.until_instruction(_V, var_id) is not None
     bench.check(shown, "a VarCreate of the variable is sent", "none is", requirement)
 
@@ -302,7 +304,8 @@ def repetition_count(bench: Bench) -> None:
 def _double(bench: Bench, taken: bool = False, **request: Any) -> dict[str, Any]:
     """A request with two mistakes."""
     var_id = taught(bench, bench.peer()) if taken else bench.unknown_id()
-    return create_request(bench, var_id, **request)
+    request = {"descr": "d", "value": b"v"} | request
+    return create_request(bench, var_id, exact=True, **request)
 
 
 _ORDER: dict[str, Callable[[Bench], tuple[str, dict[str, Any]]]] = {

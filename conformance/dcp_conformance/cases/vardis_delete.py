@@ -87,7 +87,7 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
 def ends_repetitions(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
-    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     if bench.until_instruction(ICType.UPDATES, var_id) is None:
         bench.inconclusive("the update is heard", "it is not")
     _check_deletion(bench, var_id, count)
@@ -104,7 +104,7 @@ def ends_repetitions(bench: Bench) -> None:
 def entry(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
-    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     start = bench.mark()
     bench.must("RTDB-Delete", varId=var_id)
     found = entry_of(bench, var_id)
@@ -191,7 +191,7 @@ def foreign(bench: Bench) -> None:
     bench.require_alive("the deletion of another node's variable")
     answer = bench.call("RTDB-Read", varId=var_id)
     bench.check(
-        answer.ok and answer.result.get("value") == b"theirs".hex(),
+        answer.ok and answer.result.get("value") == bench.value(b"theirs").hex(),
         "the variable is still there",
         str(answer),
         shown=True,

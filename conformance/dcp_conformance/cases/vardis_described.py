@@ -104,10 +104,11 @@ def confirms(bench: Bench) -> None:
     var_id = bench.own_var_id()
     bench.must("RTDB-Create", **create_request(bench, var_id))
     settled(bench, var_id)
-    answers = [bench.must("RTDB-Update", varId=var_id, value="0102")]
+    value = bench.value(b"\x01\x02").hex()
+    answers = [bench.must("RTDB-Update", varId=var_id, value=value)]
     read = bench.must("RTDB-Read", varId=var_id)
-    value = read.result.get("value")
-    bench.check(value == "0102", "RTDB-Read tells the value of the update before it", f"{value!r}", shown=True)
+    told = read.result.get("value")
+    bench.check(told == value, "RTDB-Read tells the value of the update before it", f"{told!r}", shown=True)
     answers += [bench.must("RTDB-Delete", varId=var_id), bench.call("RTDB-Read", varId=var_id)]
     bench.check(not answers[-1].ok, "RTDB-Read is refused after RTDB-Delete", f"{answers[-1]}", shown=True)
     answers.append(bench.call("RTDB-Read", varId=bench.unknown_id()))

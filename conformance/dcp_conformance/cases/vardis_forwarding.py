@@ -383,7 +383,7 @@ def newest_value(bench: Bench) -> None:
     for what in ("after the update", "after its VarCreate came again"):
         held = ask(bench, var_id)
         upd = held.record.upd if held.record is not None else None
-        right = upd is not None and (upd.seqno, upd.value) == (1, b"newer")
+        right = upd is not None and (upd.seqno, upd.value) == (1, bench.value(b"newer"))
         bench.check(right, f"{what}, number and value of the update", str(held), shown=updated and held.record)
         specs = held.record is None or held.record.spec == create.spec
         bench.check(specs, "the specification as it was sent", f"{held.record.spec if held.record else ''}", shown=True)

@@ -87,10 +87,14 @@ def producer(bench: Bench, name: str) -> None:
     if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         told = bench.until_instruction(_SUMMARY, var_id, 2 * bench.reaction)
         bench.check(told, f"a summary of variable {var_id}", "none came", "VD-CRE-12", "VD-TYP-01")
-    _check_answer(bench, lambda: served("RTDB-Update", value=b"second".hex()), _UPDATE, var_id, "VD-TYP-01")
+    _check_answer(
+        bench, lambda: served("RTDB-Update", value=bench.value(b"second").hex()), _UPDATE, var_id, "VD-TYP-01"
+    )
     answer = bench.expect_status(OK, "RTDB-Read", "VD-TYP-01", varId=var_id)
     value = answer.result.get("value")
-    bench.check(value == b"second".hex(), "the value is that of the update", f"{value}", "VD-TYP-01", shown=True)
+    bench.check(
+        value == bench.value(b"second").hex(), "the value is that of the update", f"{value}", "VD-TYP-01", shown=True
+    )
     _check_answer(bench, lambda: served("RTDB-Delete"), _DELETE, var_id, "VD-TYP-01")
 
 

@@ -59,7 +59,9 @@ def larger_than_own(bench: Bench, limit: str) -> None:
     bench.info(question, said.get((asked[0], asked[1]), "only its end is"), "VD-RX-04")
     held = ask(bench, known)
     value = None if held.record is None else held.record.upd.value
-    bench.check(value == b"stays", "what is stored has not changed", str(held), "VD-ROB-01", shown=held.shown)
+    bench.check(
+        value == bench.value(b"stays"), "what is stored has not changed", str(held), "VD-ROB-01", shown=held.shown
+    )
 
 
 def _filled(bench: Bench, peer: Peer, first: int, last: int, known: int, octets: int) -> list[bytes]:

@@ -76,9 +76,10 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
     bench.created.add(var_id)
     record = peer.create(
         var_id,
-        value=b"v" * (number if field == "value" else 3),
-        descr=b"d" * (number if field == "description" else 3),
+        value=b"v" * (number if field == "value" else 1),
+        descr=b"d" * (number if field == "description" else 1),
         rep_cnt=number if field == "repCnt" else 1,
+        exact=True,
     )
     since = bench.mark()
     peer.send(record)
@@ -146,7 +147,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
         bench.assumptions.clear()
     peer = bench.peer()
     var_id = taught(bench, peer, value=b"value")
-    record, since = peer.update(var_id, 1, b"v" * number), bench.mark()
+    record, since = peer.update(var_id, 1, b"v" * number, exact=True), bench.mark()
     peer.send(record)
     if allowed:
         came = bench.until_instruction(ICType.UPDATES, var_id)
@@ -164,7 +165,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
         not found, f"a VarUpdate with a value of {number} octets is ignored", named(found), frames=found, shown=True
     )
     held = ask(bench, var_id)
-    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, b"value")
+    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, bench.value(b"value"))
     bench.check(stored, "the old value and number are stored", str(held), shown=held.record is not None)
 
 
@@ -213,6 +214,7 @@ def longest(bench: Bench) -> None:
         value=b"v" * min(value, 255),
         descr=b"d" * min(description, 254),
         rep_cnt=_field(bench, "repCnt")[0],
+        exact=True,
     )
     peer.send(record)
     came: VardisRecord | None = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
@@ -232,7 +234,7 @@ def unknown_variable(bench: Bench, bound: Bound) -> None:
     if not _expressible(bench, bound(most), most, widest, allowed=True):
         return
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
-    peer.send(peer.update(var_id, 1, b"v" * bound(most)))
+    peer.send(peer.update(var_id, 1, b"v" * bound(most), exact=True))
     bench.check_repeated(ICType.REQUEST_VARCREATES, var_id, 1, since)
 
 
@@ -251,7 +253,7 @@ def length_of_received_text(bench: Bench) -> None:
         bench.inconclusive("a description longer than the maximum", f"the maximum is {longest}, all that can be sent")
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
     bench.created.add(var_id)
-    peer.send(peer.create(var_id, descr=descr))
+    peer.send(peer.create(var_id, descr=descr, value=b"v", exact=True))
     bench.require_alive("the VarCreate")
     bench.beacons(1, 1.5)
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)

@@ -56,7 +56,7 @@ def received(bench: Bench, limits: Limits) -> None:
             (limits.value + 1, 1, "VD-PC-04"),
             (1, limits.description + 1, "VD-PC-05"),
         ):
-            record = peer.create(bench.unknown_id(), value=b"v" * value, descr=b"d" * description)
+            record = peer.create(bench.unknown_id(), value=b"v" * value, descr=b"d" * description, exact=True)
             bench.created.add(record.spec.var_id)
             peer.send(record)
             what = f"a VarCreate with a value of {value} octets and a description of {description}"
@@ -72,11 +72,11 @@ def received(bench: Bench, limits: Limits) -> None:
         known = peer.create(bench.unknown_id(), value=b"v", descr=b"d")
         bench.learn(peer, known)
         name = known.spec.var_id
-        peer.send(peer.update(name, 1, b"v" * limits.value))
+        peer.send(peer.update(name, 1, b"v" * limits.value, exact=True))
         stored = bench.until_instruction(ICType.UPDATES, name)
         bench.check(stored, f"a VarUpdate with a value of {limits.value} octets is stored", "it is not", "VD-PU-04")
         mark = bench.mark()
-        peer.send(peer.update(name, 2, b"v" * (limits.value + 1)))
+        peer.send(peer.update(name, 2, b"v" * (limits.value + 1), exact=True))
         held = ask(bench, name)
         wrong_update = [each for each in bench.instructions(ICType.UPDATES, name, mark) if each.record.seqno == 2]
         taken = wrong_update or (held.record is not None and held.record.upd.seqno == 2)
@@ -113,5 +113,5 @@ def served(bench: Bench, limits: Limits) -> None:
             (limits.value + 1, 1, VALUE_TOO_LONG, "VD-CRE-05"),
             (1, longest + 1, DESCRIPTION_TOO_LONG, "VD-CRE-04"),
         ):
-            request = create_request(bench, bench.own_var_id(), value=b"v" * value, descr="d" * description)
+            request = create_request(bench, bench.own_var_id(), value=b"v" * value, descr="d" * description, exact=True)
             bench.expect_status(status, "RTDB-Create", *filter(None, (requirement,)), **request)

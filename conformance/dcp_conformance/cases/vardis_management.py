@@ -98,7 +98,9 @@ def discards(bench: Bench) -> None:
     bench.require_alive("being inactive")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
     value = bench.call("RTDB-Read", varId=known).result.get("value")
-    bench.check(value == b"before".hex(), "the known variable is unchanged", f"its value is {value}", shown=True)
+    bench.check(
+        value == bench.value(b"before").hex(), "the known variable is unchanged", f"its value is {value}", shown=True
+    )
     for kind, var_id in (
         (ICType.CREATE_VARIABLES, created),
         (ICType.UPDATES, known),
@@ -128,7 +130,9 @@ def database_kept(bench: Bench) -> None:
     for var_id, value in ((mine, b"mine"), (theirs, b"theirs")):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
         shown = answer.result.get("value")
-        bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}", shown=True)
+        bench.check(
+            shown == bench.value(value).hex(), f"the value is {bench.value(value)!r}", f"it is {shown}", shown=True
+        )
     if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         wanted = {mine, theirs}
         bench.until(lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}, 12)
@@ -177,10 +181,12 @@ def create(bench: Bench) -> None:
 def update(bench: Bench) -> None:
     var_id = produced(bench, value=b"before")
     mark = bench.mark()
-    _inactive(bench, "RTDB-Update", "VD-UPD-01", varId=var_id, value=b"while".hex())
+    _inactive(bench, "RTDB-Update", "VD-UPD-01", varId=var_id, value=bench.value(b"while").hex())
     bench.require_alive("being inactive")
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == b"before".hex(), "the value is unchanged", f"it is {value}", "VD-MGT-04", shown=True)
+    bench.check(
+        value == bench.value(b"before").hex(), "the value is unchanged", f"it is {value}", "VD-MGT-04", shown=True
+    )
     frames = bench.frames_with(ICType.UPDATES, var_id, mark)
     bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames, shown=True)
 

@@ -37,8 +37,10 @@ _GET, _SET = "VD-GetParameters", "VD-SetParameter"
 _PARAMETERS = Needs(ut=(_GET, _SET))
 
 
+#: The least maximum length that can be lowered, also where it counts a NUL.
+_LOWERED = 3
 #: How far beyond a bound the values are that must not be taken.
-_BEYOND = 2
+_BEYOND = 3
 
 
 def _in_force(bench: Bench, name: str) -> Any:
@@ -67,13 +69,18 @@ def _check_refused(bench: Bench, name: str, *values: float) -> None:
         before = _in_force(bench, name)
         answer = bench.call(_SET, name=name, value=value)
         shown = _in_force(bench, name)
-        # What is refused here lies just beyond a bound; two, where it is open whether a NUL counts.
+        # What is refused here lies just beyond a bound; further, where it is open whether a NUL counts.
         nearest = shown != before and shown != value and abs(shown - value) <= _BEYOND
         if nearest and name.startswith("VARDISPAR_"):
             bench.reading("X39", "nearest-value")
             continue
         what = f"{name} = {value} is not taken"
         bench.check(shown == before, what, f"{answer}; it is {shown}, was {before}", shown=True)
+
+
+def _is_least(bench: Bench, name: str) -> str | None:
+    """For ``Needs.when``: why a maximum length cannot be lowered."""
+    return f"{name} is {bench.parameter(name)}, and cannot be lowered" if bench.parameter(name) < _LOWERED else None
 
 
 def _no_way_to_learn(bench: Bench) -> str | None:
@@ -295,7 +302,7 @@ def buffer_check_period(bench: Bench) -> None:
     requirements="VD-PAR-01",
     stimulus="RTDB-Create with the longest description; one octet less as maximum; the same again, and one octet less",
     expect="the second is refused, the third created; the first is still there, described in full",
-    needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-DescribeVariable")),
+    needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-DescribeVariable"), when=lambda bench: _is_least(bench, _DESCR)),
 )
 def description_effect(bench: Bench) -> None:
     longest = longest_description(bench)
@@ -316,7 +323,7 @@ def description_effect(bench: Bench) -> None:
     requirements="VD-PAR-01",
     stimulus="RTDB-Create with the longest value; one octet less as maximum; an update as long, and one octet shorter",
     expect="the old value is read in full, the first update refused, the second made",
-    needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update", "RTDB-Read")),
+    needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update", "RTDB-Read"), when=lambda bench: _is_least(bench, _VALUE)),
 )
 def value_effect(bench: Bench) -> None:
     longest = bench.parameter(_VALUE)
@@ -345,7 +352,7 @@ def repetitions_effect(bench: Bench) -> None:
         bench.expect_status(ILLEGAL_REPCOUNT, "RTDB-Create", **create_request(bench, bench.unknown_id(), rep_cnt=3))
         bench.expect_status(OK, "RTDB-Create", **create_request(bench, bench.own_var_id(), rep_cnt=2))
         mark = bench.mark()
-        bench.must("RTDB-Update", varId=old, value=b"newer".hex())
+        bench.must("RTDB-Update", varId=old, value=bench.value(b"newer").hex())
         frames = bench.until_quiet(lambda heard: heard.instructions(ICType.UPDATES, old), since=mark)
         # That the parameter bounds what goes into beacons can also be read as a limit of 2 from now on.
         bench.check(

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
-from dcp_codec.values import VarCreate
+from dcp_codec.values import VarCreate, VarSumm
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.filling import PAYLOAD_SIZE, longest
@@ -20,6 +20,10 @@ from dcp_conformance.peers import Peer
 
 #: Attempts to have one payload composed of everything; in the second half each container comes in a beacon of its own.
 _ATTEMPTS = 6
+
+
+#: Variables of which a payload is filled, at most.
+_MOST = 64
 
 
 def stock(
@@ -32,7 +36,7 @@ def stock(
     value, description = longest(bench)
     creates: list[VarCreate] = []
     octets = 0
-    while octets < 2.2 * bench.parameter(PAYLOAD_SIZE) and len(creates) < 64:
+    while octets < 2.2 * bench.parameter(PAYLOAD_SIZE) and len(creates) < _MOST:
         short = mixed and len(creates) % 3 == 2
         create = peer.create(
             bench.var_id(),
@@ -92,13 +96,25 @@ def check_order_of_queue(bench: Bench, kind: ICType, var_ids: Sequence[int], sin
     )
 
 
+def _room_for_all_kinds(bench: Bench) -> str | None:
+    """For ``Needs.when``: why one payload cannot have all six kinds of containers, among full lists of summaries."""
+    summaries = bench.bound("VARDISPAR_MAX_SUMMARIES")
+    if not summaries:
+        return "it sends no summaries"
+    create, size = bench.sample(), bench.forge.record_size
+    octets = size(create) + size(create.upd) + (3 + min(summaries, 16)) * size(VarSumm(0, 0))
+    octets += 6 * bench.forge.container_header_size
+    limit = bench.parameter(PAYLOAD_SIZE)
+    return None if octets <= limit else f"{PAYLOAD_SIZE} is {limit}, all kinds together may take {octets} octets"
+
+
 @case(
     "TC_VD_PAY_BV_01",
     "The containers of a payload stand in the order of the specification, all six kinds together",
     requirements="VD-PAY-01 VD-PAY-02 VD-IC-02",
     stimulus="one beacon that creates, deletes and updates a variable, summarises an unknown and a newer one",
     expect="one payload with all six kinds of containers, in the order that the version prescribes",
-    needs=Needs(when=lambda bench: None if bench.bound("VARDISPAR_MAX_SUMMARIES") else "it sends no summaries"),
+    needs=Needs(when=_room_for_all_kinds),
     smoke=True,
 )
 def order_of_containers(bench: Bench) -> None:
@@ -179,6 +195,11 @@ def filled(bench: Bench, kind: ICType) -> None:
     mark = request(bench, peer, kind, creates)
     _, frames = all_of(bench, kind, creates, mark)
     if len(frames) < 2:
+        octets = sum(
+            map(bench.forge.record_size, creates if kind is ICType.CREATE_VARIABLES else [each.upd for each in creates])
+        )
+        if len(creates) == _MOST and octets < bench.bound(PAYLOAD_SIZE):
+            bench.not_applicable(f"values are so short that {len(creates)} records have only {octets} octets")
         bench.inconclusive("more records than fit into a payload", f"{len(creates)} of them came in one")
     check_filled(bench, kind, frames, "VD-PAY-02")
     largest = max(frames, key=lambda heard: size_of(bench, heard))

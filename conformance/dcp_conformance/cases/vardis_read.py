@@ -40,13 +40,13 @@ from dcp_conformance.services import (
 def own(bench: Bench) -> None:
     begun = bench.lower.wall()
     var_id = produced(bench, value=b"first")
-    first = _read(bench, var_id, b"first")
+    first = _read(bench, var_id, bench.value(b"first"))
     slack, stamp = bench.pixit.clock_tolerance_ms * MS, first.get("tStamp")
     near = isinstance(stamp, int) and begun - slack <= stamp <= bench.lower.wall() + slack
     bench.check(near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}", shown=True)
     bench.wait(3)
-    bench.must("RTDB-Update", varId=var_id, value=b"second".hex())
-    second = _read(bench, var_id, b"second")
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"second").hex())
+    second = _read(bench, var_id, bench.value(b"second"))
     _check_later(bench, first, second)
 
 
@@ -76,12 +76,12 @@ def _check_later(bench: Bench, first: dict[str, Any], second: dict[str, Any]) ->
 def foreign(bench: Bench) -> None:
     peer = bench.peer()
     var_id = taught(bench, peer, value=b"first")
-    first = _read(bench, var_id, b"first")
+    first = _read(bench, var_id, bench.value(b"first"))
     bench.wait(3)
     peer.send(peer.update(var_id, 1, b"second"))
     if bench.until_instruction(ICType.UPDATES, var_id) is None:
         bench.inconclusive("the update is learnt", "the implementation does not repeat it")
-    second = _read(bench, var_id, b"second")
+    second = _read(bench, var_id, bench.value(b"second"))
     _check_later(bench, first, second)
 
 
@@ -148,7 +148,12 @@ def database(bench: Bench) -> None:
             bench.check(False, f"variable {var_id} is listed", "it is not", shown=True)
             continue
         shown = (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr"))
-        bench.check(shown == (producer.hex(), 1, descr), f"prodId, repCnt, descr of {var_id}", f"{shown}", shown=True)
+        bench.check(
+            shown == (producer.hex(), 1, bench.descr(descr.encode()).decode()),
+            f"prodId, repCnt, descr of {var_id}",
+            f"{shown}",
+            shown=True,
+        )
 
 
 @case(
@@ -223,12 +228,18 @@ def describe(bench: Bench) -> None:
     mine = produced(bench, descr="mine", value=b"own")
     theirs = taught(bench, peer, descr=b"theirs", value=b"foreign", seqno=7)
     for var_id, producer, descr, value, seqno in (
-        (mine, bench.sut_id, "mine", b"own", 0),
-        (theirs, peer.node_id, "theirs", b"foreign", 7),
+        (mine, bench.sut_id, "mine", bench.value(b"own"), 0),
+        (theirs, peer.node_id, "theirs", bench.value(b"foreign"), 7),
     ):
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
         found = described(answer)
-        wanted = {"varId": var_id, "repCnt": 1, "descr": descr, "value": value.hex(), "seqno": seqno}
+        wanted = {
+            "varId": var_id,
+            "repCnt": 1,
+            "descr": bench.descr(descr.encode()).decode(),
+            "value": value.hex(),
+            "seqno": seqno,
+        }
         shown = {name: found.get(name) for name in wanted}
         bench.check(shown == wanted, f"{wanted}", f"{shown}", shown=True)
         shown_producer = str(found.get("prodId")).replace(":", "")
@@ -290,7 +301,7 @@ def two_clients(bench: Bench) -> None:
             bench.check_status(answer, (OK,), "RTDB-Create")
         for number in range(3):
             for client, var_id in zip(clients, mine, strict=True):
-                value = b"%d/%d" % (var_id, number)
+                value = bench.value(b"%d/%d" % (var_id, number))
                 answer = bench.call_on(client, "RTDB-Update", varId=var_id, value=value.hex())
                 bench.check_status(answer, (OK,), "RTDB-Update")
                 other = clients[1] if client is clients[0] else clients[0]

@@ -22,7 +22,7 @@ def _stored(bench: Bench, var_id: int, seqno: int, value: bytes, came: object, *
     """Check what is stored of a variable."""
     held = ask(bench, var_id)
     upd = held.record.upd if held.record is not None else None
-    as_expected = upd is not None and (upd.seqno, upd.value) == (seqno, value)
+    as_expected = upd is not None and (upd.seqno, upd.value) == (seqno, bench.value(value))
     what = f"variable {var_id} is stored with sequence number {seqno} and value {value.hex()}"
     bench.check(as_expected, what, str(held), *requirements, shown=came and held.record)
 
@@ -85,7 +85,7 @@ def permutations(bench: Bench) -> None:
         found = [each.record.upd for each in bench.repeated(ICType.CREATE_VARIABLES, var_id, since)]
         newest = [(each.seqno, each.value) for each in found[-1:]]
         shown = f"number {newest[0][0]}, value {newest[0][1]!r}" if newest else "there is no VarCreate"
-        right = newest == [(1, b"newer")]
+        right = newest == [(1, bench.value(b"newer"))]
         applied = bench.check(right, f"{what}: creation and update are applied", shown, "VD-RX-02", shown=newest)
         came = bench.instructions(_RC, other, since)
         bench.check(
@@ -143,7 +143,7 @@ def all_types(bench: Bench, turn: int) -> None:
     def missing() -> list[str]:
         return [what for (kind, var_id), what in expected.items() if not bench.instructions(kind, var_id, since)]
 
-    bench.until(lambda _: not missing())
+    bench.until(lambda _: not missing(), bench.sending(len(expected)))
     left = missing()
     for what in expected.values():
         bench.check(what not in left, what, "there is no trace of it")
@@ -177,7 +177,7 @@ def same_type_twice(bench: Bench, what: tuple[ICType, _Stimulus, ICType]) -> Non
     one, two, three = (make(peer, var_id) for var_id in ids)
     since = bench.mark()
     peer.send(bench.forge.container(one, two), bench.forge.container(three))
-    bench.until(lambda _: all(bench.instructions(answer, var_id, since) for var_id in ids))
+    bench.until(lambda _: all(bench.instructions(answer, var_id, since) for var_id in ids), bench.sending(6))
     missing = [number for number, var_id in enumerate(ids, 1) if not bench.instructions(answer, var_id, since)]
     names = ", ".join(_PLACES[number - 1] for number in missing)
     bench.check(not missing, f"three {kind.label} records in two containers are processed", f"no trace of {names}")

@@ -41,7 +41,7 @@ def foreign(bench: Bench) -> None:
     var_id = taught(bench, bench.peer(), value=b"theirs")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"ours"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == b"theirs".hex(), "the variable keeps its value", f"it is {value}", shown=True)
+    bench.check(value == bench.value(b"theirs").hex(), "the variable keeps its value", f"it is {value}", shown=True)
 
 
 @case(
@@ -73,7 +73,7 @@ def own_exists(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == b"first".hex(), "the variable keeps its value", f"it is {value}", shown=True)
+    bench.check(value == bench.value(b"first").hex(), "the variable keeps its value", f"it is {value}", shown=True)
 
 
 @case(
@@ -90,7 +90,7 @@ def own_anew(bench: Bench) -> None:
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
         bench.inconclusive("the first VarCreate is heard", "it is not")
-    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     bench.wait(2)
     # A clock may be coarser than that.
     bench.wait_ns(nanoseconds(bench, 1))
@@ -102,7 +102,7 @@ def own_anew(bench: Bench) -> None:
         bench.reading("X20", "by-steps" if answer.ok else "by-description")
     if not answer.ok:
         return
-    _check_anew(bench, var_id, mark, first.spec.creation_time, b"second")
+    _check_anew(bench, var_id, mark, first.spec.creation_time, bench.value(b"second"))
 
 
 def _check_anew(bench: Bench, var_id: int, mark: int, before: int, value: bytes) -> None:
@@ -188,7 +188,7 @@ def ends_repetitions(bench: Bench) -> None:
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
         bench.inconclusive("the first VarCreate is heard", "it is not")
-    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     if bench.until_instruction(_UPDATE, var_id) is None:
         bench.inconclusive("the update is heard", "it is not")
     mark = bench.mark()
@@ -228,14 +228,14 @@ def ends_repetitions(bench: Bench) -> None:
 def used_again(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     settled(bench, var_id)
-    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     bench.must("RTDB-Delete", varId=var_id)
     bench.until_quiet(lambda heard: heard.instructions(_DELETE, var_id))
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
     record = bench.until_instruction(_CREATE, var_id)
     frames = bench.instructions(_CREATE, var_id, mark)
-    ok = record is not None and record.upd.seqno == 0 and record.upd.value == b"second"
+    ok = record is not None and record.upd.seqno == 0 and record.upd.value == bench.value(b"second")
     bench.check(
         ok, "a VarCreate of the new variable with seqno 0", f"{record}", frames=frames, shown=record is not None
     )

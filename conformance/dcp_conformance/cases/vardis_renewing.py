@@ -13,7 +13,7 @@ from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.peers import Peer
-from dcp_conformance.services import create_request, described, produced, settled, taught
+from dcp_conformance.services import created_again, described, produced, settled, taught
 from dcp_conformance.variables import stepped
 
 _DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))
@@ -146,7 +146,7 @@ def own_not_renewed(bench: Bench, act: Callable[[Bench, Peer, VarCreate], None])
 
 
 def _created_by_application(bench: Bench, var_id: int, _peer: Peer) -> None:
-    bench.must("RTDB-Create", **create_request(bench, var_id))
+    created_again(bench, var_id)
 
 
 def _created_by_peer(bench: Bench, var_id: int, peer: Peer) -> None:

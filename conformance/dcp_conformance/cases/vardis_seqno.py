@@ -15,7 +15,7 @@ from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.peers import Peer
-from dcp_conformance.services import produced
+from dcp_conformance.services import holds_two_octets, produced
 from dcp_conformance.variables import INSTRUCTIONS, modulus, named, stepped, taught_all, traces
 
 #: So many halves of the range, and so many steps more.
@@ -201,7 +201,7 @@ def half_the_range(bench: Bench) -> None:
     stimulus="an own variable is updated around the whole range of a one-byte number (a wider one: 20 times)",
     expect="each update that is heard carries the number of updates so far, modulo SEQNO-MODULUS",
     window=10,
-    needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update"), when=holds_two_octets),
 )
 def counting(bench: Bench) -> None:
     since = bench.mark()
@@ -214,8 +214,8 @@ def counting(bench: Bench) -> None:
     for target in targets:
         while made < target:
             made += 1
-            bench.must("RTDB-Update", varId=var_id, value=made.to_bytes(4, "big").hex())
-        want = made.to_bytes(4, "big")
+            bench.must("RTDB-Update", varId=var_id, value=made.to_bytes(2, "big").hex())
+        want = made.to_bytes(2, "big")
 
         def newest(heard: object, want: bytes = want) -> bool:  # noqa: ARG001 - every record so far is looked at
             return any(each.record.value == want for each in bench.instructions(ICType.UPDATES, var_id, since))

@@ -56,7 +56,7 @@ def play(bench: Bench, peer: Peer, splits: Sequence[Split], kinds: Iterable[ICTy
         if not complete():
             # The answers may need many payloads.
             count = sum(len(each.first + each.second) for each in left)
-            bench.until(lambda _: complete(), bench.reaction + count / 4)
+            bench.until(lambda _: complete(), max(bench.reaction + count / 4, bench.sending(2 * count)))
         if complete() or attempt:
             break
     names = "/".join(sorted(kind.label for kind in wanted))

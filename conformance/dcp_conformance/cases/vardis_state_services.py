@@ -140,7 +140,7 @@ def _created(bench: Bench, where: Place, since: int) -> None:
         return
     spec, upd = found.record.spec, found.record.upd
     bench.check(
-        (spec.prod_id, upd.seqno, upd.value) == (bench.sut_id, 0, _VALUE),
+        (spec.prod_id, upd.seqno, upd.value) == (bench.sut_id, 0, bench.value(_VALUE)),
         "the VarCreate has the own node as producer, sequence number 0 and the given value",
         f"producer {spec.prod_id.hex(':')}, number {upd.seqno}, value {upd.value.hex()}",
         frames=[found],
@@ -162,7 +162,7 @@ def _updated(bench: Bench, where: Place, since: int) -> None:
     found = _only(bench, where, ICType.UPDATES, since)
     if found is None or where.stored is None:
         return
-    expected = (stepped(bench, where.stored.upd.seqno, 1), _VALUE)
+    expected = (stepped(bench, where.stored.upd.seqno, 1), bench.value(_VALUE))
     came = (found.record.seqno, found.record.value)
     bench.check(came == expected, f"number and value are {expected}", f"{came}", frames=[found], shown=True)
 
@@ -246,7 +246,7 @@ def service(bench: Bench, cell: tuple[str, str]) -> None:
     since = bench.mark()
     params = {
         "RTDB-Create": create_request(bench, where.var_id, value=_VALUE),
-        "RTDB-Update": {"varId": where.var_id, "value": _VALUE.hex()},
+        "RTDB-Update": {"varId": where.var_id, "value": bench.value(_VALUE).hex()},
     }.get(method, {"varId": where.var_id})
     answer = bench.call(method, **params)
     where.fleeting = where.fleeting or _may_be_over(bench, where)

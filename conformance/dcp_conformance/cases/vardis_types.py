@@ -217,7 +217,7 @@ def entry_of_received(bench: Bench) -> None:
         "prodId": spec.prod_id.hex(":"),
         "repCnt": spec.rep_cnt,
         "descr": spec.descr.decode(),
-        "value": "00ff",
+        "value": record.upd.value.hex(),
         "seqno": 7,
         "isDeleted": False,
         "countCreate": 0,

@@ -22,6 +22,7 @@ from dcp_conformance.services import (
     empty_status,
     entry_of,
     expect_any,
+    holds_two_octets,
     least_left,
     max_repetitions,
     produced,
@@ -52,7 +53,7 @@ _UPDATE_READ = Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"))
 def updates(bench: Bench) -> None:
     var_id = produced(bench)
     for number in range(1, 5):
-        value = b"value %d" % number
+        value = bench.value(b"value %d" % number)
         mark = bench.mark()
         bench.expect_status(OK, "RTDB-Update", "VD-UPD-08", varId=var_id, value=value.hex())
         record = _until_value(bench, var_id, value)
@@ -85,7 +86,9 @@ def _until_value(bench: Bench, var_id: int, value: bytes) -> Any | None:
     needs=Needs(
         ut=("RTDB-Create", "RTDB-Update"),
         when=lambda bench: (
-            None if bench.profile.types.var_seqno.width == 1 else "sequence numbers have more than one octet"
+            holds_two_octets(bench)
+            if bench.profile.types.var_seqno.width == 1
+            else "sequence numbers have more than one octet"
         ),
     ),
 )
@@ -124,7 +127,7 @@ def repetitions(bench: Bench, name: str) -> None:
     var_id = produced(bench, rep_cnt=count)
     settled(bench, var_id)
     mark = bench.mark()
-    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     observed = f"{len(frames)} do"
     bench.check(
@@ -153,12 +156,12 @@ def repetitions(bench: Bench, name: str) -> None:
 def counted_again(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
-    bench.must("RTDB-Update", varId=var_id, value=b"first".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"first").hex())
     for _ in range(2):
         if bench.until_instruction(_U, var_id) is None:
             bench.fail("the first update is repeated", "it is not", "VD-UPD-08")
     mark = bench.mark()
-    bench.must("RTDB-Update", varId=var_id, value=b"second".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"second").hex())
     _check_newest(bench, var_id, mark, count)
 
 
@@ -166,7 +169,7 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
     """Right after update number 2: since the mark before it ``count`` beacons with it, and from now on at most one
     with an older one, which comes before them.
     """
-    done, value, seqno = bench.mark(), b"second", 2
+    done, value, seqno = bench.mark(), bench.value(b"second"), 2
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     newest = [heard for heard in frames if _newest(heard.instructions(_U, var_id)[-1].record, value, seqno)]
     observed = f"{len(newest)} of {len(frames)} with VarUpdates do"
@@ -214,7 +217,7 @@ def quick(bench: Bench) -> None:
         settled(bench, var_id)
 
         def update(var_id: int = var_id) -> None:
-            for value in (b"first", b"second"):
+            for value in (bench.value(b"first"), bench.value(b"second")):
                 bench.must("RTDB-Update", varId=var_id, value=value.hex())
 
         def updated(heard: Heard, var_id: int = var_id) -> bool:
@@ -242,14 +245,16 @@ def in_creations(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count, value=b"first")
     if bench.until_instruction(_C, var_id) is None:
         bench.inconclusive("a VarCreate is heard", "none is")
-    bench.must("RTDB-Update", varId=var_id, value=b"newer".hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     mark = bench.mark()
     if not least_left(bench, count, start):
         bench.inconclusive("VarCreates that are still to be repeated", "there may be none left after the update")
     frames = bench.until_quiet(lambda heard: heard.instructions(_C, var_id), since=mark)
     records = [heard.about(_C, var_id) for heard in frames]
-    after = records[1:] if records and not _newest(getattr(records[0], "upd", None), b"newer", 1) else records
-    wrong = [each for each in after if each is None or not _newest(each.upd, b"newer", 1)]
+    after = (
+        records[1:] if records and not _newest(getattr(records[0], "upd", None), bench.value(b"newer"), 1) else records
+    )
+    wrong = [each for each in after if each is None or not _newest(each.upd, bench.value(b"newer"), 1)]
     observed = f"{wrong[0].upd}" if wrong and wrong[0] is not None else f"{len(after)} VarCreates"
     bench.check(
         bool(after) and not wrong,
@@ -273,7 +278,7 @@ def in_creations(bench: Bench) -> None:
 )
 def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
-    bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=b"value".hex())
+    bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=bench.value(b"value").hex())
     bench.require_alive("the update of an unknown variable")
     frames = bench.frames_with(_U, var_id)
     bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", frames=frames, shown=True)
@@ -289,10 +294,10 @@ def unknown(bench: Bench) -> None:
 )
 def foreign(bench: Bench) -> None:
     var_id = taught(bench, bench.peer(), value=b"theirs")
-    for value in (b"ours", b""):
+    for value in (bench.value(b"ours"), b""):
         bench.expect_status(NOT_PRODUCER, "RTDB-Update", varId=var_id, value=value.hex())
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == b"theirs".hex(), "the variable keeps its value", f"it is {shown}", shown=True)
+    bench.check(shown == bench.value(b"theirs").hex(), "the variable keeps its value", f"it is {shown}", shown=True)
 
 
 @case(
@@ -308,7 +313,7 @@ def foreign_deleted(bench: Bench) -> None:
     var_id = taught(bench, peer, rep_cnt=max_repetitions(bench))
     untaught(bench, peer, var_id)
     gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
-    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Update", varId=var_id, value=b"ours".hex())
+    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Update", varId=var_id, value=bench.value(b"ours").hex())
 
 
 @case(
@@ -324,7 +329,7 @@ def deleted(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     mark = bench.mark()
     # Whatever the maximum is: it is the deletion that is told.
-    for value in (b"newer", b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
+    for value in (bench.value(b"newer"), b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
         answer = bench.call("RTDB-Update", varId=var_id, value=value.hex())
         if answer.code != NOT_EXPRESSIBLE:
             bench.check_status(answer, statuses_after_deletion(bench), "RTDB-Update")
@@ -365,7 +370,7 @@ def value(bench: Bench) -> None:
 )
 def empty_value(bench: Bench) -> None:
     var_id = produced(bench)
-    bench.expect_status(OK, "RTDB-Update", varId=var_id, value=b"x".hex())
+    bench.expect_status(OK, "RTDB-Update", varId=var_id, value=bench.value(b"x").hex())
     bench.expect_status(empty_status(bench), "RTDB-Update", varId=var_id, value="")
     _check_unchanged(bench, var_id, b"x")
 
@@ -393,10 +398,10 @@ def entry(bench: Bench) -> None:
     before = entry_of(bench, var_id) or {}
     bench.wait(3)
     start = bench.mark()
-    request = timed(bench, "RTDB-Update", varId=var_id, value=b"newer".hex())
+    request = timed(bench, "RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     after = entry_of(bench, var_id) or {}
     least = least_left(bench, count, start)
-    bench.check(after.get("value") == b"newer".hex(), "the new value", f"{after.get('value')}", shown=True)
+    bench.check(after.get("value") == bench.value(b"newer").hex(), "the new value", f"{after.get('value')}", shown=True)
     bench.check(after.get("seqno", 1) == 1, "seqno 1", f"{after.get('seqno')}", shown=True)
     left = after.get("countUpdate", count)
     bench.check(least <= left <= count, f"countUpdate from {least} to {count}", f"{left}", shown=True)

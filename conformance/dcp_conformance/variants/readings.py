@@ -19,6 +19,7 @@ _VERSIONS = {
     "X20": (_V.V2_0, _V.V2_0),
     "X26": (_V.V2_0, _V.V2_0),
     "X27": (_V.V2_0, _V.V2_0),
+    "X30": (_V.V1_2, _V.V2_0),  # 1.0 and 1.1 demand an answer
     "X34": (_V.V1_2, _V.V2_0),  # 1.0 and 1.1 say what is to be done
     "X36": (_V.V2_0, _V.V2_0),
     "X37": (_V.V1_2, _V.V2_0),
