@@ -107,7 +107,9 @@ def test_only_a_status_of_the_specification_is_success(status: str):
 #: Methods that cases only use on the way, and parts of which no certain status is due.
 _UNJUDGED = frozenset({"UT-Reset", "UT-Subscribe", "BP-DeregisterProtocol"})
 #: Cases in which any refusal is right.
-_ANY_REFUSAL = frozenset({"TC_BP_REG_BI_05", "TC_BP_PAR_BI_02", "TC_VD_CRE_BV_07", "TC_DCP_DATA_BI_01"})
+_ANY_REFUSAL = frozenset(
+    {"TC_BP_REG_BI_05", "TC_BP_PAR_BI_02", "TC_VD_CRE_BV_07", "TC_DCP_DATA_BI_01", "TC_VD_DB_BV_06"}
+)
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def _tried(bench: Bench, name: str) -> str | int:
     nul = name == _DESCR and bench.features.string_format == "nul-terminated"
     for length in (32 - nul, 33 - nul):
         request = {"value": b"v" * length} if name == _VALUE else {"descr": "d" * length}
-        answers.append(bench.call("RTDB-Create", **create_request(bench, bench.own_var_id(), **request)))
+        answers.append(bench.call("RTDB-Create", **create_request(bench, bench.own_var_id(), exact=True, **request)))
     if answers[0].ok and not answers[1].ok:
         return 32
     return f"32 octets: {answers[0]}, 33 octets: {answers[1]}"
@@ -412,4 +412,6 @@ def complete(bench: Bench) -> None:
     for name in named:
         bench.check(name in told, f"{name} exists", "VD-GetParameters does not tell it", shown=True)
         if name in told:
-            _check_taken(bench, name, told[name])
+            bench.must(_SET, name=name, value=told[name])
+            shown = _in_force(bench, name)
+            bench.check(shown == told[name], f"{name} = {told[name]} is taken", f"it is {shown}", shown=True)
