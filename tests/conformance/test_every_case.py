@@ -17,8 +17,8 @@ from .rig import OTHER_PROFILES, PROFILES, codec_of, known_cases, one_case
 #: What a profile declares is no behaviour of our node: tests/conformance/test_declared.py.
 CASES = tuple(each for each in known_cases() if each != DECLARED)
 WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
-#: One of each kind of version: who applies to none of them applies to none at all.
-VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.0", "cpp-2.0")
+#: One of each kind of version: a case that applies to none of them applies to none at all.
+VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0")
 FINE = frozenset((Verdict.PASS, Verdict.NOT_APPLICABLE))
 #: These only report what the specification leaves open, and what the PICS says nothing of, without their variants.
 OPEN = frozenset(
