@@ -1,4 +1,4 @@
-"""Who is to blame for a death: confirmed alone, from a fresh start, before it is a verdict.
+"""Attribute a death to a case, after confirming it alone from a fresh start.
 
 When the implementation is found dead or silent after a case, that case may have killed it, or one shortly before it (a
 process takes a moment to die), or several together. Each is tried from a fresh start. What a case saw fail while the
@@ -40,7 +40,7 @@ class Trial:
     checks: list[Check] = field(default_factory=list)
     loss: Loss | None = None
     stimulus: Event | None = None
-    """What was done last in the case, apart from questions after its end."""
+    """The last stimulus of the case, without the questions that follow its end."""
     paused: bool = False
     """BP was deactivated in the case."""
     used_up: bool = False
@@ -50,24 +50,24 @@ class Trial:
 
     @property
     def verdict(self) -> Verdict:
-        """What the checks come to."""
+        """The worst verdict of the checks."""
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
 
 
 @dataclass(frozen=True, slots=True)
 class Attribution:
-    """What became of a case after which the implementation was found dead."""
+    """The outcome for a case after which the implementation was found dead."""
 
     trial: Trial
     """The execution that counts for the case itself."""
     checks: tuple[Check, ...]
-    """What counts for the case itself."""
+    """The checks that count for the case itself."""
     killed: bool
     """The case is to blame."""
     earlier: Trial | None = None
     """The execution of an earlier case that is to blame instead."""
     note: str = ""
-    """What the run should say of it; empty if the blame says it all."""
+    """A note for the results of the run; empty if the checks suffice."""
 
 
 Again = Callable[[Sequence[Case]], Trial | str]
@@ -189,7 +189,7 @@ def survival(trial: Trial) -> tuple[str, ...]:
         if deadly.text not in case.needs.ut or any(check.verdict is Verdict.FAIL for check in trial.checks):
             return ()
         shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
-        # What was shown by silence was shown by a dead implementation: then the last requirement, the most particular.
+        # A pass by silence shows nothing if the implementation was dead: fail the last, most specific requirement.
         return tuple(each for each in case.requirements if each not in shown)[:1] or case.requirements[-1:]
     codec = trial.bench.codec
     try:
@@ -201,7 +201,7 @@ def survival(trial: Trial) -> tuple[str, ...]:
 
 
 def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
-    """What was done last to an implementation that died, without the tester's cleaning up and looking after it.
+    """Find the stimulus that probably ended the implementation, without calls that only tidy up.
 
     In a case about services that is a call, as its frames are honest; otherwise a frame since the last beacon.
     """
