@@ -55,7 +55,7 @@ def queue_mode(bench: Bench) -> QueueingMode:
 
 def no_confirm(bench: Bench) -> str | None:
     """For ``Needs.when``: why the status of BP-TransmitPayload cannot be judged (BP-TXP-08)."""
-    if bench.pics.transmit_payload_confirm is False:
+    if bench.pics.transmit_payload_confirm is False and bench.profile.spec_version >= SpecVersion.V1_2:
         return "the PICS says that BP-TransmitPayload is not confirmed"
     return None
 
@@ -191,7 +191,7 @@ class BPClient:
     def transmit(self, payload: bytes, *, must: bool = True) -> Answer:
         """BP-TransmitPayload; with ``must`` inconclusive unless it is confirmed with OK, or never confirmed."""
         answer = self.bench.call(TRANSMIT, protId=self.prot_id, payload=payload.hex())
-        if must and not answer.ok and self.bench.pics.transmit_payload_confirm is not False:
+        if must and not answer.ok and no_confirm(self.bench) is None:
             self.bench.inconclusive("a payload is submitted, which this case needs", str(answer))
         return answer
 

@@ -17,6 +17,7 @@ from .bench import Bench, Session
 from .case import SANITY, Case
 from .control import SutControl
 from .errors import CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
+from .findings import in_force
 from .life import Life
 from .link import link_switch
 from .node_id import node_id_octets
@@ -419,7 +420,7 @@ class Runner:
             purpose=case.purpose,
             section=case.section,
             kind=str(case.kind),
-            requirements=case.requirements,
+            requirements=in_force(case.requirements, bench.profile.spec_version),
             verdict=verdict,
             reason=reason,
             stimulus=case.stimulus,

@@ -11,7 +11,7 @@ from typing import Any
 from dcp_spec.constants import QueueingMode, SpecVersion
 
 from dcp_conformance.bench import MS, Bench
-from dcp_conformance.case import Needs, case
+from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.clients import (
     ALREADY_REGISTERED,
     CLEAR,
@@ -34,7 +34,7 @@ from dcp_conformance.clients import (
     largest_payload,
 )
 
-V1_1 = SpecVersion.V1_1
+V1_0, V1_1 = SpecVersion.V1_0, SpecVersion.V1_1
 
 
 def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, **changes: Any) -> None:
@@ -50,7 +50,7 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
 @case(
     "TC_BP_REG_BV_01",
     "A client registers with mode {variant}, and is listed as it registered",
-    requirements="BP-REG-01 BP-REG-06 BP-LST-01",
+    requirements="BP-REG-01 BP-REG-06 BP-REG-12 BP-LST-01 BP-LST-03",
     stimulus="BP-RegisterProtocol with mode {variant}, then BP-ListRegisteredProtocols",
     expect="BP-STATUS-OK; an entry with the same values, and with the time of the registration",
     variants=each_mode(*CLIENT, LIST),
@@ -58,7 +58,7 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
 def register(bench: Bench, mode: QueueingMode) -> None:
     client = BPClient(bench, mode, size=48, entries=3, several=True, name="tester of this mode")
     before = bench.lower.wall()
-    answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", **client.registration)
+    answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", "BP-REG-12", **client.registration)
     after = bench.lower.wall()
     if not answer.ok:
         return
@@ -80,7 +80,9 @@ def register(bench: Bench, mode: QueueingMode) -> None:
             f"{listed} is {right!r} as registered",
             f"it is {said!r}",
             "BP-LST-01",
+            "BP-LST-03",
             "BP-REG-01",
+            "BP-REG-12",
             shown=True,
         )
     stamp, margin = entry.get("timeStampRegistration"), round(bench.pixit.clock_tolerance_ms * MS)
@@ -91,6 +93,7 @@ def register(bench: Bench, mode: QueueingMode) -> None:
         f"it is {stamp!r}",
         "BP-REG-06",
         "BP-LST-01",
+        "BP-LST-03",
         shown=True,
     )
 
@@ -147,7 +150,7 @@ def immediate_confirm(bench: Bench) -> None:
 @case(
     "TC_BP_REG_BV_03",
     "maxPayloadSize may be as large as a beacon has room for",
-    requirements="BP-REG-04",
+    requirements="BP-REG-04 BP-REG-11",
     stimulus="BP-RegisterProtocol with the largest maxPayloadSize, and with 1",
     expect="BP-STATUS-OK",
     needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
@@ -185,7 +188,7 @@ def size_zero(bench: Bench) -> None:
 @case(
     "TC_BP_REG_BI_02",
     "A maxPayloadSize that no beacon has room for is refused ({variant})",
-    requirements="BP-REG-04",
+    requirements="BP-REG-04 BP-REG-11",
     stimulus="BP-RegisterProtocol with a maxPayloadSize that is too large: {variant}",
     expect="BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
     needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
@@ -262,8 +265,19 @@ _DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
     requirements="BP-REG-09 DATA-11",
     stimulus="BP-RegisterProtocol with two faults: {variant}",
     expect="the status of the check that stands first",
-    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
-    variants=_DOUBLE,
+    variants={
+        name: Variant(
+            fault,
+            # 1.0 has two checks only.
+            needs=Needs(
+                since=V1_0 if name == "duplicate-and-too-large" else V1_1,
+                entities=(),
+                ut=(REGISTER, DEREGISTER),
+                when=areas_of_fixed_size,
+            ),
+        )
+        for name, fault in _DOUBLE.items()
+    },
 )
 def two_faults(bench: Bench, fault: tuple[str, Callable[[Bench], dict[str, Any]]]) -> None:
     status, changes = fault

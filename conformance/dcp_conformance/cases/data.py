@@ -84,8 +84,11 @@ def byte_order(bench: Bench) -> None:
         1 << 24 not in steps, "seqno counts in its last octet", "it counts in its first", frames=frames[:2], shown=True
     )
     fields = [name for name, field in _integers(bench) if field != "big"]
+    fields += [
+        f"sData.{each.name}" for each in bench.profile.srp.safety_data if each.byte_order == "little" and each.width > 1
+    ]
     if fields:
-        bench.info("Which integers does the profile send least significant octet first?", ", ".join(fields))
+        bench.info("Which numbers does the profile send least significant octet first?", ", ".join(fields))
 
 
 def _integers(bench: Bench) -> list[tuple[str, str]]:
@@ -206,7 +209,7 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
     stimulus="clients, variables and, where the upper tester can hand them down, state reports",
     expect="ten beacons without a fault, and nothing behind the last block of those that are not padded",
     window=14,
-    needs=Needs(since=V1_1),
+    needs=Needs(),
 )
 def packed(bench: Bench) -> None:
     upper = bench.session.upper

@@ -11,6 +11,7 @@ import msgspec
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing import OtherTraffic, locate
+from dcp_conformance.declared import declarations
 from dcp_conformance.heard import Heard
 from dcp_conformance.moment import timestamp
 from dcp_conformance.outcome import assemble
@@ -110,7 +111,7 @@ class Judge:
         for rule in self._active:
             rule.finish()
         self._cite()
-        cases = tuple(self._case(rule) for rule in self._rules)
+        cases = (*declarations(self._pics.pics, self._codec.profile), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
         if self.other:
             about.append(f"{self.other} frames of other traffic were passed over")
