@@ -47,7 +47,7 @@ def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
 def own_entries(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(3)]
     kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
-    values = [
+    values: list[dict[str, Any]] = [
         {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
         for number in (1, 2, 3)
     ]
