@@ -51,7 +51,7 @@ def test_the_ledger_is_well_formed_and_about_code_that_is_there():
     assert len(named) == len(set(named))
     assert {entry.kind for entry in entries()} <= set(CLASSES)
     gone = [key for key in named if key not in known]
-    assert not gone, "the code of these changes has changed: take them out of data/invisible-changes.toml"
+    assert not gone, "the code of these changes has changed: take them out of data/invisible-changes/"
     assert len(ledger()) == len(named)
 
 
