@@ -63,6 +63,7 @@ def own_entries(bench: Bench) -> None:
         said = ({name: entry.get("sData", {}).get(name) for name in data}, entry.get("tStamp"), entry.get("seqno"))
         right = (data, report.t_stamp, report.seqno)
         bench.check(said == right, f"sData, tStamp and seqno {right}", f"{said}", shown=True)
+    bench.wait(0.5)
     peers[1].send(bench.report(peers[1].node_id, 2001, **values[0]))
     bench.until(lambda _: neighbours(bench).get(peers[1].node_id, [{}])[0].get("seqno") == 2001, 2)
     second = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
