@@ -144,16 +144,18 @@ class Arrears(BeaconingProtocol):
         self.debt = 30
         return super().deactivate()
 
-    def activate(self, now: int) -> StatusConfirm:
-        confirm = super().activate(now)
-        self._schedule.trigger(now)
-        return confirm
+    def poll_timeout(self) -> int | None:
+        due = super().poll_timeout()
+        return due if due is None or not self.debt else due - self._parameters.period * 3 // 4
 
     def handle_timeout(self, now: int, wall: int) -> None:
-        super().handle_timeout(now, wall)
-        if self.active and self.debt:
+        due = self.poll_timeout()
+        if self.debt and due is not None and now >= due:
             self.debt -= 1
-            self._schedule.trigger(now + 1_000_000)
+            super().handle_timeout(max(now, self._schedule.due), wall)
+            self._schedule.restart(now - self._parameters.period // 8)
+            return
+        super().handle_timeout(now, wall)
 
 
 @mutant("thirty", "BP-RX-07", "takes 30 blocks of a beacon at most")

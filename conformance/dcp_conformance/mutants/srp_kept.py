@@ -9,9 +9,7 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import ExtendedSafetyData, SafetyData
-from dcp_stack.bp import BeaconingProtocol
 from dcp_stack.neighbours import NeighbourTable
-from dcp_stack.node import Node
 from dcp_stack.srp import StateReporting, UpdateSafetyDataConfirm
 
 from .mutant import mutant
@@ -52,20 +50,15 @@ class ShortNumbers(NeighbourTable):
 @mutant(
     "paused-forgets", "SRP-RX-03 SRP-RUN-02", "forgets its neighbours when BP is deactivated", since=SpecVersion.V1_2
 )
-class PausedForgets(Node):
-    class bp_class(BeaconingProtocol):  # noqa: N801 - takes the place of an attribute
-        pass
-
-    def __init__(self, *args: Any, **more: Any) -> None:
-        super().__init__(*args, **more)
-        deactivate = self.bp.deactivate
-
-        def forgetting() -> Any:
-            if self.srp is not None and self.srp._initialized:
-                self.srp.neighbours.clear()
-            return deactivate()
-
-        self.bp.deactivate = forgetting  # type: ignore[method-assign]
+class PausedForgets(StateReporting):
+    @property
+    def neighbours(self) -> NeighbourTable:
+        table = super().neighbours
+        # Between SRP and BP there is the port of the client.
+        port: Any = self._bp
+        if not port._bp.active:
+            table.clear()
+        return table
 
 
 @mutant("paused-stands", "SRP-SEQ-01", "does not count reports while BP is deactivated", since=SpecVersion.V1_2)
