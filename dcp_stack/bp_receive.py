@@ -38,7 +38,7 @@ class Receiver:
         self._losses = losses
         self._emit = emit
         self._ignores_empty = readings("X46") == "ignore-empty"
-        self._discards_miscounted = readings("X48") == "discard-beacon"
+        self._discards_miscounted = readings("X48") == "discard-beacon" and wire.count_tells
         self._discards_larger = readings("X49") == "discard-larger"
 
     def receive(self, octets: bytes, now: int) -> None:

@@ -85,6 +85,8 @@ class BPWire:
             self.max_blocks = largest
         self._frame_is_end = announced and config.reading("X02") == "frame-size"
         self._count_is_end = "length" in layout.header or config.reading("X47") == "counted-blocks"
+        self.count_tells = not self._frame_is_end and self._count_is_end
+        """Whether numPayloads can be compared: not if padding is parsed as blocks (X02, X47)."""
         self._block_fields = own
         self._block_layout = layout.payload_header
 

@@ -44,6 +44,19 @@ CLIENT = (REGISTER, DEREGISTER, TRANSMIT)
 RECEIVED = "BP-ReceivePayload.indication"
 TRANSMITTED = "BP-PayloadTransmitted.indication"
 
+LISTED = frozenset(
+    {
+        "protocolId",
+        "protocolName",
+        "maxPayloadSize",
+        "queueMode",
+        "timeStampRegistration",
+        "maxEntries",
+        "allowMultiplePayloads",
+    }
+)
+"""The fields of an entry of BP-ListRegisteredProtocols that the specification names."""
+
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 
@@ -220,6 +233,11 @@ class BPClient:
     def entry(self) -> Mapping[str, Any] | None:
         """This client in BP-ListRegisteredProtocols, None if it is not there."""
         return registered(self.bench).get(self.prot_id)
+
+    def fields(self) -> dict[str, Any] | None:
+        """Of :meth:`entry` the fields that the specification names: others, such as statistics, may change."""
+        entry = self.entry()
+        return None if entry is None else {name: value for name, value in entry.items() if name in LISTED}
 
     # -- on the air --------------------------------------------------------------------------------------------
 

@@ -370,11 +370,14 @@ def idle_clients(bench: Bench) -> None:
         client.transmit(client.payload())
         needed(bench, client.until_sent(), "a beacon with the second payload")
     following = bench.heard[bench.heard.index(last) + 1]
-    if pause or last.seqno is None or following.seqno is None:
-        bench.inconclusive("a pause between two beacons that can be read", f"{len(pause)} beacons came in it")
+    if last.seqno is None or following.seqno is None:
+        bench.inconclusive("beacons that can be read", f"{last.problem or following.problem}")
     right = (last.seqno + 1) % BP_SEQNO_MODULUS
-    said = f"{following.seqno} does"
-    bench.check(following.seqno == right, f"{right} follows", said, frames=[last, following], numbers=True)
+    if following.seqno != right:
+        bench.fail(f"{right} follows", f"{following.seqno} does", frames=[last, following], numbers=True)
+    if pause:
+        bench.inconclusive("a pause in which it has nothing to send", f"{len(pause)} beacons came")
+    bench.check(True, "consecutive numbers")
 
 
 @case(
@@ -401,3 +404,30 @@ def block_header(bench: Bench) -> None:
         bench.check(
             head == right, f"octets {right.hex(' ')} before the payload", head.hex(" "), frames=[found], shown=True
         )
+
+
+@case(
+    "TC_BP_CRX_BV_05",
+    "Node identifiers of senders are compared for equality and nothing else ({variant})",
+    requirements="DATA-04",
+    stimulus="a beacon with a block of a client and the senderId {variant}",
+    expect="an indication",
+    needs=Needs(
+        entities=(),
+        ut=CLIENT,
+        header=("senderId",),
+        when=lambda bench: "identifiers are text" if bench.profile.types.node_id.representation == "text" else None,
+    ),
+    variants={
+        "zeros": lambda own: bytes(len(own)),
+        "ones": lambda own: b"\xff" * len(own),
+        "own-but-for-the-last-bit": lambda own: own[:-1] + bytes([own[-1] ^ 1]),
+    },
+)
+def any_sender(bench: Bench, made: Callable[[bytes], bytes]) -> None:
+    with BPClient(bench, ONCE) as client:
+        if bench.session.sut_id is None:
+            client.transmit(client.payload())
+            needed(bench, client.until_sent(), "a beacon of the implementation")
+        bench.peer().send(Block(client.prot_id, b"from anybody"), sender=made(bench.sut_id))
+        bench.check(client.until_received(), "an indication", "there is none in time")

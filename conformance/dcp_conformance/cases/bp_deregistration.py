@@ -13,6 +13,7 @@ from dcp_conformance.clients import (
     CLIENT,
     DEREGISTER,
     LIST,
+    LISTED,
     OK,
     ONCE,
     QUERY,
@@ -28,11 +29,6 @@ from dcp_conformance.clients import (
 )
 
 V1_1 = SpecVersion.V1_1
-#: The fields of an entry that the specification names.
-_LISTED = {
-    "protocolId", "protocolName", "maxPayloadSize", "queueMode", "timeStampRegistration", "maxEntries",
-    "allowMultiplePayloads",
-}  # fmt: skip
 _REGISTRATION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
 
 
@@ -155,7 +151,7 @@ def list_clients(bench: Bench) -> None:
         if bench.profile.spec_version >= V1_1:
             bench.check(not shown, "what is buffered is not reported", f"it is: {shown}", "BP-LST-04", shown=True)
         entries = [each for each in answer.result.get("protocols") or [] if isinstance(each, dict)]
-        further = sorted({name for each in entries for name in each} - _LISTED)
+        further = sorted({name for each in entries for name in each} - LISTED)
         bench.info("Which further fields does the list of clients have?", ", ".join(further) or "none", "BP-LST-02")
 
 

@@ -5,7 +5,6 @@ What must stay as it is: a client's registration and payloads, whatever others d
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -31,7 +30,6 @@ from dcp_conformance.clients import (
     TRANSMITTED,
     BPClient,
     indications,
-    largest_payload,
     listed,
     needed,
     registered,
@@ -124,9 +122,9 @@ def kept(bench: Bench, act: Callable[[Bench, BPClient], object]) -> None:
         payload = client.payload()
         client.transmit(payload)
         needed(bench, client.until_sent(payload), "a beacon with the payload")
-        before, number = client.entry(), client.number()
+        before, number = client.fields(), client.number()
         act(bench, client)
-        after, now = client.entry(), client.number()
+        after, now = client.fields(), client.number()
         bench.check(
             after == before, f"the entry is {before} as before", f"it is {after}", *own, "BP-REG-06", shown=True
         )
@@ -144,22 +142,23 @@ def kept(bench: Bench, act: Callable[[Bench, BPClient], object]) -> None:
     requirements="BP-LST-01 BP-LST-03 BP-REG-06",
     stimulus="three registrations that differ in every parameter, half a beacon period apart; "
     "BP-ListRegisteredProtocols at once and after payloads were sent",
-    expect="each entry with the values of its registration, times in the order of the registrations; the same again",
+    expect="each entry with the values and the time of its registration; the same again",
     needs=Needs(entities=(), ut=(*CLIENT, LIST)),
 )
 def own_fields(bench: Bench) -> None:
     both = bench.features.allow_multiple_payloads
     queue = DROPTAIL if both else QueueingMode.QUEUE
-    largest = min(largest_payload(bench), bench.profile.bp.payload_area or 0xFFFF)
+    # Times are told in the resolution of the implementation's own.
+    pause = max(bench.period // 2, 50 * MS)
     clients = [
         BPClient(bench, ONCE, size=11, entries=2, name="one"),
         BPClient(bench, queue, size=22, entries=3, several=True, name="the second"),
-        BPClient(bench, DROPHEAD if both else REPEAT, size=largest, entries=200, name="3"),
+        BPClient(bench, DROPHEAD if both else REPEAT, size=60, entries=200, name="3"),
     ]
     with clients[0]:
-        bench.wait(0.5)
+        bench.wait_ns(pause)
         with clients[1]:
-            bench.wait(0.5)
+            bench.wait_ns(pause)
             with clients[2]:
                 first = registered(bench)
                 _check_fields(bench, clients, first)
@@ -192,11 +191,9 @@ def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict
         for name, right in _fields(bench, client).items():
             said = entry.get(name)
             bench.check(said == right, f"{name} {right!r}", f"{said!r}", "BP-LST-01", "BP-LST-03", shown=True)
-    times = [each for each in stamps if isinstance(each, int)]
-    apart = [(after - before) / MS for before, after in itertools.pairwise(times)]
-    good = len(times) == len(clients) and all(each > 0 for each in apart)
-    said = f"{stamps}, {', '.join(f'{each:.0f}' for each in apart)} ms apart"
-    bench.check(good, "times of registration that grow", said, "BP-REG-06", "BP-LST-01", "BP-LST-03", shown=True)
+    # A clock may be set meanwhile, so that only their being different can be judged.
+    good = None not in stamps and len(set(stamps)) == len(clients)
+    bench.check(good, "a time of its own for each", f"{stamps}", "BP-REG-06", "BP-LST-01", "BP-LST-03", shown=True)
 
 
 # -- queues of one place, several payloads at once ---------------------------------------------------------------------
@@ -342,21 +339,22 @@ def immediate(bench: Bench, method: str) -> None:
     "TC_BP_MGT_TI_01",
     "After an activation beacons come as often as ever, not those of the inactive time",
     requirements="BP-MGT-05 BP-TX-01",
-    stimulus="a client repeats a payload; BP is inactive for ten periods, then active for eight",
-    expect="four to twelve beacons in these eight periods",
-    window=20,
+    stimulus="a client repeats a payload for eight periods; BP is inactive for ten, then active for eight",
+    expect="not many more beacons in the last eight periods than in the first: twice as many, and four, at most",
+    window=28,
     needs=Needs(V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE)),
 )
 def no_arrears(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
         needed(bench, client.until_sent(), "a beacon with the payload")
+        before = len(bench.wait(8))
         with bench.deactivated("BP"):
             bench.wait(10)
             start = bench.mark()
         bench.wait(8)
-        count = len(bench.heard) - start
-        bench.check(4 <= count <= 12, "four to twelve beacons", f"{count}", shown=count > 12)
+        count, most = len(bench.heard) - start, 2 * before + 4
+        bench.check(count <= most, f"{most} beacons at most after {before} before", f"{count}", shown=True)
 
 
 @case(

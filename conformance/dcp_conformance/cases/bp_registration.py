@@ -227,10 +227,10 @@ def already_registered(bench: Bench) -> None:
     with BPClient(bench, REPEAT, size=20) as client:
         payload = client.payload()
         client.transmit(payload)
-        before = client.entry()
+        before = client.fields()
         changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
         bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
-        after = client.entry()
+        after = client.fields()
         bench.check(after == before, "the registration is unchanged", f"it was {before}, and is {after}", shown=True)
         number = client.number()
         bench.check(number == 1, "the payload still waits", f"{number} payloads do", shown=True)

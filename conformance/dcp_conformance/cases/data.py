@@ -22,7 +22,7 @@ from dcp_spec.profile import Opaque
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.cases.bp_receive import check_dropped, check_processed
-from dcp_conformance.clients import header_octets, some_beacons, talking, unused_protocol_id
+from dcp_conformance.clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
 from dcp_conformance.forge import Block
 from dcp_conformance.header_rules import judge
 from dcp_conformance.heard import Heard
@@ -202,6 +202,14 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
 # -- records -----------------------------------------------------------------------------------------------------------
 
 
+def _sends_something(bench: Bench) -> str | None:
+    """For ``Needs.when``: the tester must be able to make it send beacons."""
+    upper = bench.session.upper
+    if bench.pics.vardis is False and (upper is None or not set(CLIENT) <= upper.methods):
+        return "without VarDis and without an upper tester nothing makes it send beacons"
+    return None
+
+
 @case(
     "TC_DCP_DATA_BV_06",
     "Every beacon can be read with the profile, without octets left over",
@@ -209,15 +217,16 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
     stimulus="clients, variables and, where the upper tester can hand them down, state reports",
     expect="ten beacons without a fault, and nothing behind the last block of those that are not padded",
     window=14,
-    needs=Needs(),
+    needs=Needs(entities=(), when=_sends_something),
 )
 def packed(bench: Bench) -> None:
     upper = bench.session.upper
     with talking(bench, clients=2):
-        if upper is not None and "SRP-UpdateSafetyData" in upper.methods and bench.profile.srp.safety_data:
+        reports = bench.profile.srp.safety_data and bench.pics.srp is not False
+        if upper is not None and "SRP-UpdateSafetyData" in upper.methods and reports:
             bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 5))
         peer = bench.peer()
-        for length in (1, 3):
+        for length in (1, 3) if bench.pics.vardis is not False else ():
             var_id = bench.var_id()
             peer.send(peer.create(var_id, value=bytes(length), descr=b"d" * length))
             peer.send(peer.update(var_id, 1, bytes(length + 1)), peer.summary(bench.unknown_id(), 1))

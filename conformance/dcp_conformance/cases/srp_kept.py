@@ -55,6 +55,7 @@ def own_entries(bench: Bench) -> None:
         bench.report(peer.node_id, 1000 * number, **data)
         for number, (peer, data) in enumerate(zip(peers, values, strict=True), 1)
     ]
+    begun = bench.now()
     for peer, report in zip(peers, reports, strict=True):
         peer.send(report)
     first = _heard_of(bench, peers)
@@ -65,12 +66,14 @@ def own_entries(bench: Bench) -> None:
         bench.check(said == right, f"sData, tStamp and seqno {right}", f"{said}", shown=True)
     bench.wait(0.5)
     peers[1].send(bench.report(peers[1].node_id, 2001, **values[0]))
-    bench.until(lambda _: neighbours(bench).get(peers[1].node_id, [{}])[0].get("seqno") == 2001, 2)
+    # One question only: entries time out while a slow upper tester answers.
+    bench.wait(1)
     second = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
     for place in (0, 2):
         was, is_now = first[peers[place].node_id], second.get(peers[place].node_id)
-        if is_now is None:
-            bench.inconclusive("the other entries, which time out by the clock", "one is gone")
+        if is_now is None and bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
+            bench.not_applicable("the calls of this case take longer than an entry lives")
+        is_now = is_now or {}
         same = all(is_now.get(name) == was.get(name) for name in (*_FIELDS, "receptionTime"))
         bench.check(same, f"{was} as before", f"{is_now}", "SRP-RX-03", shown=True)
 
@@ -91,8 +94,8 @@ def table_across_activation(bench: Bench) -> None:
     with bench.deactivated("BP"):
         during = neighbours(bench)
     after = neighbours(bench)
-    if bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS // 2:
-        bench.inconclusive("calls that take less time than an entry lives", "they took half of the timeout")
+    if bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
+        bench.not_applicable("the calls of this case take longer than an entry lives")
     for node_id, entry in before.items():
         for when, table in (("while BP is inactive", during), ("afterwards", after)):
             is_now = table.get(node_id, [{}])[0]
