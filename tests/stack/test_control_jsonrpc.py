@@ -118,6 +118,14 @@ def test_wrong_methods_and_parameters(rig, method, params, code, text):
     assert rig.node.snapshot() == before
 
 
+@pytest.mark.parametrize("method", ["BP-ListRegisteredProtocols", "BP-GetParameters"])
+def test_a_type_error_in_a_core_is_not_blamed_on_the_parameters(rig, method):
+    """The types of parameters are checked with the message, so that a later TypeError is a mistake of the node."""
+    name = "list_registered" if method == "BP-ListRegisteredProtocols" else "parameters"
+    with patch.object(type(rig.node.bp), name, side_effect=TypeError("not iterable")):
+        assert rig.client().error(method)["code"] == -32603
+
+
 def test_a_mistake_of_ours_is_an_internal_error_and_no_end(rig, caplog):
     # A fuzzing target may have silenced it in this process.
     caplog.set_level("ERROR", logger="dcp_stack.control.server")

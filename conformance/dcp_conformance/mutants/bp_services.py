@@ -206,6 +206,22 @@ class OldQueue(ClientList):
         super().insert(client)
 
 
+@mutant("stays-ours", "BP-RXP-03 BP-DRG-05", "keeps payloads from a client that took over the identifier of SRP or VarDis")
+class StaysOurs(ClientList):
+    def remove(self, protocol_id: int) -> None:
+        client = self._clients[protocol_id]
+        super().remove(protocol_id)
+        client.stands = True
+
+
+@mutant("fails", "BP-QM-06", "stumbles over a queueing mode that does not exist", since=SpecVersion.V1_1)
+class StumblesOverMode(BeaconingProtocol):
+    def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
+        if not known:
+            raise RuntimeError(f"no rule for {registration.queue_mode!r}")
+        return super()._registrable(registration, known=known)
+
+
 @mutant("one-missing", "BP-LST-01", "leaves the client that registered last out of the list")
 class OneMissing(BeaconingProtocol):
     def list_registered(self) -> ListConfirm:
