@@ -231,7 +231,7 @@ def larger_than_own(bench: Bench) -> None:
     "TC_BP_RXP_BV_05",
     "The identifier of {variant} belongs to the client that registers it after {variant} was deregistered",
     requirements="BP-RXP-03 BP-DRG-05",
-    stimulus="BP-DeregisterProtocol of the identifier of {variant}; the tester registers it; a beacon with a block of it",
+    stimulus="BP-DeregisterProtocol of that identifier; the tester registers it; a beacon with a block of it",
     expect="the tester's client is told of the payload",
     window=6,
     destructive=True,

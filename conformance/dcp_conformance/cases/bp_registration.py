@@ -172,6 +172,18 @@ def entries_of_buffers(bench: Bench, mode: QueueingMode) -> None:
 
 
 @case(
+    "TC_BP_REG_BV_06",
+    "In 1.0 a client that only receives may register with maxPayloadSize 0",
+    requirements="BP-REG-06",
+    stimulus="BP-RegisterProtocol with maxPayloadSize 0",
+    expect="BP-STATUS-OK: 1.0 has an upper bound only",
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(REGISTER, DEREGISTER)),
+)
+def size_zero_in_1_0(bench: Bench) -> None:
+    expect(bench, OK, BPClient(bench, ONCE), maxPayloadSize=0)
+
+
+@case(
     "TC_BP_REG_BI_01",
     "A maxPayloadSize of 0 is refused",
     requirements="BP-REG-03",

@@ -59,6 +59,12 @@ class SizeOfNothing(Registrations):
         return BPStatus.OK if not registration.max_payload_size else status
 
 
+@mutant("something", "BP-REG-06", "refuses a maximum payload size of 0, which 1.0 allows", until=SpecVersion.V1_0)
+class SizeOfSomething(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        return status if registration.max_payload_size else BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
+
+
 @mutant("no-bound", "BP-REG-04", "registers clients whose payloads fit into no beacon")
 class NoBound(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
@@ -206,7 +212,9 @@ class OldQueue(ClientList):
         super().insert(client)
 
 
-@mutant("stays-ours", "BP-RXP-03 BP-DRG-05", "keeps payloads from a client that took over the identifier of SRP or VarDis")
+@mutant(
+    "stays-ours", "BP-RXP-03 BP-DRG-05", "keeps payloads from a client that took over the identifier of SRP or VarDis"
+)
 class StaysOurs(ClientList):
     def remove(self, protocol_id: int) -> None:
         client = self._clients[protocol_id]
@@ -308,6 +316,20 @@ class EmptyClears(Transmissions):
 class EmptyRefused(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         return BPStatus.EMPTY_PAYLOAD if client is not None and not payload else super()._submit(client, payload, now)
+
+
+@mutant(
+    "empty-clears",
+    "BP-QM-03",
+    "empties a queue when an empty payload is submitted, which in 1.0 empties buffers only",
+    until=SpecVersion.V1_0,
+)
+class EmptyClearsQueues(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        if client is not None and client.queue is not None and not payload:
+            client.queue.clear()
+            return BPStatus.OK
+        return super()._submit(client, payload, now)
 
 
 @mutant("status", "BP-TXP-04", "says that a payload was too large when a full DROPTAIL queue dropped it")
