@@ -33,6 +33,7 @@ from dcp_conformance.clients import (
     each_mode,
     largest_payload,
 )
+from dcp_conformance.forge import Block
 from dcp_conformance.upper.base import INTERNAL_ERROR
 
 V1_1 = SpecVersion.V1_1
@@ -181,6 +182,33 @@ def entries_of_buffers(bench: Bench, mode: QueueingMode) -> None:
 )
 def size_zero_in_1_0(bench: Bench) -> None:
     expect(bench, OK, BPClient(bench, ONCE), maxPayloadSize=0)
+
+
+@case(
+    "TC_BP_REG_BV_07",
+    "Every protocol identifier can be registered: {variant}",
+    requirements="BP-REG-01",
+    stimulus="BP-RegisterProtocol with protId {variant}; a payload is submitted; a beacon with a block of it",
+    expect="BP-STATUS-OK, a beacon with the payload, and an indication",
+    needs=Needs(entities=(), ut=CLIENT),
+    variants={"0": 0, "255": 0xFF, "256": 0x100, "the-largest": None},
+)
+def any_identifier(bench: Bench, prot_id: int | None) -> None:
+    largest = (1 << 8 * bench.profile.types.protocol_id.width) - 1
+    client = BPClient(bench, ONCE, prot_id=largest if prot_id is None else min(prot_id, largest))
+    answer = client.register()
+    bench.require_asked(answer, "the registration succeeds")
+    if answer.is_status(ALREADY_REGISTERED):
+        bench.inconclusive("an identifier that nobody has registered", f"{client.prot_id} is registered")
+    bench.require(answer.is_status(OK), "the registration succeeds", str(answer), shown=True)
+    try:
+        client.transmit(client.payload())
+        bench.check(client.until_sent(), "a beacon with the payload", "there is none in time")
+        octets = bytes(range(7))
+        bench.peer().send(Block(client.prot_id, octets))
+        bench.check(octets in client.until_received(), "an indication", "there is none in time")
+    finally:
+        bench.call(DEREGISTER, protId=client.prot_id)
 
 
 @case(

@@ -35,6 +35,12 @@ class Registrations(BeaconingProtocol):
         return status
 
 
+@mutant("signed", "BP-REG-01", "refuses protocol identifiers whose first bit is set")
+class SignedIdentifiers(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        return BPStatus.UNKNOWN_PROTOCOL if registration.protocol_id > 0x7FFF else status
+
+
 @mutant("replaces", "BP-REG-02", "lets a second registration replace the first")
 class Replaces(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
