@@ -1,6 +1,6 @@
 """Where in the specification each requirement stands, for every published version.
 
-``data/origins.json`` is generated (``python -m dcp_conformance.provenance``): places and fingerprints, never the wording.
+``data/origins.json`` is generated (``python -m dcp_conformance.provenance``): places and fingerprints, no wording.
 ``data/statements.json`` lists all statements of the newest version in the same way, so that another version can be
 compared with it. Nothing is read before the first look-up.
 """
@@ -114,7 +114,10 @@ def origins() -> Mapping[str, RequirementOrigins]:
 
     def entry(name: str) -> RequirementOrigins:
         found = {
-            version: tuple(Origin(version, file.sections[section], *rest) for section, *rest in each)
+            version: tuple(
+                Origin(version, file.sections[section], line, step, fingerprint)
+                for section, line, step, fingerprint in each
+            )
             for version, each in file.origins.get(name, {}).items()
         }
         return RequirementOrigins(name, MappingProxyType(found), file.why.get(name, ""))

@@ -14,7 +14,7 @@ from .recording import DATA, record
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """0 if every requirement has its statements (with ``--check``: and the files are up to date), 1 if not, 2 misuse."""
+    """0 if every requirement has its statements (``--check``: and the files are up to date), 1 if not, 2 misuse."""
     parser = argparse.ArgumentParser(
         prog="dcp_conformance.provenance", description=(__doc__ or "").partition(": ")[2].capitalize()
     )

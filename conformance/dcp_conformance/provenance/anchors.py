@@ -1,7 +1,7 @@
 """``spec/anchors.toml``: the statements of the specification that each requirement stands on, chosen by people.
 
-A requirement names its statements in one version, mostly the newest; they are followed into the other versions by their
-wording and their place. Where that does not lead to the right statement, the entry names those of the other version too.
+A requirement names its statements in one version, mostly 2.0; they are followed into the other versions by their
+wording and their place. Where that does not lead to the right statement, the entry names that of the other version.
 """
 
 from __future__ import annotations

@@ -42,32 +42,33 @@ def read_checkout(path: Path, revision: str | None = None) -> Checkout:
     A bare repository without ``revision`` is read at HEAD. Raises :class:`UsageError` if there is no specification.
     """
     if not path.is_dir():
-        raise UsageError(f"{path}: there is no such folder; give a checkout of the specification, or its git repository")
+        raise UsageError(f"{path} is not a folder; give a checkout of the specification, or its git repository")
     if revision is not None or _is_bare(path):
         return _from_git(path, revision or "HEAD")
     names = [each.relative_to(path).as_posix() for each in path.rglob("*.md") if ".git" not in each.parts]
-    chosen = _folder(names, str(path))
+    folder, chosen = _folder(names, str(path))
     try:
         files = {PurePosixPath(name).name: (path / name).read_text(encoding="utf-8") for name in chosen}
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: the specification cannot be read: {error}") from None
-    return Checkout(str(path), files)
+    return Checkout(str(path / folder), files)
 
 
-def _folder(names: Iterable[str], where: str) -> list[str]:
-    """The Markdown files of the folder that has most of the known ones."""
+def _folder(names: Iterable[str], where: str) -> tuple[PurePosixPath, list[str]]:
+    """The folder that has most of the known files, and its Markdown files."""
     folders: dict[PurePosixPath, list[str]] = {}
     for name in names:
         folders.setdefault(PurePosixPath(name).parent, []).append(name)
-    counts = {
-        folder: sum(PurePosixPath(each).name in KNOWN for each in members) for folder, members in folders.items()
-    }
-    best = max(counts, key=lambda folder: (counts[folder], -len(folder.parts)), default=None)
-    if best is None or not counts[best]:
+    counts = {folder: sum(PurePosixPath(each).name in KNOWN for each in members) for folder, members in folders.items()}
+    most = max(counts.values(), default=0)
+    if not most:
         raise UsageError(
-            f"{where} holds no DCP specification: none of its folders has a file called {', '.join(KNOWN[:3])} or the like"
+            f"{where} holds no DCP specification: none of its folders has a file such as {', '.join(KNOWN[:3])}"
         )
-    return sorted(each for each in folders[best] if PurePosixPath(each).name not in LEFT_OUT)
+    best = sorted(folder for folder, count in counts.items() if count == most)
+    if len(best) > 1:
+        raise UsageError(f"{where} holds several specifications; give one of the folders {', '.join(map(str, best))}")
+    return best[0], sorted(each for each in folders[best[0]] if PurePosixPath(each).name not in LEFT_OUT)
 
 
 def _is_bare(path: Path) -> bool:
@@ -85,7 +86,7 @@ def commit_of(path: Path, revision: str) -> str:
 def _from_git(path: Path, revision: str) -> Checkout:
     commit = commit_of(path, revision)
     listed = _git(path, "ls-tree", "-r", "-z", "--name-only", "--full-tree", commit).split("\0")
-    chosen = _folder([name for name in listed if name.endswith(".md")], f"{path} at {revision}")
+    _, chosen = _folder([name for name in listed if name.endswith(".md")], f"{path} at {revision}")
     files = {PurePosixPath(name).name: _git(path, "show", f"{commit}:{name}") for name in chosen}
     return Checkout(f"{path} at {commit[:12]}", files)
 

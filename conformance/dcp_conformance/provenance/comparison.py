@@ -59,7 +59,9 @@ class _Alignment:
     def pairs(self) -> list[Pair]:
         successors = self._successors()
         old_sections, new_sections = _by_place(self._old), _by_place(self._new)
-        sections = [(old_sections[place], new_sections[successors[place]]) for place in old_sections if place in successors]
+        sections = [
+            (old_sections[place], new_sections[successors[place]]) for place in old_sections if place in successors
+        ]
         for left, right in sections:
             self._match_equal(left, right)
         self._match_moved()
@@ -125,18 +127,15 @@ class _Alignment:
 
     def _match_moved(self) -> None:
         """Same wording elsewhere, where it is plain which is which: in one section first, then in one file."""
-        for key in (
-            lambda each: (each.fingerprint, *each.place),
-            lambda each: (each.fingerprint, each.file),
-            lambda each: (each.fingerprint,),
-        ):
-            left, right = defaultdict(list), defaultdict(list)
+        for depth in (2, 1, 0):
+            left: dict[tuple[str, ...], list[int]] = defaultdict(list)
+            right: dict[tuple[str, ...], list[int]] = defaultdict(list)
             for number, each in enumerate(self._old):
                 if number not in self._partner:
-                    left[key(each)].append(number)
+                    left[each.fingerprint, *each.place[:depth]].append(number)
             for number, each in enumerate(self._new):
                 if number not in self._taken:
-                    right[key(each)].append(number)
+                    right[each.fingerprint, *each.place[:depth]].append(number)
             for name, numbers in left.items():
                 if len(numbers) == 1 == len(right.get(name, ())):
                     self._pair(numbers[0], right[name][0])

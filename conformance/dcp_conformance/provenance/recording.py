@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -67,27 +68,43 @@ def record(repository: Path, anchors: Anchors) -> Recording:
     return Recording({ORIGINS: origins, STATEMENTS: _statements(versions[0], texts[versions[0]])}, tuple(remarks))
 
 
+Partners = dict[tuple[SpecVersion, SpecVersion], dict[str, Statement]]
+"""What a statement of the one version is in the other, by its reference."""
+
+
 def _follow(
     versions: Sequence[SpecVersion], texts: dict[SpecVersion, list[Statement]], anchors: Anchors
 ) -> dict[str, dict[SpecVersion, list[Statement]]]:
-    """The statements of each requirement in each version that it holds in, from the newest version down."""
+    """The statements of each requirement in each version that it holds in.
+
+    They are followed from the newest version in which they are named, into newer ones first and then into older ones.
+    """
     named = {version: {reference(each): each for each in texts[version]} for version in versions}
-    partners: dict[SpecVersion, dict[str, Statement]] = {}
-    for newer, older in zip(versions, versions[1:], strict=False):
-        pairs = align(texts[newer], texts[older])
-        partners[older] = {reference(each.old): each.new for each in pairs if each.old and each.new}
+    partners: Partners = {}
+    for newer, older in pairwise(versions):
+        for left, right in ((newer, older), (older, newer)):
+            pairs = align(texts[left], texts[right])
+            partners[left, right] = {reference(each.old): each.new for each in pairs if each.old and each.new}
     found: dict[str, dict[SpecVersion, list[Statement]]] = {}
     for name, chosen in anchors.statements.items():
-        current: list[Statement] = []
-        for version in versions:
-            if version in chosen:
-                current = [_look_up(named[version], each, name, version) for each in chosen[version]]
-            elif version in partners:
-                followed = [partners[version].get(reference(each)) for each in current]
-                current = list({reference(each): each for each in followed if each}.values())
-            if requirements()[name].holds_in(version):
-                found.setdefault(name, {})[version] = current
+        known = {
+            version: [_look_up(named[version], each, name, version) for each in references]
+            for version, references in chosen.items()
+        }
+        start = next((number for number, version in enumerate(versions) if version in known), 0)
+        for ways in (versions[start::-1], versions[start:]):
+            for before, after in pairwise(ways):
+                if after not in known:
+                    known[after] = _partners_of(known.get(before, []), partners[before, after])
+        found[name] = {
+            version: known.get(version, []) for version in versions if requirements()[name].holds_in(version)
+        }
     return found
+
+
+def _partners_of(statements: Iterable[Statement], partners: dict[str, Statement]) -> list[Statement]:
+    followed = (partners.get(reference(each)) for each in statements)
+    return list({reference(each): each for each in followed if each is not None}.values())
 
 
 def _look_up(known: dict[str, Statement], name: str, requirement: str, version: SpecVersion) -> Statement:

@@ -10,6 +10,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Literal
 
 #: Hexadecimal digits of a fingerprint, and of a sketch.
@@ -28,10 +29,10 @@ _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 _END = re.compile(r"(?<=[.!?:])[)\"'*_`]*\s+(?=[\"'(*_`\[]*[A-Z0-9`])")
 _ABBREVIATION = re.compile(r"(?:\b(?:e\.g|i\.e|c\.f|cf|etc|vs|resp|incl|no)|^[A-Z])\.$", re.IGNORECASE)
 _NORMATIVE = re.compile(
-    r"\b(?:must|shall|should|will|may|can|cannot|ha(?:s|ve) to|is to be|are to be|contains?|carries|consists?|need(?:s|ed)?|required?|requirements?|mandatory|optional|always|never|only|"
-    r"at (?:least|most)|exactly|no (?:more|less|larger|smaller|longer)|is set to|are set to|is initialized|"
-    r"set to|default|guarantees?|dropped|discard(?:s|ed)?|ignored?|returns?|performs?|unsigned|bits?|bytes?|"
-    r"is not (?:allowed|permitted)|are not (?:allowed|permitted)|implementation-dependent)\b|\d",
+    r"\b(?:must|shall|should|will|may|can|cannot|ha(?:s|ve) to|is to be|are to be|need(?:s|ed)?|required?|"
+    r"requirements?|mandatory|optional|always|never|only|at (?:least|most)|exactly|no (?:more|less|larger|smaller)|"
+    r"set to|initiali[sz]ed|default|guarantees?|dropped|discard(?:s|ed)?|ignored?|returns?|performs?|contains?|carries|"
+    r"consists?|unsigned|bits?|bytes?|(?:is|are) not (?:allowed|permitted)|implementation-dependent)\b|\d",
     re.IGNORECASE,
 )
 
@@ -87,7 +88,7 @@ def fingerprint(text: str) -> str:
 def sketch(text: str) -> str:
     """Simhash (64 bits, hexadecimal) of the words and pairs of words of a normalised text."""
     words = re.findall(r"[^\W_]+|[^\w\s-]+", text)
-    features = [*words, *(f"{left} {right}" for left, right in zip(words, words[1:], strict=False))]
+    features = [*words, *(f"{left} {right}" for left, right in pairwise(words))]
     sums = [0] * 64
     for feature in features:
         bits = int.from_bytes(hashlib.sha256(feature.encode()).digest()[:8])
@@ -105,6 +106,15 @@ def distance(left: str, right: str) -> int:
 def statements(file: str, text: str) -> list[Statement]:
     """All statements of one Markdown file, from top to bottom."""
     return list(_Reader(file).read(text.splitlines()))
+
+
+def _ends(text: str) -> Iterator[tuple[int, int]]:
+    """Where a sentence may end, and where the next one starts."""
+    return ((match.start(), match.end()) for match in _END.finditer(text))
+
+
+def _line_of(position: int, starts: Iterable[tuple[int, int]]) -> int:
+    return max(number for offset, number in starts if offset <= position)
 
 
 class _Reader:
@@ -160,20 +170,19 @@ class _Reader:
 
     def _sentences(self, block: list[tuple[int, str]], step: str) -> Iterator[Statement]:
         text = ""
-        lines: list[tuple[int, int]] = []
+        starts: list[tuple[int, int]] = []
         for number, line in block:
-            lines.append((len(text), number))
+            starts.append((len(text), number))
             text += line.strip() + " "
-        start = 0
-        for match in [*_END.finditer(text), None]:
-            end = len(text) if match is None else match.start()
-            if match is not None and (_ABBREVIATION.search(text[start:end].rstrip(")\"'*_`")) or text[end - 1] == ":"):
+        kind: Kind = "step" if step else "sentence"
+        begin = 0
+        for end, following in _ends(text):
+            if _ABBREVIATION.search(text[begin:end].rstrip(")\"'*_`")) or text[end - 1] == ":":
                 continue
-            sentence = text[start : end if match is None else match.end()]
-            if sentence.strip():
-                line = max(number for offset, number in lines if offset <= start)
-                yield from self._statement(line, "step" if step else "sentence", step, sentence)
-            start = end if match is None else match.end()
+            yield from self._statement(_line_of(begin, starts), kind, step, text[begin:following])
+            begin = following
+        if text[begin:].strip():
+            yield from self._statement(_line_of(begin, starts), kind, step, text[begin:])
 
     def _code(self, lines: list[tuple[int, str]]) -> Iterator[Statement]:
         """Numbered steps with what belongs to each; every line of code before the first step, or without steps."""
