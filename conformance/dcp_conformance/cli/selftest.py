@@ -34,7 +34,7 @@ _FEW = 40
     "--document",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Write the kill matrix (Markdown).",
+    help="Write the table of this command into its section of FILE (Markdown).",
 )
 @click.option(
     "--generated",
@@ -159,35 +159,32 @@ def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     if options["report_dir"] is not None:
         _write_json(result, options["report_dir"], "variants.json")
     if options["document"] is not None:
-        _write_section(result, options["document"])
+        from dcp_conformance.variants.table import section
+
+        _write_section(options["document"], "variants", section(result))
     print_variants(result, verbose=options["verbose"], quiet=options["quiet"])
     return result.exit_status()
-
-
-def _write_section(result: VariantsResult, document: Path) -> None:
-    """Put the table of variants at the end of a document, in place of the one that is there."""
-    from dcp_conformance.kill_matrix import with_variants
-    from dcp_conformance.variants.table import section
-
-    try:
-        text = document.read_text(encoding="utf-8") if document.exists() else ""
-        document.write_text(with_variants(text, section(result)), encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
 
 
 def _write(result: SelftestResult, directory: Path | None, document: Path | None) -> None:
     if directory is not None:
         _write_json(result, directory, "selftest.json")
     if document is not None:
-        from dcp_conformance.kill_matrix import markdown, variants_of, with_variants
+        from dcp_conformance.kill_matrix import markdown
 
-        try:
-            # The section of the variants has a command of its own, and stays.
-            kept = variants_of(document.read_text(encoding="utf-8")) if document.exists() else ""
-            document.write_text(with_variants(markdown(result), kept), encoding="utf-8")
-        except OSError as error:
-            raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
+        _write_section(document, "mutants", markdown(result))
+
+
+def _write_section(document: Path, name: str, text: str) -> None:
+    """Put a section into the document, and leave those of the other commands as they are."""
+    from dcp_conformance.selftest_document import DocumentError, write_section
+
+    try:
+        write_section(document, name, text)
+    except DocumentError as error:
+        raise UsageError(f"{document}: {error}") from None
+    except OSError as error:
+        raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
 
 
 def _write_json(result: SelftestResult | GeneratedResult | VariantsResult, directory: Path, name: str) -> None:
