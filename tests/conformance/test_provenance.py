@@ -359,7 +359,7 @@ class TestCommand:
         assert "People like them" not in dcp_conformance("provenance", specification).out
         assert "People like them" in dcp_conformance("provenance", specification, "--all").out
 
-    @pytest.mark.parametrize("words", [[], ["/nowhere"], ["--requirement", "BP-RX-99"]])
+    @pytest.mark.parametrize("words", [[], ["/nowhere"], ["--requirement", "BP-RX-999"]])
     def test_usage(self, dcp_conformance: Command, words):
         done = dcp_conformance("provenance", *words)
         assert done.status == 2
@@ -421,7 +421,7 @@ def test_a_statement_that_is_not_found_in_an_older_version_is_asked_for(tmp_path
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("VD-PAR-04", "VD-PAR-99", "has no requirement VD-PAR-99"),
+        ("VD-PAR-04", "VD-PAR-999", "has no requirement VD-PAR-999"),
         ('"2.0" = [', '"2.2" = [', "'2.2' is neither a version"),
         ('version = "1.3"', 'version = "2.0"', "not ordered"),
         ("{bag}", "dcp-bp.md:1 000000000000", "has no statement"),
