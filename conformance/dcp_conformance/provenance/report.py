@@ -13,7 +13,7 @@ from dcp_spec.requirements import requirements
 from dcp_spec.version import __version__
 
 from dcp_conformance.case import all_cases
-from dcp_conformance.citations import citations_by_requirement
+from dcp_conformance.citations.places import citations_by_requirement
 
 from .checkout import Checkout
 from .comparison import Change, Pair, align

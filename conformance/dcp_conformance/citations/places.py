@@ -1,7 +1,8 @@
 """Citations of requirements in our own code: ``##= ID`` on the line above what fulfils it.
 
-A citation stands on the statement (or the element of a table) that follows it. Several citations in a row stand on the
-same one. Sources are read as text; nothing is imported.
+A citation stands on the statement (or the entry of a table) that follows it; where that only gives a local variable its
+value, also on the statements that follow, up to the first that does more. Several citations in a row stand on the same
+code. Sources are read as text; nothing is imported.
 """
 
 from __future__ import annotations
@@ -86,19 +87,41 @@ def citations_in(path: str, source: str) -> Iterator[Citation]:
 
 
 def _places(node: ast.AST, function: str) -> Iterator[tuple[int, int, str]]:
-    """First line, last line and function of everything that a citation can stand on: statements, cases, elements."""
-    for child in ast.iter_child_nodes(node):
-        inner = function
-        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            inner = f"{function}.{child.name}" if function else child.name
-        if isinstance(child, ast.stmt):
-            first = min([child.lineno, *(each.lineno for each in getattr(child, "decorator_list", ()))])
-            yield first, child.end_lineno or first, inner
-        elif isinstance(child, ast.match_case):
-            yield child.pattern.lineno, child.body[-1].end_lineno or child.pattern.lineno, inner
-        elif isinstance(child, ast.Dict):
-            for key, value in zip(child.keys, child.values, strict=True):
-                yield (key or value).lineno, value.end_lineno or value.lineno, inner
-        elif isinstance(child, ast.expr | ast.keyword):
-            yield child.lineno, child.end_lineno or child.lineno, inner
-        yield from _places(child, inner)
+    """First line, last line and function of everything that a citation can stand on: statements, cases, entries."""
+    for name, value in ast.iter_fields(node):
+        children = value if isinstance(value, list) else [value]
+        for number, child in enumerate(children):
+            if not isinstance(child, ast.AST):
+                continue
+            inner = function
+            if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+                inner = f"{function}.{child.name}" if function else child.name
+            if isinstance(child, ast.stmt) and name in ("body", "orelse", "finalbody"):
+                first = min(each.lineno for each in (child, *getattr(child, "decorator_list", ())))
+                yield first, _last_line(children[number:]), inner
+            elif isinstance(child, ast.match_case):
+                yield child.pattern.lineno, child.body[-1].end_lineno or child.pattern.lineno, inner
+            elif isinstance(child, ast.Dict):
+                for key, entry in zip(child.keys, child.values, strict=True):
+                    yield (key or entry).lineno, entry.end_lineno or entry.lineno, inner
+            elif isinstance(child, ast.expr | ast.keyword):
+                yield child.lineno, child.end_lineno or child.lineno, inner
+            yield from _places(child, inner)
+
+
+def _last_line(statements: list[ast.stmt]) -> int:
+    """Where the code ends that the first of these statements belongs to."""
+    for statement in statements:
+        if not _only_names(statement):
+            return statement.end_lineno or statement.lineno
+    return statements[-1].end_lineno or statements[-1].lineno
+
+
+def _only_names(statement: ast.stmt) -> bool:
+    """Whether a statement does nothing but give local variables their values."""
+    if isinstance(statement, ast.AnnAssign):
+        return isinstance(statement.target, ast.Name)
+    if not isinstance(statement, ast.Assign):
+        return False
+    targets = [part for each in statement.targets for part in (each.elts if isinstance(each, ast.Tuple) else [each])]
+    return all(isinstance(each, ast.Name) for each in targets)
