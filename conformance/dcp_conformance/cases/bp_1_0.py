@@ -16,7 +16,7 @@ _COUNTED = Needs(until=V1_0, entities=(), ut=(*CLIENT, QUERY))
 
 
 @case(
-    "TC_BP_TXP_BI_04",
+    "TC_BP_TXP_BI_14",
     "In 1.0 mode QUEUE refuses an empty payload, and keeps what it has",
     requirements="BP-TXP-12",
     stimulus="a client with mode QUEUE and two payloads that wait submits one of no octets",

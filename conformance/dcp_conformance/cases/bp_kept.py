@@ -358,7 +358,7 @@ def no_arrears(bench: Bench) -> None:
 
 
 @case(
-    "TC_BP_MGT_BV_04",
+    "TC_BP_MGT_BV_14",
     "A queue is as it was after BP was deactivated and activated",
     requirements="BP-MGT-04 BP-MGT-05 BP-QM-03",
     stimulus="while BP is inactive a client submits A, B, C; BP-MGMT-Activate",

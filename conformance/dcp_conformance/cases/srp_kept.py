@@ -37,7 +37,7 @@ def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
 
 
 @case(
-    "TC_SRP_NT_BV_06",
+    "TC_SRP_NT_BV_16",
     "Each entry has the fields of its own record, and a record changes no other entry",
     requirements="SRP-RX-03 SRP-NT-01 SRP-NT-02",
     stimulus="records of three neighbours that differ in every field; then a second record of one of them",
