@@ -114,11 +114,10 @@ class UndisturbedPeriod(BeaconPeriod):
         period = float(self.context.parameters.get("BPPAR_BEACON_PERIOD", self.context.pics.pixit.beacon_period_ms))
         tolerance = self.context.pics.pixit.period_tolerance * period
         for sender, intervals in self._intervals.items():
-            kept = self._without_pauses(intervals, period)
+            median, kept = self._without_pauses(intervals, period)
             if len(kept) < self._ENOUGH:
                 continue
             self.exercised()
-            median = statistics.median(kept)
             mean = statistics.fmean(kept)
             error = 2.576 * statistics.pstdev(kept) / len(kept) ** 0.5
             off = (min(mean, median) - error - tolerance > period, max(mean, median) + error + tolerance < period)
@@ -126,14 +125,15 @@ class UndisturbedPeriod(BeaconPeriod):
                 text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99 %), median {median:.2f} ms, n = {len(kept)}"
                 self.violated(f"{text}; the period is {period:g} ms", [], once=sender)
 
-    def _without_pauses(self, intervals: Sequence[float], period: float) -> list[float]:
-        """The intervals to judge; few or none if it is open what the others are."""
+    def _without_pauses(self, intervals: Sequence[float], period: float) -> tuple[float, list[float]]:
+        """The median and the intervals to judge, in ms; few or none if it is open what the others are."""
+        # Of all of them: with much jitter the mean of those that are kept is too low.
         usual = statistics.median(intervals)
-        kept = [each for each in intervals if 0 <= each < self._LONGEST * usual]
-        if usual < self._LONGEST * period:
-            return kept
-        short = [each for each in intervals if 0 <= each < self._LONGEST * period]
-        return short if len(short) > self._PAUSING * len(intervals) else kept
+        if usual >= self._LONGEST * period:
+            short = [each for each in intervals if 0 <= each < self._LONGEST * period]
+            if len(short) > self._PAUSING * len(intervals):
+                return statistics.median(short), short
+        return usual, [each for each in intervals if 0 <= each < self._LONGEST * usual]
 
 
 class RepeatedJitter(Invariant):
