@@ -1,7 +1,8 @@
 """What can be changed in the code that a citation stands on.
 
-Inside functions these are the sites of :mod:`dcp_conformance.generated.sites`. Entries of tables at module level, which
-those leave out, are exchanged for what other entries of the table have at the same place.
+Inside functions these are the sites of :mod:`dcp_conformance.generated.sites`, and values that are replaced by others
+of the same type (:mod:`.perturb`): those rarely break the node as a whole. Entries of tables at module level, which the
+sites leave out, are exchanged for what other entries of the table have at the same place.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from .places import Citation
 
 #: Kinds of changes, those first that take away what a line does and leave the rest at work.
 _ORDER: Final = (
-    "exchanged", "dropped call", "dropped assignment", "branch never taken", "branch always taken", "dropped deletion",
-    "dropped return", "dropped jump", "comparison", "condition left out", "boolean", "branch", "constant", "arithmetic",
+    "exchanged", "dropped call", "other value", "dropped assignment", "branch never taken", "branch always taken",
+    "dropped deletion", "dropped return", "dropped jump", "comparison", "condition left out", "boolean", "branch", "constant", "arithmetic",
     "swapped arguments", "other return value",
 )  # fmt: skip
 
@@ -33,16 +34,21 @@ class CodeChange(NamedTuple):
     line: int
     text: str
     """What it is, for readers."""
+    operator: str
+    """One of :data:`_ORDER`."""
     site: Site | None
-    """None for an exchanged entry of a table."""
+    """None for what is not one of the generated changes."""
     entry: tuple[int, int] = (0, 0)
-    """Of an exchanged entry: its line, and which of its exchanges."""
+    """Of an exchanged entry: its line, and which of its exchanges. Of another value: its node in ``ast.walk``, and
+    which of the values of the node."""
 
     def tree(self) -> ast.Module:
         """The module with the change."""
         if self.site is not None:
             return mutated(self.site)
         tree = ast.parse(_source(self.module))
+        if self.operator == "other value":
+            return _perturbed(tree, self.entry)
         line, number = self.entry
         for table in _tables(tree):
             for index, key in enumerate(table.keys):
@@ -57,17 +63,24 @@ def changes_under(citation: Citation) -> list[CodeChange]:
     if not citation.path.startswith("dcp_stack/"):
         return []
     found = [
-        CodeChange(f"dcp_stack.{each.module}", each.line, f"{each.operator}: {each.before} -> {each.after}", each)
+        CodeChange(
+            f"dcp_stack.{each.module}",
+            each.line,
+            f"{each.operator}: {each.before} -> {each.after}",
+            each.operator,
+            each,
+        )
         for each in _sites_by_module().get(citation.module, ())
         if citation.first <= each.line <= citation.last
     ]
+    found += _values_under(citation)
     found += _entries_under(citation)
     # What the cited lines themselves say comes before what stands below them.
     return sorted(found, key=lambda each: (_rank(each), each.line))
 
 
 def _rank(change: CodeChange) -> int:
-    return _ORDER.index(change.site.operator if change.site is not None else "exchanged")
+    return _ORDER.index(change.operator)
 
 
 @cache
@@ -84,6 +97,52 @@ def _source(module: str) -> str:
     return resources.files(package).joinpath(*f"{name}.py".split("/")).read_text(encoding="utf-8")
 
 
+def _values_under(citation: Citation) -> Iterator[CodeChange]:
+    """What the cited code assigns, returns, hands over or goes through."""
+    module = f"dcp_stack.{citation.module}"
+    if not citation.function:
+        return
+    for number, node in enumerate(ast.walk(ast.parse(_source(module)))):
+        for value in _values(node):
+            if citation.first <= value.lineno and (value.end_lineno or value.lineno) <= citation.last:
+                text = f"other value: {ast.unparse(value)}"
+                yield CodeChange(module, value.lineno, text, "other value", None, (number, _values(node).index(value)))
+
+
+def _values(node: ast.AST) -> list[ast.expr]:
+    """The values of a node that can be replaced."""
+    if isinstance(node, ast.Assign | ast.AugAssign):
+        return [node.value]
+    if isinstance(node, ast.AnnAssign | ast.Return):
+        return [node.value] if node.value is not None else []
+    if isinstance(node, ast.For):
+        return [node.iter]
+    if isinstance(node, ast.Call):
+        return [
+            *(each for each in node.args if not isinstance(each, ast.Starred)),
+            *(each.value for each in node.keywords),
+        ]
+    if isinstance(node, ast.Dict):
+        return list(node.values)
+    return []
+
+
+def _perturbed(tree: ast.Module, place: tuple[int, int]) -> ast.Module:
+    old = _values(list(ast.walk(tree))[place[0]])[place[1]]
+    helper = ast.parse("from dcp_conformance.citations.perturb import changed as changed_").body[0]
+    new = ast.copy_location(ast.Call(ast.Name("changed_", ast.Load()), [old], []), old)
+    for parent in ast.walk(tree):
+        for name, value in ast.iter_fields(parent):
+            if value is old:
+                setattr(parent, name, new)
+            elif isinstance(value, list):
+                setattr(parent, name, [new if each is old else each for each in value])
+    # After the docstring and the imports from __future__.
+    first = next(number for number, each in enumerate(tree.body) if not isinstance(each, ast.Expr | ast.ImportFrom))
+    tree.body.insert(first, helper)
+    return ast.fix_missing_locations(tree)
+
+
 def _entries_under(citation: Citation) -> Iterator[CodeChange]:
     module = f"dcp_stack.{citation.module}"
     if citation.function or "." in citation.module:
@@ -95,7 +154,7 @@ def _entries_under(citation: Citation) -> Iterator[CodeChange]:
             for number, other in enumerate(_exchanges(table, index)):
                 before, after = ast.unparse(table.values[index]), ast.unparse(other)
                 text = f"exchanged: {ast.unparse(key)}: {before} -> {after}"
-                yield CodeChange(module, key.lineno, text, None, (key.lineno, number))
+                yield CodeChange(module, key.lineno, text, "exchanged", None, (key.lineno, number))
 
 
 def _tables(tree: ast.Module) -> Iterator[ast.Dict]:
