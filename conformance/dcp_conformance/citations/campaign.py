@@ -29,7 +29,7 @@ from .unit_tests import failing_test
 
 SCHEMA: Final = "dcp-conformance-citations/1"
 #: Changes of one place that are tried with the cases, and with the tests.
-_TRIED: Final = 12
+_TRIED: Final = 16
 _TESTED: Final = 3
 #: Seconds by the clock that one change may take.
 _PATIENCE: Final = 600.0

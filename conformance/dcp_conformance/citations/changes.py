@@ -12,6 +12,7 @@ import copy
 from collections.abc import Iterator
 from functools import cache
 from importlib import resources
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from dcp_conformance.generated.sites import Site, mutated, sites
@@ -20,9 +21,9 @@ from .places import Citation
 
 #: Kinds of changes, those first that take away what a line does and leave the rest at work.
 _ORDER: Final = (
-    "exchanged", "dropped call", "other value", "dropped assignment", "branch never taken", "branch always taken",
-    "dropped deletion", "dropped return", "dropped jump", "comparison", "condition left out", "boolean", "branch", "constant", "arithmetic",
-    "swapped arguments", "other return value",
+    "exchanged", "exchanged elements", "dropped call", "other value", "no value", "dropped assignment",
+    "branch never taken", "branch always taken", "dropped deletion", "dropped return", "dropped jump", "comparison",
+    "condition left out", "boolean", "branch", "constant", "arithmetic", "swapped arguments", "other return value",
 )  # fmt: skip
 
 
@@ -47,8 +48,14 @@ class CodeChange(NamedTuple):
         if self.site is not None:
             return mutated(self.site)
         tree = ast.parse(_source(self.module))
-        if self.operator == "other value":
-            return _perturbed(tree, self.entry)
+        if self.operator in ("other value", "no value"):
+            return _perturbed(tree, self.entry, "changed" if self.operator == "other value" else "blank")
+        if self.operator == "exchanged elements":
+            node = list(ast.walk(tree))[self.entry[0]]
+            assert isinstance(node, ast.Tuple)
+            left = self.entry[1]
+            node.elts[left], node.elts[left + 1] = node.elts[left + 1], node.elts[left]
+            return tree
         line, number = self.entry
         for table in _tables(tree):
             for index, key in enumerate(table.keys):
@@ -94,7 +101,7 @@ def _sites_by_module() -> dict[str, list[Site]]:
 @cache
 def _source(module: str) -> str:
     package, _, name = module.partition(".")
-    return resources.files(package).joinpath(*f"{name}.py".split("/")).read_text(encoding="utf-8")
+    return resources.files(package).joinpath(*f"{name.replace('.', '/')}.py".split("/")).read_text(encoding="utf-8")
 
 
 def _values_under(citation: Citation) -> Iterator[CodeChange]:
@@ -103,10 +110,16 @@ def _values_under(citation: Citation) -> Iterator[CodeChange]:
     if not citation.function:
         return
     for number, node in enumerate(ast.walk(ast.parse(_source(module)))):
+        if isinstance(node, ast.Tuple) and citation.first <= node.lineno <= citation.last:
+            for left, (one, other) in enumerate(pairwise(node.elts)):
+                if ast.dump(one) != ast.dump(other):
+                    text = f"exchanged elements: {ast.unparse(one)}, {ast.unparse(other)}"
+                    yield CodeChange(module, node.lineno, text, "exchanged elements", None, (number, left))
         for value in _values(node):
             if citation.first <= value.lineno and (value.end_lineno or value.lineno) <= citation.last:
-                text = f"other value: {ast.unparse(value)}"
-                yield CodeChange(module, value.lineno, text, "other value", None, (number, _values(node).index(value)))
+                for operator in ("other value", "no value"):
+                    text = f"{operator}: {ast.unparse(value)}"
+                    yield CodeChange(module, value.lineno, text, operator, None, (number, _values(node).index(value)))
 
 
 def _values(node: ast.AST) -> list[ast.expr]:
@@ -127,10 +140,10 @@ def _values(node: ast.AST) -> list[ast.expr]:
     return []
 
 
-def _perturbed(tree: ast.Module, place: tuple[int, int]) -> ast.Module:
+def _perturbed(tree: ast.Module, place: tuple[int, int], function: str) -> ast.Module:
     old = _values(list(ast.walk(tree))[place[0]])[place[1]]
-    helper = ast.parse("from dcp_conformance.citations.perturb import changed as changed_").body[0]
-    new = ast.copy_location(ast.Call(ast.Name("changed_", ast.Load()), [old], []), old)
+    helper = ast.parse("from dcp_conformance.citations.perturb import changed, blank").body[0]
+    new = ast.copy_location(ast.Call(ast.Name(function, ast.Load()), [old], []), old)
     for parent in ast.walk(tree):
         for name, value in ast.iter_fields(parent):
             if value is old:
@@ -166,31 +179,33 @@ def _tables(tree: ast.Module) -> Iterator[ast.Dict]:
                     yield node
 
 
+#: Entries of a table that are tried in place of a part, or of a whole entry.
+_OTHERS: Final = 4
+
+
 def _exchanges(table: ast.Dict, index: int) -> Iterator[ast.expr]:
     """The entry with one of its parts as another entry has it, for each part; or another entry, if it has no parts."""
     mine = table.values[index]
     others = [each for number, each in enumerate(table.values) if number != index]
     parts = _parts(mine)
     for place in range(len(parts)):
-        seen = {ast.dump(parts[place])}
+        found: dict[str, ast.expr] = {}
         for other in others:
             theirs = _parts(other)
-            if len(theirs) == len(parts) and ast.dump(theirs[place]) not in seen:
-                changed = copy.deepcopy(mine)
-                _put(changed, place, copy.deepcopy(theirs[place]))
-                yield changed
-                break
-    for other in others:
-        if not parts and ast.dump(other) != ast.dump(mine):
-            yield copy.deepcopy(other)
-            return
+            if len(theirs) == len(parts) and ast.dump(theirs[place]) != ast.dump(parts[place]):
+                found.setdefault(ast.dump(theirs[place]), theirs[place])
+        for part in list(found.values())[:_OTHERS]:
+            changed = copy.deepcopy(mine)
+            _parts(changed)[place] = copy.deepcopy(part)
+            yield changed
+    if not parts:
+        # Entries of the same form say something else most plainly; what stands last differs most from its neighbours.
+        form = ast.dump(mine.func) if isinstance(mine, ast.Call) else ""
+        alike = [each for each in others if isinstance(each, ast.Call) and ast.dump(each.func) == form]
+        yield from (copy.deepcopy(each) for each in [*reversed(alike), *others][:_OTHERS])
 
 
 def _parts(entry: ast.expr) -> list[ast.expr]:
     if isinstance(entry, ast.Call):
         return entry.args if len(entry.args) > 1 else []
     return entry.elts if isinstance(entry, ast.Tuple) else []
-
-
-def _put(entry: ast.expr, place: int, part: ast.expr) -> None:
-    _parts(entry)[place] = part

@@ -26,3 +26,16 @@ def changed(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return value[::-1] if len(value) > 1 and value[::-1] != value else type(value)()
     return value
+
+
+def blank(value: Any) -> Any:
+    """Zero, nothing, or an empty value of the type of ``value``; values of other types stay."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, Enum):
+        return value
+    if isinstance(value, bytes | str):
+        return type(value)(len(value)) if isinstance(value, bytes) else ""
+    if isinstance(value, int | float | list | tuple):
+        return type(value)()
+    return value
