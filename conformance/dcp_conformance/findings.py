@@ -25,6 +25,8 @@ from dcp_codec.fields import Field
 
 from .case import Case
 from .errors import StopCase
+from .extraction import OWNERS as EXTRACTION
+from .extraction import sent_several
 from .heard import Heard, Instruction
 from .results import Check, Mark, Table
 from .session import Session
@@ -259,13 +261,19 @@ class Findings:
     def out_of_reach(self, *requirements: str) -> str:
         """Why something missing is no news, in words; empty if it counts.
 
-        The basic interconnection test has shown that the implementation does not answer what this case has sent, and
-        blamed it for that. ``requirements``: those of the failed check, by default all of the case.
+        The start of the run has shown that the implementation does not answer what this case has sent, or that it
+        loses a container of the payloads that this case has sent, and other cases fail it for that. ``requirements``:
+        those of the failed check, by default all of the case.
         """
+        decided = requirements or self.case.requirements
+        lost = self.session.lost_container
+        if lost and not EXTRACTION & set(decided) and sent_several(self.codec, self.traffic.events):
+            return (
+                f"it loses the {lost} of two containers in a payload (VD-RX-04), and this case has sent such payloads"
+            )
         contact = self.session.contact
         if contact is None or contact.good:
             return ""
-        decided = requirements or self.case.requirements
         return contact.excuse(self.codec, self.traffic.events, self.heard, self.made, decided)
 
     @property

@@ -276,6 +276,11 @@ class Runner:
             told = self.session.pics.pixit.reaction_periods is not None
             if found is not None and not told and (found.periods > FLOOR or found.per_payload):
                 self.remarks.append(f"reactions are waited for {found}; pixit.reaction_periods overrides this")
+            if self.session.lost_container:
+                self.remarks.append(
+                    f"it loses the {self.session.lost_container} of two containers in a payload (VD-RX-04): what is "
+                    "missing in cases about other requirements that send such payloads is inconclusive"
+                )
 
     def _refuse(self, case: Case, trial: Trial) -> None:
         """End the run if the sanity case has found that there is nothing to test."""
