@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
+from dcp_codec.values import VardisRecord
 
 from .traffic import Event
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 OWNERS: Final = frozenset({"VD-RX-02", "VD-RX-03", "VD-RX-04"})
 """The requirements of extraction: a lost container never excuses their failures."""
-#: Payloads that are tried before a container counts as lost, and the values that make the first container the longer.
+#: Payloads that are tried before a container counts as lost; octets or records that make the first one the longer.
 _ATTEMPTS, _LENGTH = 2, 8
 
 
@@ -28,17 +29,22 @@ def lost_container(bench: Bench) -> str:
     """Which container of a payload of two leaves no trace though the other one does, in words; empty if neither.
 
     Sends a VarUpdate and, in the shorter container behind it, a VarSumm, each of a variable that the implementation
-    must request (VD-PU-01, VD-PS-01). Empty also if no identifiers are left for that, or if neither is requested.
+    must request (VD-PU-01, VD-PS-01); then the other way round, since one kind of record may bring no request at all.
+    Empty also if no identifiers are left for that, or if neither is requested.
     Raises ``LowerTesterError``.
     """
     lost: set[str] = set()
-    for _ in range(_ATTEMPTS):
+    for attempt in range(_ATTEMPTS):
         if not bench.has_unknown_ids(2):
             return ""
         peer, since = bench.peer(), bench.mark()
         first, second = bench.unknown_ids(2)
-        update = bench.forge.container(peer.update(first, 1, b"v" * _LENGTH))
-        peer.send(update, bench.forge.container(peer.summary(second, 1)))
+        containers: list[list[VardisRecord]]
+        if attempt % 2 == 0:
+            containers = [[peer.update(first, 1, b"v" * _LENGTH)], [peer.summary(second, 1)]]
+        else:
+            containers = [[peer.summary(first, 1)] * _LENGTH, [peer.update(second, 1, b"v")]]
+        peer.send(*(bench.forge.container(*each) for each in containers))
 
         def requested(*wanted: int, since: int = since) -> bool:
             return {*wanted} <= {each.var_id for each in bench.instructions(ICType.REQUEST_VARCREATES, since=since)}
