@@ -13,7 +13,8 @@ from dcp_conformance.case import DECLARED, SANITY
 from dcp_conformance.generated.campaign import Trial, draw, run
 from dcp_conformance.generated.ledger import CLASSES, entries, ledger
 from dcp_conformance.generated.reach import Reach, measure
-from dcp_conformance.generated.sites import Site, cited, mutated, sites
+from dcp_conformance.generated.reports import _SHOWING, reports_of
+from dcp_conformance.generated.sites import Site, _candidates, _changes, cited, mutated, sites
 from dcp_conformance.generated.trial import PROFILES, Outcome, Step, _in_order, cases, steps, try_site
 
 from .command import Command
@@ -41,6 +42,44 @@ def _original(each: Site) -> ast.Module:
 
 def test_keys_tell_changes_apart():
     assert len({each.key for each in sites()}) == len(sites()) > 1000
+
+
+SOURCE = """
+class Receiver:
+    def handle(self, octets):
+        if not octets:
+            self._drop("empty")
+            return
+        self._emit(Dropped("bp", "odd", len(octets) + 1))
+        self._emit(Received(octets, 2))
+
+    def _drop(self, reason):
+        "Report it."
+        if reason is not None:
+            self._emit(Dropped("bp", reason, 1 + 1))
+
+    def snapshot(self):
+        return {"a": _plain(1 < 2), "b": _shared(3)}
+
+def _plain(value):
+    return value + 1
+
+def _shared(value):
+    return value + 1
+
+def compute():
+    return _shared(4)
+"""
+
+
+def test_what_only_reports_or_shows_is_not_changed():
+    tree = ast.parse(SOURCE)
+    assert reports_of(tree).functions - _SHOWING == {"_drop", "_plain"}
+    changed = {(function, ast.unparse(node)) for function, _, node in _candidates(tree) if list(_changes(node))}
+    names = {function for function, _ in changed}
+    assert names == {"Receiver.handle", "_shared", "compute"}
+    assert ("Receiver.handle", "self._emit(Received(octets, 2))") in changed
+    assert not any("Dropped" in text or text == "self._drop('empty')" for _, text in changed)
 
 
 def test_the_same_seed_draws_the_same():
@@ -74,7 +113,7 @@ def test_faults_are_noticed_and_others_survive():
 
 def test_what_a_profile_declares_kills_nothing():
     """TC_DCP_PROF_BV_01 fails on cpp-2.0 whatever the node does: once every change counted as killed for that."""
-    reported = site("Receiver._dropped: dropped call", "dropped call")
+    reported = site("Vardis._scrub: dropped call: self._core.changed('deleted', entry)", "dropped call")
     wanted = ("TC_DCP_SANITY_BV_01", DECLARED, "TC_VD_PC_BI_01")
     few = tuple(number for number, case in enumerate(cases()) if case.id in wanted)
     [answer] = _in_new_processes(try_site, (reported, (Step("cpp-2.0", few),)))

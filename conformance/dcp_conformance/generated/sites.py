@@ -11,6 +11,8 @@ from functools import cache
 from importlib import resources
 from typing import Final, NamedTuple
 
+from .reports import Reports, reports_of
+
 #: The modules of BP, SRP and VarDis. What only composes them, names effects or reads configurations is left out.
 MODULES: Final = (
     "bp", "bp_clients", "bp_parameters", "bp_queue", "bp_receive", "bp_services", "bp_statistics", "bp_timing",
@@ -173,26 +175,28 @@ def _nodes(tree: ast.Module) -> list[ast.AST]:
 
 def _candidates(tree: ast.Module) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
     """Nodes that may be changed, with the function and the statement that hold them."""
-    yield from _in_body(tree.body, "")
+    yield from _in_body(tree.body, "", reports_of(tree))
 
 
-def _in_body(body: list[ast.stmt], function: str) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
+def _in_body(body: list[ast.stmt], function: str, reports: Reports) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
     for statement in body:
-        yield from _in_statement(statement, function)
+        yield from _in_statement(statement, function, reports)
 
 
-def _in_statement(statement: ast.stmt, function: str) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
+def _in_statement(statement: ast.stmt, function: str, reports: Reports) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
     if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-        yield from _in_body(statement.body, f"{function}.{statement.name}" if function else statement.name)
+        if statement.name not in reports.functions:
+            inner = f"{function}.{statement.name}" if function else statement.name
+            yield from _in_body(statement.body, inner, reports)
         return
-    if not function or _is_only_for_readers(statement):
+    if not function or _is_only_for_readers(statement) or reports.is_report(statement):
         return
     yield function, statement, statement
     for child in ast.iter_child_nodes(statement):
         if isinstance(child, ast.stmt):
-            yield from _in_statement(child, function)
+            yield from _in_statement(child, function, reports)
         elif isinstance(child, ast.match_case | ast.ExceptHandler):
-            yield from _in_body(child.body, function)
+            yield from _in_body(child.body, function, reports)
         elif not (isinstance(statement, ast.AnnAssign) and child is statement.annotation):
             for node in ast.walk(child):
                 yield function, statement, node
