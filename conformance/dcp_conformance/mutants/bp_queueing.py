@@ -55,9 +55,7 @@ class QueueBounded(BeaconingProtocol):
     queueing = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
 
 
-@mutant(
-    "bounded-by-entries", "BP-QM-03", "drops what exceeds maxEntries, unknown to 1.0", until=SpecVersion.V1_0
-)
+@mutant("bounded-by-entries", "BP-QM-03", "drops what exceeds maxEntries, unknown to 1.0", until=SpecVersion.V1_0)
 class QueueBoundedByEntries(BeaconingProtocol):
     queueing = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
 
