@@ -97,9 +97,9 @@ class Receiver:
         if self._discards_larger and len(block.payload) > client.registration.max_payload_size:
             self.drop("larger-than-registered", block.offset)
             return
+        self._counters.count(f"payloads-received/{block.protocol_id}")
         ##= BP-RXP-01
         ##= BP-RXP-02
-        self._counters.count(f"payloads-received/{block.protocol_id}")
         self._emit(PayloadReceived(block.protocol_id, block.payload, sender))
 
     def drop(self, reason: str, offset: int = -1) -> None:

@@ -11,10 +11,13 @@ import time
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from dcp_spec.constants import ICType
+
 from .bench import Bench
 from .case import Case
 from .control import SutControl
 from .errors import LowerTesterError, StopCase, UpperTesterError
+from .heard import Heard
 from .session import Session
 
 #: Questions without an answer after which an implementation counts as silent: frames get lost.
@@ -23,6 +26,9 @@ QUESTIONS: Final = 4
 DEATH_PATIENCE: Final = 1.5
 #: Seconds that an implementation may take to answer after a start.
 START_PATIENCE: Final = 30.0
+#: Beacon periods that an implementation may take to send what comes before an answer.
+_BACKLOG: Final = 100
+_BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
 #: How the last lines of a process are quoted (``upper.channels.LastLines.shown``).
@@ -111,8 +117,9 @@ class Life:
     def answers(self, bench: Bench) -> bool:
         """Whether the implementation takes part as it did before.
 
-        If it ever answered a summary of an unknown variable, it must answer one of several now. Otherwise, or where
-        no variable is left to ask about, a beacon or an answer of the upper tester is enough.
+        If it ever answered a summary of an unknown variable, it must answer one of several now, or send a VarDis
+        payload that cannot be read. Otherwise, or where no variable is left to ask about, a beacon or an answer of the
+        upper tester is enough.
         """
         strict = "answer" in self._shown and self._can_ask(bench)
         for _ in range(QUESTIONS):
@@ -125,9 +132,12 @@ class Life:
                 # The connection of notifications has ended; the implementation may live all the same.
                 self.hung_up = str(error)
                 continue
-            if answered or (not strict and len(bench.heard) > before):
+            # Whether a VarDis payload that cannot be read holds the answer, nobody knows: whoever sends it lives.
+            spoken = any(each.vardis_problems for each in bench.heard[before:])
+            if answered or spoken or (not strict and len(bench.heard) > before):
                 self.learn(bench, answered=answered and self._can_ask(bench))
                 return True
+            self._await_backlog(bench, before)
         return not strict and self.serves()
 
     def _asked(self, bench: Bench) -> bool:
@@ -135,6 +145,16 @@ class Life:
             with contextlib.suppress(StopCase):
                 return bench.probe(max(5, bench.reaction))
         return bool(bench.beacons(1, 5))
+
+    @staticmethod
+    def _await_backlog(bench: Bench, since: int) -> None:
+        """Wait while records are sent that come before requests in a payload: with small payloads, for many periods."""
+
+        def leading(heard: Heard) -> bool:
+            return any(heard.instructions(kind) for kind in _BEFORE_REQUESTS)
+
+        if any(map(leading, bench.heard[since:])):
+            bench.until_quiet(leading, _BACKLOG)
 
     @staticmethod
     def _can_ask(bench: Bench) -> bool:
