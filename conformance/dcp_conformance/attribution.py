@@ -53,6 +53,12 @@ class Trial:
         """The worst verdict of the checks."""
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
 
+    @property
+    def disturbed(self) -> bool:
+        """Whether nothing but the tester's own trouble has left the case, or parts of it, undecided."""
+        undecided = self.verdict in (Verdict.INCONCLUSIVE, Verdict.FAIL)
+        return undecided and self.loss is None and not self.used_up and bool(self.bench.disturbed)
+
 
 @dataclass(frozen=True, slots=True)
 class Attribution:

@@ -60,6 +60,8 @@ class Findings:
         """The longest that the tester itself was idle in this case when it had to act; see :meth:`acts`."""
         self._excused = False
         """Whether a failure of this case had an excuse."""
+        self._disturbed: set[int] = set()
+        """Places in ``checks`` of those that only the tester's own trouble has left undecided."""
         self._acted: int | None = None
         """When (ns) the last step of the case ended (a wait, call or transmission); None before the first."""
         self.assumptions: dict[str, str] = {}
@@ -113,17 +115,18 @@ class Findings:
         A failure that :meth:`excuse` explains is recorded as inconclusive. From then on failures of both kinds are, in
         this case: they may follow from the same loss.
         """
-        verdict = Verdict.PASS if holds else Verdict.FAIL
+        verdict, disturbed = Verdict.PASS if holds else Verdict.FAIL, False
         if not holds and not shown and not numbers and (why := self.unreadable(requirements or self.case.requirements)):
             # Nothing of the tester's is lost: what was received and is wrong stays a failure, in this case too.
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {why}"
         elif not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
             self._excused = True
+            disturbed = self._only_disturbed(numbers=numbers)
         elif not holds and not shown and (excuse := self.out_of_reach(*requirements)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
         proved = bool(shown) and verdict is Verdict.FAIL
-        self._add(verdict, expected, "" if holds else observed, requirements, frames, shown=proved)
+        self._add(verdict, expected, "" if holds else observed, requirements, frames, shown=proved, disturbed=disturbed)
         return bool(holds)
 
     def require(
@@ -159,7 +162,7 @@ class Findings:
         """The case cannot be decided: stops it."""
         if untold := "; ".join({**self.doubts, **self.assumptions}.values()):
             observed = f"{observed}; {untold}"
-        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, ())
+        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbed=self._only_disturbed())
         raise StopCase
 
     def not_applicable(self, reason: str) -> NoReturn:
@@ -196,11 +199,14 @@ class Findings:
         frames: Iterable[Heard | Instruction | Mark],
         *,
         shown: bool = False,
+        disturbed: bool = False,
     ) -> None:
         table: Table = "robustness" if self.case.robustness else "conformance"
         marks = tuple(self._mark(each) for each in frames)
         decided = tuple(requirements) or self.case.requirements
         checked = Check(verdict, decided, expected, observed, marks, table, shown)
+        if disturbed:
+            self._disturbed.add(len(self.checks))
         self.checks.append(checked)
         self.traffic.note("note", self.lower.wall(), f"{verdict}: {expected}" + (f": {observed}" if observed else ""))
 
@@ -273,17 +279,38 @@ class Findings:
         """The variables that the case has created, or is about to."""
         return ()
 
+    @property
+    def disturbed(self) -> str:
+        """What the tester did wrong, in words, if that alone has left checks of this case undecided; otherwise empty.
+
+        Such a case is worth another execution.
+        """
+        undecided = {place for place, each in enumerate(self.checks) if each.verdict is Verdict.INCONCLUSIVE}
+        return ", ".join(self._own_trouble()) if undecided and undecided <= self._disturbed else ""
+
+    def _only_disturbed(self, *, numbers: bool = False) -> bool:
+        """Whether nothing but the tester's own trouble keeps a check from being decided at this moment."""
+        if self.assumptions or self.doubts or not self._own_trouble(numbers=numbers):
+            return False
+        # Frames that the kernel dropped explain a gap; lateness does not.
+        return bool(self.dropped) or not self.gaps()
+
+    def _own_trouble(self, *, numbers: bool = False) -> list[str]:
+        """What the tester did wrong in this case, in words."""
+        self.dropped += self.lower.health().dropped
+        trouble = []
+        if self.dropped:
+            trouble.append(f"the kernel dropped {self.dropped} frames")
+        if not numbers and self.late_ns > self.period:
+            trouble.append(f"it acted late by {self.late_ns / MS:.0f} ms")
+        return trouble
+
     def own_losses(self, *, numbers: bool = False) -> str:
         """What the tester has missed in this case, in words; empty if nothing is known.
 
         ``numbers``: only what can explain a gap between the sequence numbers of beacons.
         """
-        self.dropped += self.lower.health().dropped
-        lost = []
-        if self.dropped:
-            lost.append(f"the kernel dropped {self.dropped} frames")
-        if not numbers and self.late_ns > self.period:
-            lost.append(f"it acted late by {self.late_ns / MS:.0f} ms")
+        lost = self._own_trouble(numbers=numbers)
         if not numbers and (gaps := self.gaps()):
             lost.append(f"beacons were not heard ({gaps})")
         return ", ".join(lost)

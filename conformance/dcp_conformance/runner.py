@@ -32,6 +32,8 @@ _NAMED = 6
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
 DEACTIVATE = "BP-MGMT-Deactivate"
+#: Executions of a case that only the tester's own lateness, or frames that it lost, leave undecided.
+MOST_EXECUTIONS = 3
 #: The code of JSON-RPC for a fault of the implementation.
 _INTERNAL_ERROR = -32603
 
@@ -73,6 +75,8 @@ class Runner:
         """The upper tester has reported an internal error in the last case."""
         self._renewals = 0
         """Restarts because identifiers were used up."""
+        self._disturbed: dict[str, str] = {}
+        """Cases that were executed again because the tester was late, with what it did wrong."""
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
         session.switch_link = link_switch(control, session.pics.pixit)
@@ -82,7 +86,7 @@ class Runner:
         """What the reader of the results should know of the run as a whole."""
         renewed = [f"restarted {self._renewals} times, when all identifiers of variables had been used"]
         deaths = [_told(how, cases) for how, cases in self._deaths.items()]
-        return [*self.remarks, *(renewed if self._renewals else ()), *deaths]
+        return [*self.remarks, *(renewed if self._renewals else ()), *self._repetitions(), *deaths]
 
     def prepare(self) -> None:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
@@ -162,15 +166,46 @@ class Runner:
         trial = self._trial(case)
         if trial.used_up and self.session.renewable:
             trial = self._trial_after_restart(trial)
+        trial, executions = self._undisturbed(trial)
         if trial.loss is None:
-            result = self._result(trial, attempt, trial.checks)
+            result = self._result(trial, attempt, trial.checks, executions=executions)
             if self._reset_mode() != "restart":
                 self._recent.append(_Done(trial, result, self.session.lower.now()))
             self._refuse(case, trial)
             return result
-        result = self._judge_loss(trial, attempt)
+        result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
         self._revive(case, trial)
         return result
+
+    def _undisturbed(self, trial: Trial) -> tuple[Trial, int]:
+        """Run a case again, from the same start, as long as only the tester's own trouble leaves it undecided.
+
+        Returns the execution that counts, and how many there were. The last one counts, but a failure is never lost to
+        a later execution without one.
+        """
+        executions = 1
+        while executions < MOST_EXECUTIONS and trial.disturbed:
+            self._disturbed.setdefault(trial.case.id, trial.bench.disturbed)
+            again = self._trial(trial.case)
+            executions += 1
+            if again.used_up:
+                break
+            if trial.verdict is Verdict.FAIL and again.verdict is not Verdict.FAIL and again.loss is None:
+                break
+            trial = again
+        return trial, executions
+
+    def _repetitions(self) -> list[str]:
+        """Which cases were executed again, in one sentence; empty if none were."""
+        cases = list(self._disturbed)
+        if not cases:
+            return []
+        why = self._disturbed[cases[0]]
+        if len(cases) == 1:
+            return [f"{cases[0]} was executed again, since the tester could not decide it: {why}"]
+        first = f"in the first of them {why}"
+        listed = _listed(cases)
+        return [f"{len(cases)} cases were executed again, since the tester could not decide them ({first}): {listed}"]
 
     def _trial_after_restart(self, trial: Trial) -> Trial:
         """Run a case again that found all identifiers used up, in the initial state of the implementation."""
@@ -232,7 +267,7 @@ class Runner:
             self._measure()
             bench.mark()
             bench.heard.clear()
-            self.session.passive.begin(self.session.lower.now(), bench.traffic)
+            self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
             # What was lost, or looked at late, before the case is no excuse in it.
             self.session.lower.health()
             try:
@@ -403,7 +438,9 @@ class Runner:
         trial = Trial(case, bench, self.session.lower.now())
         return self._result(trial, attempt, [Check(verdict, case.requirements, expected, observed)])
 
-    def _result(self, trial: Trial, attempt: int, checks: Iterable[Check], *, killed: bool = False) -> CaseResult:
+    def _result(
+        self, trial: Trial, attempt: int, checks: Iterable[Check], *, killed: bool = False, executions: int = 1
+    ) -> CaseResult:
         case, bench, checks = trial.case, trial.bench, tuple(checks)
         verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
         decisive = next((check for check in checks if check.verdict is verdict), None)
@@ -414,6 +451,8 @@ class Runner:
             reason = decisive.expected
         elif verdict is not Verdict.PASS:
             reason = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
+            if executions > 1:
+                reason += f"; executed {executions} times"
         return CaseResult(
             id=case.id,
             purpose=case.purpose,
@@ -434,6 +473,7 @@ class Runner:
             rerun=f"{self.rerun} {shlex.join([*case.options, case.id])}",
             killed=killed,
             attempt=attempt,
+            executions=executions,
             error_detail=trial.detail,
         )
 
@@ -443,8 +483,13 @@ def _told(how: str, cases: Sequence[str]) -> str:
     kind, _, cause = how.partition(": ")
     if len(cases) == 1:
         return f"the implementation {kind} in {cases[0]} and was restarted"
-    listed = ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
-    return f"the implementation {kind} in {len(cases)} cases in the same way ({cause}): {listed}; restarted each time"
+    many = f"the implementation {kind} in {len(cases)} cases in the same way ({cause})"
+    return f"{many}: {_listed(cases)}; restarted each time"
+
+
+def _listed(cases: Sequence[str]) -> str:
+    """The first of some cases, and how many more there are."""
+    return ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
 
 
 def _reports_internal_error(bench: Bench) -> bool:

@@ -272,6 +272,16 @@ def test_a_finding_about_all_beacons_is_repeated_by_the_cases_in_which_most_of_t
     assert found.rerun == "dcp-conformance run --in-process TC_B TC_C TC_D"
 
 
+def test_frames_of_a_case_that_was_executed_twice_are_told_apart():
+    ear = Ear()
+    for _ in range(2):
+        ear.tester.begin(ear.air.time, ear, "TC_F")
+        ear.air.say(SUT, report=ear.air.report(SUT, about=2))
+        ear.listen("TC_F")
+    found = ear.failed()["CK_SRP_OWN"]
+    assert found.reason.endswith("; 2 times in all; frame 1 of execution 1 of TC_F")
+
+
 def test_a_case_that_needs_an_option_is_repeated_with_it():
     ear = Ear()
     ear.air.say(SUT, report=ear.air.report(SUT, about=2))

@@ -119,6 +119,8 @@ class Display:
         word = _HEADINGS.get(result.verdict, str(result.verdict)).rstrip(".")
         text = f"[{style}]{word:<8}[/] {data(result.id)}"
         detail = result.reason if result.verdict is not Verdict.PASS else result.purpose
+        if result.verdict is Verdict.PASS and result.executions > 1:
+            detail = f"{detail} (execution {result.executions})"
         if surprise and surprise not in detail and not surprise.startswith("unexpected fail"):
             detail = f"{surprise}; {detail}"
         return f"{text}  {data(detail)}"
