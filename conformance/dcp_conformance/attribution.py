@@ -7,7 +7,7 @@ implementation was dying is not held against the requirements of the case: only 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -20,6 +20,7 @@ from .bench import Bench
 from .case import Case, Kind
 from .life import Loss
 from .results import Check, Table
+from .service_requirements import concerns, violated_by_death
 from .traffic import Event, Traffic
 from .verdict import Verdict, worst
 
@@ -130,7 +131,8 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     what = "the implementation survives" + (f" {service}" if service else "")
     violated = survival(trial)
     death = Check(verdict, violated, what, loss.observed + text, table=table)
-    if service in trial.case.needs.ut and not violated:
+    if service and not violated:
+        # No requirement is about the service: what the case saw is all there is.
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
 
@@ -178,10 +180,8 @@ def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attri
 def survival(trial: Trial) -> tuple[str, ...]:
     """The requirements that a death in this case violates.
 
-    Those of the case that ask for survival; after a frame, the one that asks for surviving what was sent. No
-    requirement asks for surviving a service call. If the case is about that service, and nothing else failed in it, its
-    first requirement that was not shown before fails: the call does not do what the case is about. A service that the
-    case only uses, such as deactivating BP between two beacons, violates none.
+    Those of the case that ask for survival. Otherwise, after a frame, the one that asks for surviving what was sent;
+    after a service call, the one that says what this service does (:mod:`.service_requirements`).
     """
     case = trial.case
     if case.needs.link:
@@ -191,13 +191,10 @@ def survival(trial: Trial) -> tuple[str, ...]:
     deadly = trial.stimulus
     if named or deadly is None:
         return named
+    codec, events = trial.bench.codec, trial.bench.traffic.events
     if deadly.direction == "call":
-        if deadly.text not in case.needs.ut or any(check.verdict is Verdict.FAIL for check in trial.checks):
-            return ()
         shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
-        # A pass by silence shows nothing if the implementation was dead: fail the last, most specific requirement.
-        return tuple(each for each in case.requirements if each not in shown)[:1] or case.requirements[-1:]
-    codec = trial.bench.codec
+        return violated_by_death(case, deadly, events, shown, codec.profile.spec_version)
     try:
         envelope, _ = codec.decode_envelope(deadly.frame[deadly.start :])
     except DecodeError:
@@ -209,22 +206,48 @@ def survival(trial: Trial) -> tuple[str, ...]:
 def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
     """Find the stimulus that probably ended the implementation, without calls that only tidy up.
 
-    In a case about services that is a call, as its frames are honest; otherwise a frame since the last beacon.
+    In a case about services that is the last call, as its frames are honest, unless the implementation was heard after
+    the call and before another frame, or the case only uses that service. Otherwise it is a frame since the last
+    beacon.
     """
+    events = traffic.events
+    tidying = set(_tidying(case, events))
     if case.needs.ut and case.kind is not Kind.INVALID:
-        calls = [event for event in traffic.events if event.direction == "call" and not _tidies(event.text)]
-        if calls:
-            return calls[-1]
+        calls = [place for place, each in enumerate(events) if each.direction == "call" and place not in tidying]
+        if calls and not _outlived(case, events[calls[-1] :]):
+            return events[calls[-1]]
     recent: Event | None = None
-    for event in reversed(traffic.events):
+    for place in reversed(range(len(events))):
+        event = events[place]
         if event.direction == "heard" and recent is not None:
             break
         if event.direction == "sent":
             return event
-        if event.direction == "call" and recent is None and not _tidies(event.text):
+        if event.direction == "call" and recent is None and place not in tidying:
             recent = event
     return recent
 
 
-def _tidies(method: str) -> bool:
-    return method.startswith("UT-") or method == "BP-DeregisterProtocol"
+def _outlived(case: Case, events: Sequence[Event]) -> bool:
+    """Whether the first of these events, a call, is a less likely cause of death than a frame after it."""
+    frame = next((place for place, each in enumerate(events) if each.direction == "sent"), None)
+    if frame is None or not any(each.direction == "answer" for each in events[:frame]):
+        return False
+    if any(each.direction == "heard" for each in events[:frame]):
+        return True
+    # What is inactive must discard frames without a look at them.
+    return not (events[0].text.endswith("-MGMT-Deactivate") or concerns(case, events[0].text))
+
+
+def _tidying(case: Case, events: Sequence[Event]) -> Iterator[int]:
+    """Places of calls that only prepare or end a case, or undo something, unless the case is about that service.
+
+    An activation counts only if it was not answered: it undoes a deactivation that may have been deadly.
+    """
+    for place, event in enumerate(events):
+        if event.direction != "call":
+            continue
+        answered = any(each.direction == "answer" for each in events[place + 1 : place + 2])
+        undoes = event.text == "BP-DeregisterProtocol" or (event.text.endswith("-MGMT-Activate") and not answered)
+        if event.text.startswith("UT-") or (undoes and not concerns(case, event.text)):
+            yield place

@@ -273,6 +273,8 @@ class Runner:
             try:
                 case.run(bench)
             finally:
+                # What is undone afterwards has not ended it.
+                trial.stimulus = likely_stimulus(case, bench.traffic)
                 bench.restore()
         except NamesUsedUp:
             trial.used_up = True
@@ -291,7 +293,6 @@ class Runner:
             what = f"{type(error).__name__}: {error}"
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
-        trial.stimulus = likely_stimulus(case, bench.traffic)
         # Silence after the last stimulus is no sign of life, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
         if not self.life.ended() and not self.life.hung_up:

@@ -16,7 +16,13 @@ from rich.text import Text
 
 from dcp_codec.plain import plain
 from dcp_conformance.case import Case
-from dcp_conformance.reporting.overview import Death, bad_checks, deaths, observed_readings
+from dcp_conformance.reporting.overview import (
+    Death,
+    bad_checks,
+    deaths,
+    observed_readings,
+    undecided_deaths,
+)
 from dcp_conformance.results import CaseResult, RunResult
 from dcp_conformance.verdict import Verdict
 
@@ -148,6 +154,8 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     out.print(f"\n{data(sut)} as {data(run.profile)}{where}: {decided}", soft_wrap=True)
     if run.kind != "check" and (failing := _failing(run)):
         out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {data(failing)}", soft_wrap=True)
+    if lost := undecided_deaths(run):
+        out.print(f"[{STYLES[Verdict.FAIL]}]died[/]: {data(lost)}", soft_wrap=True)
     for identifier, instead in run.declared.items():
         out.print(f"{data(identifier)} is not met, as the profile declares: {data(instead)}", soft_wrap=True)
     for line in _readings(run):
