@@ -8,12 +8,13 @@ from __future__ import annotations
 import contextlib
 import re
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from .bench import Bench
 from .case import Case
-from .control import SutControl
+from .control import SeesSockets, SutControl
 from .errors import LowerTesterError, StopCase, UpperTesterError
 from .session import Session
 
@@ -23,6 +24,10 @@ QUESTIONS: Final = 4
 DEATH_PATIENCE: Final = 1.5
 #: Seconds that an implementation may take to answer after a start.
 START_PATIENCE: Final = 30.0
+#: Seconds that it may take after its first start from the moment at which it has opened the link.
+READY_PATIENCE: Final = 3.0
+#: Seconds after which the user is told what is waited for.
+SILENT: Final = 3.0
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
 #: How the last lines of a process are quoted (``upper.channels.LastLines.shown``).
@@ -70,9 +75,12 @@ class Loss:
 class Life:
     """What is known of the life of one implementation."""
 
-    def __init__(self, session: Session, control: SutControl | None) -> None:
+    def __init__(self, session: Session, control: SutControl | None, start_timeout: float | None = None) -> None:
+        """``start_timeout``: seconds that it may take to answer after a start; None: ``START_PATIENCE``."""
         self._session = session
         self._control = control
+        self._told = start_timeout is not None
+        self._start_timeout = START_PATIENCE if start_timeout is None else start_timeout
         self._shown: set[Sign] = set()
         """The signs of life that there were: what an implementation never did it cannot have stopped doing."""
         self.hung_up = ""
@@ -108,14 +116,14 @@ class Life:
         if answered:
             self._shown.add("answer")
 
-    def answers(self, bench: Bench) -> bool:
+    def answers(self, bench: Bench, questions: int = QUESTIONS) -> bool:
         """Whether the implementation takes part as it did before.
 
         If it ever answered a summary of an unknown variable, it must answer one of several now. Otherwise, or where
         no variable is left to ask about, a beacon or an answer of the upper tester is enough.
         """
         strict = "answer" in self._shown and self._can_ask(bench)
-        for _ in range(QUESTIONS):
+        for _ in range(questions):
             before = len(bench.heard)
             try:
                 answered = self._asked(bench)
@@ -201,15 +209,58 @@ class Life:
         """
         if not self._shown and self._control is None:
             return ""
+        return self._await(case, lambda _: "")
+
+    def await_start(self, case: Case, say: Callable[[str], None]) -> str:
+        """Wait until the implementation answers after its first start, as :meth:`await_answer` does.
+
+        Nothing is known of it yet: it may never answer. Unless the user has said how long it may take, waiting ends
+        ``READY_PATIENCE`` s after it has opened the link. ``say`` is told what is waited for, once that has taken
+        ``SILENT`` s.
+        """
+        begun = self._session.lower.now()
+        said, ready = False, 0
+
+        def given_up(bench: Bench) -> str:
+            nonlocal said, ready
+            now = bench.now()
+            on_link = isinstance(self._control, SeesSockets) and self._control.on_link()
+            if not said and now - begun >= SILENT * 1e9:
+                said = True
+                say(self._waiting(bench, (now - begun) / 1e9, on_link=on_link))
+            if on_link and not ready:
+                ready = now
+            if self._told or not ready or now - ready < READY_PATIENCE * 1e9:
+                return ""
+            return f"does not answer, though it opened the link {(now - ready) / 1e9:.0f} s ago"
+
+        return self._await(case, given_up, questions=1)
+
+    def _waiting(self, bench: Bench, passed: float, *, on_link: bool) -> str:
+        """What is known of an implementation that does not answer after its start, and how long it is waited for."""
+        runs = self._control is not None and self._control.alive()
+        known = "its process runs" if runs else "it is not known whether its process runs"
+        if on_link:
+            known = "it has opened the link"
+        frames = f"{len(bench.others)} frames of other nodes" if bench.others else "nothing"
+        left = max(0.0, self._start_timeout - passed)
+        return (
+            f"waiting for the implementation to start: {known}, {frames} heard on {bench.lower.name}; "
+            f"at most {left:.0f} s more (--start-timeout)"
+        )
+
+    def _await(self, case: Case, given_up: Callable[[Bench], str], questions: int = QUESTIONS) -> str:
+        """Wait for an answer. ``given_up`` is asked after each attempt why waiting makes no more sense."""
         # Traffic while waiting is not evidence of the case.
         bench, control = Bench(self._session, case), self._control
-        deadline = bench.now() + round(START_PATIENCE * 1e9)
-        while not self.answers(bench):
+        deadline = bench.now() + round(self._start_timeout * 1e9)
+        while not self.answers(bench, questions):
+            why = given_up(bench)
             bench.take_newcomer()
             if control is not None and control.alive() is False:
                 return f"is dead again: {control.why_dead()}"
-            if bench.now() >= deadline:
-                return f"does not answer within {START_PATIENCE:g} s"
+            if why or bench.now() >= deadline:
+                return why or f"does not answer within {self._start_timeout:g} s"
             try:
                 bench.wait(1)
             except LowerTesterError as error:

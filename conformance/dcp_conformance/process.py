@@ -11,7 +11,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import IO
@@ -61,8 +61,11 @@ class ProcessControl:
         around: Callable[[], AbstractContextManager[object]] = contextlib.nullcontext,
         ends_with_tester: bool = False,
         settle: float = SETTLE,
+        udp_port: int | None = None,
     ) -> None:
         """``around`` is entered while a process is made; ``ends_with_tester``: not even SIGKILL leaves it behind.
+
+        ``udp_port``: that of the link; None for Ethernet.
 
         Raises ``UsageError`` for commands that cannot be read and for a process that is not there.
         """
@@ -73,6 +76,7 @@ class ProcessControl:
         self._around = around
         self._ends_with_tester = ends_with_tester
         self._settle = settle
+        self._udp_port = udp_port
         self.can_restart = self._restart is not None or self._start is not None
         self.after_restart: list[Callable[[], None]] = []
         """What is called after each restart: reconnecting of upper testers."""
@@ -235,15 +239,22 @@ class ProcessControl:
                 return
             time.sleep(0.02)
 
+    def on_link(self) -> bool:
+        """Whether a process of the implementation has a socket open for the link; False if that cannot be seen."""
+        return any(has_link_socket(process, self._udp_port) for process in self._processes())
+
     def _runs_on(self) -> bool:
         """Whether something that the start command has started runs."""
+        return any(True for _ in self._processes())
+
+    def _processes(self) -> Iterator[Path]:
+        """Folders in /proc of the processes that the start command has started, and of those that they have."""
         wanted = os.fsencode(f"{_MARK}={self._mark}")
         for path in Path("/proc").glob("[0-9]*/environ"):
             # Gone, or of another user.
             with contextlib.suppress(OSError):
                 if wanted in path.read_bytes().split(b"\0") and started_at(int(path.parent.name)) is not None:
-                    return True
-        return False
+                    yield path.parent
 
     def _last_words(self) -> str:
         return "" if self._output is None else _end_of(self._output)
@@ -271,6 +282,29 @@ def started_at(pid: int) -> int | None:
     # The name of the program, in parentheses, may hold anything.
     fields = re.split(r"\s+", stat.rpartition(")")[2].strip())
     return None if fields[0] in ("Z", "X") else int(fields[19])
+
+
+def has_link_socket(process: Path, udp_port: int | None) -> bool:
+    """Whether a process, a folder in /proc, has a packet socket open, or with ``udp_port`` a socket bound to it."""
+    owned: set[str] = set()
+    try:
+        for link in (process / "fd").iterdir():
+            # Closed meanwhile.
+            with contextlib.suppress(OSError):
+                owned.add(str(link.readlink()))
+        if udp_port is None:
+            rows = [line.split() for line in _lines(process / "net" / "packet")]
+            return any(f"socket:[{row[8]}]" in owned for row in rows if len(row) > 8)
+        rows = [line.split() for name in ("udp", "udp6") for line in _lines(process / "net" / name)]
+        port = f"{udp_port:04X}"
+        return any(row[1].endswith(f":{port}") and f"socket:[{row[9]}]" in owned for row in rows if len(row) > 9)
+    except OSError:
+        return False
+
+
+def _lines(path: Path) -> list[str]:
+    """The lines of a table in /proc without its heading; none where there is no such table."""
+    return path.read_text().splitlines()[1:] if path.exists() else []
 
 
 def _end_of(output: IO[bytes]) -> str:

@@ -96,6 +96,8 @@ class ConformanceRun:
         self.interrupted = False
         """Whether a signal ended the run."""
         self.on_start = on_start
+        self.on_wait: Callable[[str], None] = lambda _: None
+        """Is told what a run waits for that has not begun, in words."""
         self._on_result = on_result
         self.on_revised: Callable[[CaseResult], None] | None = None
         self._runner: Runner | None = None
@@ -176,7 +178,7 @@ class ConformanceRun:
                 runner.rerun += f" -x {SANITY}"
             runner.prepare()
             if self.options.foreign and self.options.start:
-                runner.life.await_answer(self.cases[SANITY])
+                runner.life.await_start(self.cases[SANITY], self.on_wait)
         except ConformanceError as error:
             self.trouble = str(error)
             self.usage = isinstance(error, UsageError)

@@ -54,12 +54,18 @@ class Runner:
     """
 
     def __init__(
-        self, session: Session, control: SutControl | None = None, *, rerun: str = "dcp-conformance run"
+        self,
+        session: Session,
+        control: SutControl | None = None,
+        *,
+        rerun: str = "dcp-conformance run",
+        start_timeout: float | None = None,
     ) -> None:
+        """``rerun``: the command of the run, without cases. ``start_timeout``: see :class:`.life.Life`."""
         self.session = session
         self.control = control
         self.rerun = rerun
-        self.life = Life(session, control)
+        self.life = Life(session, control, start_timeout)
         self.remarks: list[str] = []
         """What the reader of the results should know, beside deaths."""
         self.dead = ""

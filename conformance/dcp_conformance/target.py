@@ -47,6 +47,8 @@ class TargetOptions:
     stop: str | None = None
     restart: str | None = None
     pid: int | None = None
+    start_timeout: float | None = None
+    """Seconds that it may take to answer after a start; None: 30, and less once it is seen to be ready."""
     beacon_period_ms: float | None = None
     timing_scale: float = 1.0
     seed: int = 1
@@ -71,6 +73,8 @@ class TargetOptions:
             value = getattr(self, name)
             if value is not None:
                 words += [f"--{name}", str(value)]
+        if self.start_timeout is not None:
+            words += ["--start-timeout", exact(self.start_timeout)]
         if self.ether_type is not None:
             words += ["--ether-type", f"{self.ether_type:#06x}"]
         if self.beacon_period_ms is not None:
@@ -158,7 +162,7 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
             stack.callback(session.upper.close)
         if options.foreign and options.profile is None and pics.pixit.profile is None:
             notes.append(f"neither --profile nor pixit.profile says which wire profile: {DEFAULT_PROFILE} is assumed")
-        runner = Runner(session, control, rerun=options.command_line())
+        runner = Runner(session, control, rerun=options.command_line(), start_timeout=options.start_timeout)
         runner.remarks += notes
         yield Target(codec, pics, runner, notes)
 
@@ -212,7 +216,13 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     control: SutControl | None = None
     process: ProcessControl | None = None
     if any((options.start, options.stop, options.restart, options.pid)):
-        process = ProcessControl(start=options.start, stop=options.stop, restart=options.restart, pid=options.pid)
+        process = ProcessControl(
+            start=options.start,
+            stop=options.stop,
+            restart=options.restart,
+            pid=options.pid,
+            udp_port=None if options.interface is not None else _udp_port(options, codec),
+        )
         control = process
         stack.callback(process.close)
     lower = open_lower(options, codec)
@@ -254,6 +264,14 @@ def _somebody_there(session: Session) -> str:
     bench = Bench(session, next(cases_of(sanity)))
     there = bench.beacons(1, 5) if bench.pics.vardis is False else bench.probe()
     return session.sut_id.hex(":") if there and session.sut_id is not None else ""
+
+
+def _udp_port(options: TargetOptions, codec: Codec) -> int:
+    """The port of the link. Raises :class:`UsageError`."""
+    from .lower.udp import DEFAULT_PORT, parse_udp
+
+    _, port, _, link = parse_udp(options.link or "udp", codec.profile.link)
+    return port if port is not None else link.udp_port or DEFAULT_PORT
 
 
 def open_lower(options: TargetOptions, codec: Codec) -> LowerTester:

@@ -107,6 +107,11 @@ class Display:
         """So many cases are to be run."""
         self._task = self._progress.add_task("cases", total=total)
 
+    def waiting(self, what: str) -> None:
+        """The run has not begun yet: say what it waits for, on standard error."""
+        if not self._quiet:
+            self._progress.console.print(data(what), soft_wrap=True, highlight=False)
+
     def result(self, case: Case, result: CaseResult, surprise: str) -> None:
         """One of them is done."""
         if self._task is not None:
