@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import traceback
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -32,6 +32,8 @@ _NAMED = 6
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
 DEACTIVATE = "BP-MGMT-Deactivate"
+#: What every case expects before it begins.
+_ALIVE = "a living implementation"
 #: Executions of a case that only the tester's own lateness, or frames that it lost, leave undecided.
 MOST_EXECUTIONS = 3
 #: The code of JSON-RPC for a fault of the implementation.
@@ -78,7 +80,10 @@ class Runner:
         self._measured = 0
         """How often the reaction time was measured."""
         self._unsettled = False
-        """The upper tester has reported an internal error in the last case."""
+        """The last case has left the implementation in a state that can spoil later ones, or its upper tester has
+        reported an internal error."""
+        self._spoilt: dict[str, str] = {}
+        """Cases whose changes could not be undone, with the reason."""
         self._renewals = 0
         """Restarts because identifiers were used up."""
         self._disturbed: dict[str, str] = {}
@@ -92,7 +97,8 @@ class Runner:
         """What the reader of the results should know of the run as a whole."""
         renewed = [f"restarted {self._renewals} times, when all identifiers of variables had been used"]
         deaths = [_told(how, cases) for how, cases in self._deaths.items()]
-        return [*self.remarks, *(renewed if self._renewals else ()), *self._repetitions(), *deaths]
+        spoilt = [_left_changed(self._spoilt)] if self._spoilt and not self._restartable else []
+        return [*self.remarks, *spoilt, *(renewed if self._renewals else ()), *self._repetitions(), *deaths]
 
     def prepare(self) -> None:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
@@ -144,7 +150,7 @@ class Runner:
         if reason:
             return self._without_trial(case, bench, attempt, Verdict.NOT_APPLICABLE, reason)
         if self.dead:
-            return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, "a living implementation", self.dead)
+            return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, _ALIVE, self.dead)
         try:
             result = self._run(case, attempt)
         except Exception as error:
@@ -164,7 +170,12 @@ class Runner:
         if self._unsettled and self._restartable:
             # What its upper tester reported may spoil every case from now on.
             self._recent.clear()
-            self._start_afresh(case)
+            if why := self._start_afresh(case):
+                # What keeps it away is not what the case is about.
+                self.dead = f"the implementation was restarted after the case before {case.id}; {why}"
+                self.remarks.append(self.dead)
+                bench = Bench(self.session, case)
+                return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, _ALIVE, self.dead)
         self._unsettled = False
         self.session.renewable = (
             self._restartable and self._reset_mode() == "none" and self.session.pics.pixit.reset != "none"
@@ -308,6 +319,9 @@ class Runner:
         self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
+        if trial.loss is None and bench.spoilt and self._reset_mode() == "none":
+            self._unsettled = True
+            self._spoilt.setdefault(case.id, bench.spoilt)
         return trial
 
     def _measure(self) -> None:
@@ -359,6 +373,7 @@ class Runner:
         except Exception as error:
             return f"it could not be restarted: {error}"
         self._forget()
+        self._unsettled = False
         if why := self.life.await_answer(case):
             return f"after a restart it {why}"
         return ""
@@ -483,6 +498,15 @@ class Runner:
             executions=executions,
             error_detail=trial.detail,
         )
+
+
+def _left_changed(cases: Mapping[str, str]) -> str:
+    """Changes of cases that are still in force, in one sentence."""
+    first = next(iter(cases))
+    return (
+        f"not all that was changed in {_listed(list(cases))} could be changed back ({cases[first]}), and there is no "
+        "command to restart the implementation (--restart): what follows may suffer from it"
+    )
 
 
 def _told(how: str, cases: Sequence[str]) -> str:

@@ -333,6 +333,17 @@ def test_jitter_that_begins_again_is_reported_and_no_failure():
     assert set(found) == {"CK_BP_JITTER"}
 
 
+def test_intervals_of_a_coarse_clock_that_repeat_by_chance_are_no_jitter_that_begins_again():
+    ear = Ear()
+    for _ in range(2):
+        ear.tester.interrupted(ear.air.frames[-1].time_ns if ear.air.frames else -1)
+        for number in range(8):
+            ear.air.time += (number % 2) * 10 * MS
+            ear.air.say(SUT, VarSumm(1, number), seqno=number)
+        ear.listen()
+    assert "CK_BP_JITTER" not in ear.failed()
+
+
 def test_a_finding_says_where_it_was_heard():
     found = after(some("TC_VD_CRE_BV_01", "TC_VD_CRE_BV_02"), mutant="M-BP-HDR-07-one-more")["CK_BP_FORMAT"]
     assert ": bp.numPayloads" in found.reason
