@@ -104,7 +104,8 @@ def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attr
             return _unconfirmed(trial, earlier, recent)
         if earlier.loss is not None:
             note = f"{case.id} found the implementation dead; {suspect.id}, before it, ends it when it is run alone"
-            return Attribution(alone, tuple(alone.checks), killed=False, earlier=earlier, note=note)
+            checks = with_failures_of(alone.checks, trial.checks)
+            return Attribution(alone, checks, killed=False, earlier=earlier, note=note)
     if recent:
         row = again([*recent, case])
         if isinstance(row, Trial) and row.loss is not None:
@@ -135,6 +136,20 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
         # No requirement is about the service: what the case saw is all there is.
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
+
+
+def with_failures_of(checks: Sequence[Check], earlier: Sequence[Check]) -> tuple[Check, ...]:
+    """Checks of an execution, with the failures of an earlier one that were proved there and not seen again.
+
+    The frames of those are in the recording of the earlier execution, which is not kept.
+    """
+    seen = {(check.expected, check.requirements) for check in checks if check.verdict is Verdict.FAIL}
+    kept = [
+        msgspec.structs.replace(check, observed=f"{check.observed} (in the first execution)", frames=())
+        for check in earlier
+        if check.verdict is Verdict.FAIL and check.shown and (check.expected, check.requirements) not in seen
+    ]
+    return (*checks, *kept)
 
 
 def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
@@ -174,7 +189,7 @@ def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attri
     text = f"{loss.observed}; not reproduced from a fresh start ({tried})"
     check = Check(Verdict.INCONCLUSIVE, survival(trial), "the implementation survives", text)
     note = f"the implementation {loss.how} once, in or before {trial.case.id}; it was not reproduced: {tried}"
-    return Attribution(alone, (*alone.checks, check), killed=False, note=note)
+    return Attribution(alone, with_failures_of([*alone.checks, check], trial.checks), killed=False, note=note)
 
 
 def survival(trial: Trial) -> tuple[str, ...]:

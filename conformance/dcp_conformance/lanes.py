@@ -76,7 +76,7 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             connections[ours] = process
         ends: list[LaneEnd] = []
         try:
-            for message in _messages(connections):
+            for message in messages(connections):
                 if isinstance(message, LaneEnd):
                     ends.append(message)
                     continue
@@ -91,7 +91,7 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             run.interrupt(len({result.id for result in run.results} - {SANITY}), len(cases))
         with deferred():
             stack.close()
-    run.close_lanes(ends, lanes, [run.cases[name] for name in cases])
+    run.close_lanes(ends, lanes, [run.cases[name] for name in cases] * run.repeat)
 
 
 def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
@@ -99,7 +99,11 @@ def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
     return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,))
 
 
-def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
+def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
+    """What lanes say, as it comes, until all have ended; ``connections`` are theirs with their processes.
+
+    A lane that ends before it has said :class:`LaneEnd` gets one with the reason.
+    """
     open_ones = dict(connections)
     done: set[Connection] = set()
     while open_ones:
@@ -107,7 +111,8 @@ def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
             assert isinstance(ready, Connection)
             try:
                 message = ready.recv()
-            except EOFError:
+            except (EOFError, OSError):
+                # OSError: it was ended in the middle of a message.
                 process = open_ones.pop(ready)
                 process.join(5)
                 if process.exitcode or ready not in done:

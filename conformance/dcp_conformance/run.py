@@ -10,6 +10,7 @@ import dataclasses
 import datetime
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -91,6 +92,8 @@ class ConformanceRun:
         """Of the invariants that were watched meanwhile."""
         self.trouble = ""
         """Why nothing could be run, or not to the end: the tester's own fault."""
+        self._stopped = False
+        """Whether ``until_fail`` has ended the run."""
         self.usage = False
         """Whether the trouble is a mistake of the user."""
         self.interrupted = False
@@ -164,10 +167,19 @@ class ConformanceRun:
             self.finish()
         except KeyboardInterrupt:
             self.interrupt(done, len(planned))
+        except ConformanceError as error:
+            self.trouble = str(error)
+        except Exception as error:
+            self._faulty(error)
         finally:
             with deferred():
                 self.close()
         self.account(planned)
+
+    def _faulty(self, error: Exception) -> None:
+        """The tester itself has gone wrong: what was found until now is reported all the same."""
+        self.trouble = self.trouble or f"a fault of the tester: {type(error).__name__}: {error}"
+        self._notes.append("".join(traceback.format_exception(error)))
 
     def open(self) -> bool:
         """Open the way to the implementation; False if there is none, see :attr:`trouble`."""
@@ -184,8 +196,7 @@ class ConformanceRun:
             self.usage = isinstance(error, UsageError)
             return False
         except Exception as error:
-            self.trouble = f"a fault of the tester: {type(error).__name__}: {error}"
-            self._notes.append("".join(traceback.format_exception(error)))
+            self._faulty(error)
             return False
         return True
 
@@ -193,10 +204,13 @@ class ConformanceRun:
         """Close everything, and end the implementation if it was started here."""
         runner, self._runner = self._runner, None
         if runner is not None:
-            self._sut = runner.about()
-            self._notes += runner.notes
-            options = {case.id: case.options for case in self.found_by_fuzzer.values()}
-            self.take_passive(runner.session.passive.results(runner.rerun, options))
+            try:
+                self._sut = runner.about()
+                self._notes += runner.notes
+                options = {case.id: case.options for case in self.found_by_fuzzer.values()}
+                self.take_passive(runner.session.passive.results(runner.rerun, options))
+            except Exception as error:
+                self._faulty(error)
         with contextlib.suppress(LowerTesterError, UpperTesterError):
             self._stack.close()
 
@@ -212,7 +226,10 @@ class ConformanceRun:
     def finish(self) -> None:
         """All cases have been run: look whether the implementation outlives them."""
         assert self._runner is not None
-        self._runner.finish()
+        try:
+            self._runner.finish()
+        except Exception as error:
+            self._faulty(error)
         for revised in self._runner.take_revised():
             self.revise(revised)
 
@@ -254,7 +271,8 @@ class ConformanceRun:
 
     def stops(self, result: CaseResult) -> bool:
         """Whether the user wants the run to end after this result."""
-        return self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR)
+        self._stopped = self._stopped or (self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR))
+        return self._stopped
 
     def interrupt(self, done: int, planned: int) -> None:
         """A signal has ended the run."""
@@ -263,14 +281,15 @@ class ConformanceRun:
 
     def account(self, planned: Sequence[Case]) -> None:
         """Count planned cases against results: one without a result is an error of the tester, and says so."""
-        if self.interrupted or self.until_fail:
+        if self.interrupted or self._stopped:
             return
-        there = {result.id for result in self.results}
+        there = Counter(result.id for result in self.results)
+        wanted = Counter(case.id for case in planned)
         for case in dict.fromkeys(planned):
-            if case.id not in there:
-                self._add_lost(case)
+            for attempt in range(there[case.id] + 1, wanted[case.id] + 1):
+                self._add_lost(case, attempt)
 
-    def _add_lost(self, case: Case) -> None:
+    def _add_lost(self, case: Case, attempt: int) -> None:
         expected, observed = "the case has a result", self.trouble or "the tester has lost it"
         lost = CaseResult(
             id=case.id,
@@ -282,6 +301,7 @@ class ConformanceRun:
             reason=f"{expected}: {observed}",
             table="robustness" if case.robustness else "conformance",
             checks=(Check(Verdict.ERROR, case.requirements, expected, observed),),
+            attempt=attempt,
         )
         self.take(case, lost)
 

@@ -12,11 +12,11 @@ import msgspec
 from dcp_spec.parameters import parameters
 
 from .applicability import why_not
-from .attribution import Trial, attribute, blamed, likely_stimulus
+from .attribution import Trial, attribute, blamed, likely_stimulus, with_failures_of
 from .bench import Bench, Session
 from .case import SANITY, Case
 from .control import SutControl
-from .errors import CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
+from .errors import ConformanceError, CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
 from .life import Life
 from .link import link_switch
 from .node_id import node_id_octets
@@ -249,7 +249,8 @@ class Runner:
         trial.loss = self.life.loss(bench, ask=True)
         if trial.loss is None:
             return
-        self._revised.append(self._judge_loss(trial, last.result.attempt))
+        result = self._judge_loss(trial, last.result.attempt)
+        self._revised.append(msgspec.structs.replace(result, executions=last.result.executions))
 
     def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
         """The result of a case after which the implementation was found dead."""
@@ -305,6 +306,9 @@ class Runner:
             bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, "the upper tester answers", str(error)))
         except LowerTesterError as error:
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the link can be used", str(error)))
+        except ConformanceError as error:
+            what = "the implementation is in its initial state"
+            bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, str(error)))
         except Exception as error:
             trial.detail = "".join(traceback.format_exception(error))
             what = f"{type(error).__name__}: {error}"
@@ -313,7 +317,7 @@ class Runner:
         # Silence after the last stimulus is no sign of life, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
         if not self.life.ended() and not self.life.hung_up:
-            doubt = not self._clean(bench) or doubt
+            doubt = not self._clean(trial) or doubt
         # The sanity case has asked already.
         doubt = doubt and not trial.used_up
         self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
@@ -402,24 +406,39 @@ class Runner:
         assert trial.loss is not None
         self._count_death(trial)
         old = next(each.result for each in suspects if each.trial.case is trial.case)
-        revised = self._result(trial, old.attempt, (blamed(trial)[0], *old.checks), killed=True)
+        checks = with_failures_of(blamed(trial), old.checks)
+        revised = self._result(trial, old.attempt, checks, killed=True, executions=old.executions)
         self._revised.append(msgspec.structs.replace(revised, death=trial.loss.group))
 
     # -- before and after a case ---------------------------------------------------------------------------------------
 
-    def _clean(self, bench: Bench) -> bool:
+    def _delete(self, trial: Trial) -> None:
+        """Delete the variables of the implementation's application; the last call is the stimulus if it goes wrong."""
+        bench = trial.bench
+        for var_id in sorted(bench.produced):
+            try:
+                bench.call("RTDB-Delete", varId=var_id)
+            except UpperTesterError:
+                calls = (event for event in reversed(bench.traffic.events) if event.direction == "call")
+                trial.stimulus = next(calls, None)
+                raise
+
+    def _clean(self, trial: Trial) -> bool:
         """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up.
 
         Returns whether nothing went wrong.
         """
+        bench = trial.bench
         made = bench.created | bench.produced
         if self._reset_mode() != "none" or not made or not (bench.traffic.frames or bench.produced):
             return True
         upper = self.session.upper
         try:
-            if upper is not None and "RTDB-Delete" in upper.methods:
-                for var_id in sorted(bench.produced):
-                    upper.call("RTDB-Delete", {"varId": var_id})
+            if upper is not None and "RTDB-Delete" in upper.methods and bench.produced:
+                if "UT-Hello" in upper.methods and not self.life.serves():
+                    # It does not die of the deletions.
+                    return False
+                self._delete(trial)
             peer = bench.peer()
             peer.send_all(peer.delete(var_id) for var_id in sorted(made))
             bench.wait(1)
