@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 import traceback
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -15,19 +14,18 @@ from .applicability import why_not
 from .attribution import Trial, attribute, blamed, likely_stimulus, with_failures_of
 from .bench import Bench, Session
 from .case import SANITY, Case
+from .case_results import result_of
 from .control import SutControl
 from .errors import ConformanceError, CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
 from .life import Life
 from .link import link_switch
 from .node_id import node_id_octets
 from .reaction import prepare
-from .results import CaseResult, Check, EventRecord, Sut
+from .remarks import deaths_alike, executed_again, left_changed
+from .results import CaseResult, Check, Sut
 from .session import FLOOR
-from .traffic import Event
-from .verdict import Verdict, worst
+from .verdict import Verdict
 
-#: Cases that a note names of those that ended the life of the implementation in the same way.
-_NAMED = 6
 #: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
@@ -95,10 +93,14 @@ class Runner:
     @property
     def notes(self) -> list[str]:
         """What the reader of the results should know of the run as a whole."""
-        renewed = [f"restarted {self._renewals} times, when all identifiers of variables had been used"]
-        deaths = [_told(how, cases) for how, cases in self._deaths.items()]
-        spoilt = [_left_changed(self._spoilt)] if self._spoilt and not self._restartable else []
-        return [*self.remarks, *spoilt, *(renewed if self._renewals else ()), *self._repetitions(), *deaths]
+        found = list(self.remarks)
+        if self._spoilt and not self._restartable:
+            found.append(left_changed(self._spoilt))
+        if self._renewals:
+            found.append(f"restarted {self._renewals} times, when all identifiers of variables had been used")
+        if self._disturbed:
+            found.append(executed_again(self._disturbed))
+        return found + [deaths_alike(how, cases) for how, cases in self._deaths.items()]
 
     def prepare(self) -> None:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
@@ -211,18 +213,6 @@ class Runner:
                 break
             trial = again
         return trial, executions
-
-    def _repetitions(self) -> list[str]:
-        """Which cases were executed again, in one sentence; empty if none were."""
-        cases = list(self._disturbed)
-        if not cases:
-            return []
-        why = self._disturbed[cases[0]]
-        if len(cases) == 1:
-            return [f"{cases[0]} was executed again, since the tester could not decide it: {why}"]
-        first = f"in the first of them {why}"
-        listed = _listed(cases)
-        return [f"{len(cases)} cases were executed again, since the tester could not decide them ({first}): {listed}"]
 
     def _trial_after_restart(self, trial: Trial) -> Trial:
         """Run a case again that found all identifiers used up, in the initial state of the implementation."""
@@ -482,81 +472,11 @@ class Runner:
     def _result(
         self, trial: Trial, attempt: int, checks: Iterable[Check], *, killed: bool = False, executions: int = 1
     ) -> CaseResult:
-        case, bench, checks = trial.case, trial.bench, tuple(checks)
-        verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
-        decisive = next((check for check in checks if check.verdict is verdict), None)
-        reason = ""
-        if decisive is None:
-            reason = "the case has looked at nothing"
-        elif verdict is Verdict.NOT_APPLICABLE:
-            reason = decisive.expected
-        elif verdict is not Verdict.PASS:
-            reason = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
-            if executions > 1:
-                reason += f"; executed {executions} times"
-        return CaseResult(
-            id=case.id,
-            purpose=case.purpose,
-            section=case.section,
-            kind=str(case.kind),
-            requirements=case.requirements,
-            verdict=verdict,
-            reason=reason,
-            stimulus=case.stimulus,
-            expectation=case.expect,
-            window=case.window,
-            duration=(self.session.lower.now() - trial.begun) / 1e9,
-            table="robustness" if case.robustness else "conformance",
-            checks=checks,
-            readings=bench.readings,
-            evidence=tuple(_event_record(event) for event in bench.traffic.events),
-            left_out=bench.traffic.left_out,
-            rerun=f"{self.rerun} {shlex.join([*case.options, case.id])}",
-            killed=killed,
-            attempt=attempt,
-            executions=executions,
-            error_detail=trial.detail,
-        )
-
-
-def _left_changed(cases: Mapping[str, str]) -> str:
-    """Changes of cases that are still in force, in one sentence."""
-    first = next(iter(cases))
-    return (
-        f"not all that was changed in {_listed(list(cases))} could be changed back ({cases[first]}), and there is no "
-        "command to restart the implementation (--restart): what follows may suffer from it"
-    )
-
-
-def _told(how: str, cases: Sequence[str]) -> str:
-    """Deaths that look alike, in one sentence."""
-    kind, _, cause = how.partition(": ")
-    if len(cases) == 1:
-        return f"the implementation {kind} in {cases[0]} and was restarted"
-    many = f"the implementation {kind} in {len(cases)} cases in the same way ({cause})"
-    return f"{many}: {_listed(cases)}; restarted each time"
-
-
-def _listed(cases: Sequence[str]) -> str:
-    """The first of some cases, and how many more there are."""
-    return ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
+        ended = self.session.lower.now()
+        return result_of(trial, checks, ended, self.rerun, attempt=attempt, killed=killed, executions=executions)
 
 
 def _reports_internal_error(bench: Bench) -> bool:
     """Whether a service of the implementation failed for a reason of its own, which may last."""
     answers = (event.data for event in bench.traffic.events if event.direction == "answer")
     return any(isinstance(data, dict) and data.get("code") == _INTERNAL_ERROR for data in answers)
-
-
-def _event_record(event: Event) -> EventRecord:
-    text = event.text
-    if event.data is not None:
-        text = f"{text} {_short(event.data)}"
-    return EventRecord(event.wall, event.direction, event.who, event.number, text, event.frame.hex(), event.start)
-
-
-def _short(data: object) -> str:
-    import msgspec
-
-    text = msgspec.json.encode(data).decode()
-    return text if len(text) <= 400 else f"{text[:400]}..."
