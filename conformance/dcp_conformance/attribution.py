@@ -41,7 +41,7 @@ class Trial:
     checks: list[Check] = field(default_factory=list)
     loss: Loss | None = None
     stimulus: Event | None = None
-    """The last stimulus of the case, without the questions that follow its end."""
+    """The stimulus that probably ended the implementation; None if there was none."""
     paused: bool = False
     """BP was deactivated in the case."""
     used_up: bool = False
@@ -133,9 +133,20 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     violated = survival(trial)
     death = Check(verdict, violated, what, loss.observed + text, table=table)
     if service and not violated:
-        # No requirement is about the service: what the case saw is all there is.
+        # No requirement is about the service: the checks of the case keep their verdicts.
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
+
+
+def came_back(trial: Trial, seconds: float) -> tuple[Check, ...]:
+    """The checks of a case after which the implementation was silent, and answered again after this time.
+
+    A busy machine can do that, as well as what was sent.
+    """
+    assert trial.loss is not None
+    text = f"{trial.loss.observed}; it answered again after {seconds:.1f} s"
+    check = Check(Verdict.INCONCLUSIVE, survival(trial), "the implementation goes on answering", text)
+    return (check, *_withheld(trial, "the implementation did not answer for a while"))
 
 
 def with_failures_of(checks: Sequence[Check], earlier: Sequence[Check]) -> tuple[Check, ...]:
@@ -153,7 +164,7 @@ def with_failures_of(checks: Sequence[Check], earlier: Sequence[Check]) -> tuple
 
 
 def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
-    """The checks of a trial, without blame for what a dead implementation did not do; what it did stays."""
+    """The checks of a trial; failures about something missing become inconclusive, proved ones stay."""
     return tuple(
         msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; but {why}")
         if check.verdict is Verdict.FAIL and not check.shown
@@ -180,7 +191,7 @@ def _unconfirmed(trial: Trial, why: str, recent: Sequence[Case]) -> Attribution:
 
 
 def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attribution:
-    """The death was seen once: a fact of the run, and no verdict about any case."""
+    """Report a death that was seen only once; it decides no case."""
     loss = trial.loss
     assert loss is not None
     tried = f"{trial.case.id} alone"
@@ -200,7 +211,7 @@ def survival(trial: Trial) -> tuple[str, ...]:
     """
     case = trial.case
     if case.needs.link:
-        # The link was taken from it: no octets have done that.
+        # The death follows from taking the link down, not from any frame or call.
         return case.requirements
     named = tuple(each for each in case.requirements if each in _SURVIVAL)
     deadly = trial.stimulus
@@ -250,7 +261,7 @@ def _outlived(case: Case, events: Sequence[Event]) -> bool:
         return False
     if any(each.direction == "heard" for each in events[:frame]):
         return True
-    # What is inactive must discard frames without a look at them.
+    # An inactive entity must discard frames unread: they are not the cause.
     return not (events[0].text.endswith("-MGMT-Deactivate") or concerns(case, events[0].text))
 
 

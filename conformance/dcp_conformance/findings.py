@@ -1,4 +1,4 @@
-"""The checks of a case, and what the tester holds against itself before it believes a failure.
+"""The checks of a case, and when a failure is excused by a problem of the tester itself.
 
 A failed check is one of two kinds, and each call says which it is:
 
@@ -35,13 +35,13 @@ MS = 1_000_000
 
 
 def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:
-    """Whether ``found`` is ``whole`` in its order, with some left out or none: what losses can make of it."""
+    """Whether ``found`` is a subsequence of ``whole``: what remains of it after losses."""
     rest = iter(whole)
     return all(any(each == other for other in rest) for each in found)
 
 
 class Findings:
-    """The checks of one case, and what they are held against."""
+    """The checks of one case, with the excuses for failed ones."""
 
     def __init__(self, session: Session, case: Case) -> None:
         self.session = session
@@ -57,7 +57,7 @@ class Findings:
         self.readings: dict[str, str] = {}
         self.dropped = 0
         self.late_ns = 0
-        """The longest that the tester itself was idle in this case when it had to act; see :meth:`acts`."""
+        """The longest delay of the tester before one of its steps in this case, ns; see :meth:`acts`."""
         self._excused = False
         """Whether a failure of this case had an excuse."""
         self._disturbed: set[int] = set()
@@ -65,7 +65,7 @@ class Findings:
         self._acted: int | None = None
         """When (ns) the last step of the case ended (a wait, call or transmission); None before the first."""
         self.assumptions: dict[str, str] = {}
-        """What this case hangs on and nobody has told, by parameter; in words for who can tell."""
+        """Assumed values that this case depends on, by parameter, in words for the user who can state them."""
         self.doubts: dict[str, str] = {}
         """As ``assumptions``, where only something missing can follow from them: a stimulus that was not accepted."""
 
@@ -76,7 +76,7 @@ class Findings:
 
     @property
     def features(self) -> Features:
-        """What the profile's version of the specification has."""
+        """Features of the profile's version of the specification."""
         return features(self.profile.spec_version)
 
     @property
@@ -117,7 +117,7 @@ class Findings:
         """
         verdict, disturbed = Verdict.PASS if holds else Verdict.FAIL, False
         if not holds and not shown and not numbers and (why := self.unreadable(requirements or self.case.requirements)):
-            # Nothing of the tester's is lost: what was received and is wrong stays a failure, in this case too.
+            # The tester has lost nothing: later failures that are proved by received octets still count.
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {why}"
         elif not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
@@ -173,7 +173,7 @@ class Findings:
     def info(
         self, question: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
     ) -> None:
-        """The specification leaves it open: say what the implementation does."""
+        """Report a behaviour that the specification leaves open."""
         self._add(Verdict.INFO, question, observed, requirements, frames)
 
     def reading(self, identifier: str, observed: str) -> None:
@@ -187,7 +187,7 @@ class Findings:
         return not any(each.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) for each in self.checks)
 
     def verdict(self) -> Verdict:
-        """What the checks come to; ``inconclusive`` for a case that has checked nothing."""
+        """The verdict of all checks; ``inconclusive`` for a case without checks."""
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
 
     def _add(
@@ -231,7 +231,7 @@ class Findings:
         return Mark(what.heard.number, event.start + field.offset, field.length, path)
 
     def assumed(self) -> str:
-        """What the case hangs on and nobody has told, in words; empty if there is nothing."""
+        """The assumptions of the case in words; empty if there are none."""
         return "; ".join(self.assumptions.values())
 
     # -- what the tester has missed ------------------------------------------------------------------------------------
@@ -248,7 +248,7 @@ class Findings:
         return self.assumed() or ("" if shown else "; ".join(self.doubts.values()))
 
     def unreadable(self, requirements: Iterable[str]) -> str:
-        """Why something may have been sent and not be seen: beacons of this case that cannot be read to their end.
+        """Why something that was sent may not be seen: beacons of this case that cannot be read to their end.
 
         Empty if all can be read that matter for ``requirements``: a bad state report hides nothing but itself. What is
         wrong with such a beacon is for the cases about formats to say.
@@ -263,7 +263,7 @@ class Findings:
         return f"{len(bad)} of its {len(self.heard)} beacons cannot be read: {bad[0].problem}" if bad else ""
 
     def out_of_reach(self, *requirements: str) -> str:
-        """Why something missing is no news, in words; empty if it counts.
+        """Why something missing follows from what the sanity case found, in words; empty if it counts.
 
         The basic interconnection test has shown that the implementation does not answer what this case has sent, and
         blamed it for that. ``requirements``: those of the failed check, by default all of the case.
@@ -335,7 +335,7 @@ class Findings:
         for heard in self.heard:
             after = heard.seqno
             if after is None:
-                # It was heard; that it is no beacon is the implementation's doing.
+                # Received, but without a readable number: not a loss.
                 unreadable += 1
                 continue
             if before is not None:

@@ -1,4 +1,4 @@
-"""Signs of life: whether the implementation still takes part, and what is known of its end.
+"""Signs of life: whether the implementation still takes part, and how it ended.
 
 The runner asks after every case that leaves a doubt, after every start, and before it believes in a death.
 """
@@ -24,9 +24,9 @@ QUESTIONS: Final = 4
 DEATH_PATIENCE: Final = 1.5
 #: Seconds that an implementation may take to answer after a start.
 START_PATIENCE: Final = 30.0
-#: Seconds that it may take after its first start from the moment at which it has opened the link.
+#: Seconds from opening the link to the first answer, after the first start.
 READY_PATIENCE: Final = 3.0
-#: Seconds after which the user is told what is waited for.
+#: Seconds of waiting after which the user gets a message.
 SILENT: Final = 3.0
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
@@ -38,12 +38,12 @@ _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """The implementation does not take part any more."""
+    """How the implementation stopped taking part."""
 
     died: bool
     """Its process has ended; otherwise it runs, as far as is known, and does not answer."""
     observed: str
-    """What was seen, for the failed check."""
+    """What was observed, for the failed check."""
     cause: str = ""
     """How the process ended, and its last words; empty if that is not known."""
     doubtful: bool = False
@@ -73,7 +73,7 @@ class Loss:
 
 
 class Life:
-    """What is known of the life of one implementation."""
+    """Checks whether one implementation lives."""
 
     def __init__(self, session: Session, control: SutControl | None, start_timeout: float | None = None) -> None:
         """``start_timeout``: seconds that it may take to answer after a start; None: ``START_PATIENCE``."""
@@ -82,19 +82,19 @@ class Life:
         self._told = start_timeout is not None
         self._start_timeout = START_PATIENCE if start_timeout is None else start_timeout
         self._shown: set[Sign] = set()
-        """The signs of life that there were: what an implementation never did it cannot have stopped doing."""
+        """Kinds of signs of life that were observed; only the absence of these shows a death."""
         self.hung_up = ""
-        """Why the upper tester had no connection any more, since the last look; empty if it had one."""
+        """Why the upper tester lost its connection since the last check; empty if it did not."""
 
     def ended(self) -> bool:
         """Whether the process is known to have ended."""
         return self._control is not None and self._control.alive() is False
 
     def await_end(self, bench: Bench) -> bool:
-        """Wait for an implementation that may be ending; whether its process is known to have ended."""
+        """Wait up to ``DEATH_PATIENCE`` for the process to end. Returns whether it is known to have ended."""
         deadline = bench.now() + round(DEATH_PATIENCE * 1e9)
         real = time.monotonic() + DEATH_PATIENCE
-        # Both clocks: time passes on the lower tester's only while the link can be read.
+        # Two clocks: that of the lower tester stands still while the link cannot be read.
         while not self.ended() and bench.now() < deadline and time.monotonic() < real:
             try:
                 bench.wait_ns(_POLL_NS)
@@ -169,7 +169,7 @@ class Life:
         self.learn(bench)
         if not self.ended():
             if self.hung_up:
-                # It may be the first sign of an end.
+                # A lost connection is often the first sign of an end.
                 self.await_end(bench)
                 ask = True
             if not self.ended() and (not ask or self.answers(bench)):
@@ -203,7 +203,7 @@ class Life:
         return "it does not answer any more" + (", though its process runs" if runs else "")
 
     def await_answer(self, case: Case) -> str:
-        """Wait until an implementation that was started answers: what is sent before that, it cannot hear.
+        """Wait until an implementation that was started answers; it misses what is sent before that.
 
         ``case``: the next one, or the last. Returns why waiting is in vain, empty if it answers.
         """
@@ -237,7 +237,7 @@ class Life:
         return self._await(case, given_up, questions=1)
 
     def _waiting(self, bench: Bench, passed: float, *, on_link: bool) -> str:
-        """What is known of an implementation that does not answer after its start, and how long it is waited for."""
+        """Describe an implementation that does not answer after its start, and how long it is still waited for."""
         runs = self._control is not None and self._control.alive()
         known = "its process runs" if runs else "it is not known whether its process runs"
         if on_link:
@@ -250,7 +250,7 @@ class Life:
         )
 
     def _await(self, case: Case, given_up: Callable[[Bench], str], questions: int = QUESTIONS) -> str:
-        """Wait for an answer. ``given_up`` is asked after each attempt why waiting makes no more sense."""
+        """Wait for an answer. After each attempt ``given_up`` returns why to stop waiting, or an empty string."""
         # Traffic while waiting is not evidence of the case.
         bench, control = Bench(self._session, case), self._control
         deadline = bench.now() + round(self._start_timeout * 1e9)
@@ -272,7 +272,7 @@ class Life:
 
 
 def _last_sign(bench: Bench) -> str:
-    """After which of its beacons an implementation died, as the end of a sentence; empty if that says nothing."""
+    """The end of a sentence: before which sent frame its last beacon came; empty if no frame came after it."""
     frames = [event for event in bench.traffic.events if event.number and event.direction in ("sent", "heard")]
     last = max((place for place, event in enumerate(frames) if event.direction == "heard"), default=len(frames))
     after = frames[last + 1 :]

@@ -29,7 +29,7 @@ END_PATIENCE = 3.0
 #: Octets of output that are kept on disk; when there is more, it begins anew.
 _MOST_OUTPUT = 1024 * 1024
 _KEPT_OUTPUT = 64 * 1024
-#: What ``st_blocks`` counts, in octets.
+#: Unit of ``st_blocks``, in octets.
 _BLOCK = 512
 _PR_SET_PDEATHSIG = 1
 #: ``FALLOC_FL_KEEP_SIZE`` and ``FALLOC_FL_PUNCH_HOLE`` of <linux/falloc.h>.
@@ -37,7 +37,7 @@ _PUNCH_HOLE = 0x01 | 0x02
 
 
 class ProcessControl:
-    """Handles the implementation with what was given; all of it is optional.
+    """Controls the implementation by the given commands and processes, all of them optional.
 
     * ``start``: a command that is the implementation, or launches it and ends with status 0: within ``SETTLE`` s, or
       later, if something that it has started still runs.
@@ -79,14 +79,14 @@ class ProcessControl:
         self._udp_port = udp_port
         self.can_restart = self._restart is not None or self._start is not None
         self.after_restart: list[Callable[[], None]] = []
-        """What is called after each restart: reconnecting of upper testers."""
+        """Called after each restart, to reconnect upper testers."""
         self._process: subprocess.Popen[bytes] | None = None
         self._launched = False
         self._output: IO[bytes] | None = None
         self._watched: tuple[int, int] | None = None
         self._why = ""
         self._mark = secrets.token_hex(8)
-        """Is in the environment of all that the start command starts, also of what leaves its session."""
+        """Marks the environment of all processes that the start command starts, also if they leave its session."""
         if pid is not None:
             started = started_at(pid)
             if started is None:
@@ -100,7 +100,7 @@ class ProcessControl:
     # -- SutControl --------------------------------------------------------------------------------------------
 
     def alive(self) -> bool | None:
-        """Whether the process runs; None if there is none to look at."""
+        """Whether the process runs; None if no process is known."""
         if self._watched is not None:
             pid, started = self._watched
             if started_at(pid) != started:
@@ -114,14 +114,14 @@ class ProcessControl:
             self._trim()
             return True
         if status == 0 and self._settle and not self._why and self._runs_on():
-            # It has launched the implementation, on a machine that was too busy to end it within the settling time.
+            # The launcher has ended only now, since the machine is busy; the implementation runs.
             self._launched = True
             return None
         self._why = self._why or f"it ended with {ending(status)}{self._last_words()}"
         return False
 
     def why_dead(self) -> str:
-        """How the process ended, and the last lines that it said."""
+        """How the process ended, and the last lines of its output."""
         return "" if self.alive() is not False else self._why
 
     def restart(self) -> None:
@@ -160,7 +160,7 @@ class ProcessControl:
         if self._output is None:
             self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         self._output.truncate(0)
-        # At its end, wherever that is after it was cut.
+        # O_APPEND: the process writes at the end, also after the file was truncated.
         appending = os.open(f"/proc/self/fd/{self._output.fileno()}", os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
         try:
             with self._around():
@@ -210,7 +210,7 @@ class ProcessControl:
             except subprocess.TimeoutExpired:
                 raise ConformanceError(f"{name}: the command did not end within {PATIENCE:g} s") from None
             finally:
-                # What it has started goes on; the command itself does not.
+                # End the command itself; processes that it started go on.
                 if process.poll() is None:
                     process.kill()
                     process.wait()
@@ -260,16 +260,16 @@ class ProcessControl:
         return "" if self._output is None else _end_of(self._output)
 
     def _trim(self) -> None:
-        """Give back the room of what was said long ago."""
+        """Free the disk space of old output."""
         if self._output is None:
             return
         status = os.fstat(self._output.fileno())
         if status.st_blocks * _BLOCK > _MOST_OUTPUT:
-            # A hole at the beginning: what is being written behind it, at this moment too, is not touched.
+            # Punch a hole at the beginning; concurrent writes at the end are not affected.
             libc = ctypes.CDLL(None)
             size = ctypes.c_int64(max(0, status.st_size - _KEPT_OUTPUT))
             if libc.fallocate64(self._output.fileno(), _PUNCH_HOLE, ctypes.c_int64(0), size):
-                # A file system without holes; words that come between looking and cutting are lost.
+                # No holes in this file system: output between fstat and truncate is lost.
                 self._output.truncate(0)
 
 

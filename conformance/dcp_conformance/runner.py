@@ -11,7 +11,7 @@ import msgspec
 from dcp_spec.parameters import parameters
 
 from .applicability import why_not
-from .attribution import Trial, attribute, blamed, likely_stimulus, with_failures_of
+from .attribution import Trial, attribute, blamed, came_back, likely_stimulus, with_failures_of
 from .bench import Bench, Session
 from .case import SANITY, Case
 from .case_results import result_of
@@ -30,7 +30,7 @@ from .verdict import Verdict
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
 DEACTIVATE = "BP-MGMT-Deactivate"
-#: What every case expects before it begins.
+#: The expectation that fails where no case can be executed any more.
 _ALIVE = "a living implementation"
 #: Executions of a case that only the tester's own lateness, or frames that it lost, leave undecided.
 MOST_EXECUTIONS = 3
@@ -67,11 +67,11 @@ class Runner:
         self.rerun = rerun
         self.life = Life(session, control, start_timeout)
         self.remarks: list[str] = []
-        """What the reader of the results should know, beside deaths."""
+        """Notes for the reader of the results, without those about deaths."""
         self.dead = ""
-        """Why nothing can be run any more; empty while the implementation lives."""
+        """Why no further case can be executed; empty while the implementation lives."""
         self._deaths: dict[str, list[str]] = {}
-        """Cases by how the implementation ended."""
+        """Cases in which the implementation ended, by :attr:`.life.Loss.group`."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases in this life of the implementation."""
         self._revised: list[CaseResult] = []
@@ -92,7 +92,7 @@ class Runner:
 
     @property
     def notes(self) -> list[str]:
-        """What the reader of the results should know of the run as a whole."""
+        """Notes for the reader of the results about the run as a whole."""
         found = list(self.remarks)
         if self._spoilt and not self._restartable:
             found.append(left_changed(self._spoilt))
@@ -126,7 +126,7 @@ class Runner:
                     session.parameters.update({name: value for name, value in told.items() if name in known})
 
     def about(self) -> Sut:
-        """The implementation, for the results."""
+        """Describe the implementation for the results."""
         session, upper = self.session, self.session.upper
         about = upper.about if upper is not None else {}
         target = session.pics.sut
@@ -143,7 +143,7 @@ class Runner:
     # -- one case ------------------------------------------------------------------------------------------------------
 
     def run(self, case: Case, attempt: int = 1) -> CaseResult:
-        """Run one case. Whatever happens, there is a result; only ``KeyboardInterrupt`` and the like get through.
+        """Run one case and return its result. No exception but ``KeyboardInterrupt`` and the like gets through.
 
         The result of the case before may have changed: see :meth:`take_revised`.
         """
@@ -170,10 +170,10 @@ class Runner:
 
     def _run(self, case: Case, attempt: int) -> CaseResult:
         if self._unsettled and self._restartable:
-            # What its upper tester reported may spoil every case from now on.
+            # The state that the last case has left may spoil this one.
             self._recent.clear()
             if why := self._start_afresh(case):
-                # What keeps it away is not what the case is about.
+                # A failed restart is not the fault of this case.
                 self.dead = f"the implementation was restarted after the case before {case.id}; {why}"
                 self.remarks.append(self.dead)
                 bench = Bench(self.session, case)
@@ -186,6 +186,8 @@ class Runner:
         if trial.used_up and self.session.renewable:
             trial = self._trial_after_restart(trial)
         trial, executions = self._undisturbed(trial)
+        if trial.loss is not None and not self._restartable:
+            self._wait_for(trial)
         if trial.loss is None:
             result = self._result(trial, attempt, trial.checks, executions=executions)
             if self._reset_mode() != "restart":
@@ -195,6 +197,16 @@ class Runner:
         result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
         self._revive(case, trial)
         return result
+
+    def _wait_for(self, trial: Trial) -> None:
+        """Without a way to restart a silent implementation, wait for it: its loss would be the end of the run."""
+        loss = trial.loss
+        if loss is None or loss.died or loss.upper_only:
+            return
+        begun = self.session.lower.now()
+        if not self.life.await_answer(trial.case):
+            trial.checks = list(came_back(trial, (self.session.lower.now() - begun) / 1e9))
+            trial.loss = None
 
     def _undisturbed(self, trial: Trial) -> tuple[Trial, int]:
         """Run a case again, from the same start, as long as only the tester's own trouble leaves it undecided.
@@ -237,6 +249,8 @@ class Runner:
         bench = Bench(self.session, trial.case)
         self.life.await_end(bench)
         trial.loss = self.life.loss(bench, ask=True)
+        if trial.loss is not None and not self._restartable:
+            self._wait_for(trial)
         if trial.loss is None:
             return
         result = self._judge_loss(trial, last.result.attempt)
@@ -267,7 +281,7 @@ class Runner:
             if not fresh:
                 self._reset()
             if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
-                # Whatever keeps it away is not what the case is about; the next one restarts it again.
+                # A failed restart is not the fault of this case; the next case restarts again.
                 bench.checks.append(
                     Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
                 )
@@ -276,12 +290,12 @@ class Runner:
             bench.mark()
             bench.heard.clear()
             self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
-            # What was lost, or looked at late, before the case is no excuse in it.
+            # Losses from before the case are no excuse in it.
             self.session.lower.health()
             try:
                 case.run(bench)
             finally:
-                # What is undone afterwards has not ended it.
+                # Found before restore(): calls that undo changes are not the cause of a death.
                 trial.stimulus = likely_stimulus(case, bench.traffic)
                 bench.restore()
         except NamesUsedUp:
@@ -304,11 +318,11 @@ class Runner:
             what = f"{type(error).__name__}: {error}"
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
-        # Silence after the last stimulus is no sign of life, whatever the verdict.
+        # Silence since the last stimulus is a doubt, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
         if not self.life.ended() and not self.life.hung_up:
             doubt = not self._clean(trial) or doubt
-        # The sanity case has asked already.
+        # The sanity case itself has asked for an answer.
         doubt = doubt and not trial.used_up
         self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
@@ -319,7 +333,7 @@ class Runner:
         return trial
 
     def _measure(self) -> None:
-        """Find out how fast the implementation reacts; once more if it only began to answer later."""
+        """Measure the reaction time of the implementation; again if it did not answer the first time, but later."""
         if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
             self._measured += 1
             found = prepare(self.session)
@@ -334,7 +348,7 @@ class Runner:
         passed = trial.verdict is Verdict.PASS
         self.life.learn(trial.bench, answered=passed and trial.bench.pics.vardis is not False)
         contact = self.session.contact
-        # Of what is heard through wrong settings nothing can be judged.
+        # With wrong settings of the tester nothing that is heard can be judged.
         heard = trial.bench.heard and not (contact is not None and contact.mistaken)
         if passed or heard or self.life.serves():
             return
@@ -360,7 +374,7 @@ class Runner:
         return trial
 
     def _start_afresh(self, case: Case) -> str:
-        """Restart the implementation and wait until it answers; why it cannot be had back, empty if it is there."""
+        """Restart the implementation and wait until it answers. Returns why it does not, empty if it does."""
         assert self.control is not None
         try:
             self.control.restart()
@@ -373,7 +387,7 @@ class Runner:
         return ""
 
     def _revive(self, case: Case, trial: Trial) -> None:
-        """Have the implementation back for the next case."""
+        """Restart the implementation for the next case, or note why no further case can be executed."""
         assert trial.loss is not None
         if not self._restartable:
             lost = f"the implementation {trial.loss.how} in {case.id}"
@@ -386,7 +400,7 @@ class Runner:
     def _count_death(self, trial: Trial) -> None:
         assert trial.loss is not None
         if trial.paused:
-            # Cases about other things have another way than deactivating BP.
+            # From now on only cases about deactivation deactivate BP.
             self.session.pausing_fails = True
         if self._restartable and not trial.loss.upper_only:
             self._deaths.setdefault(trial.loss.group, []).append(trial.case.id)
@@ -426,7 +440,7 @@ class Runner:
         try:
             if upper is not None and "RTDB-Delete" in upper.methods and bench.produced:
                 if "UT-Hello" in upper.methods and not self.life.serves():
-                    # It does not die of the deletions.
+                    # It was gone before: the deletions are not the cause.
                     return False
                 self._delete(trial)
             peer = bench.peer()
@@ -458,7 +472,7 @@ class Runner:
             self._forget()
 
     def _forget(self) -> None:
-        """The implementation is in its initial state again."""
+        """Forget what the implementation knew: it is in its initial state again."""
         self.session.forget()
 
     # -- the result ----------------------------------------------------------------------------------------------------

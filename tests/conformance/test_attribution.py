@@ -537,3 +537,39 @@ def test_a_death_that_no_requirement_decides_is_a_line_of_its_own(capsys: pytest
     assert headline(run).endswith(line)
     print_summary(run)
     assert f"died: {line}\n" in capsys.readouterr().out
+
+
+class Stalled(Frail):
+    """Hears nothing for some seconds after the word."""
+
+    seconds = 8.0
+    deaf_until = 0
+
+    def deliver(self, octets: bytes) -> None:
+        if WORD in octets:
+            self.deaf_until = self.now + round(self.seconds * 1e9)
+        elif self.now >= self.deaf_until:
+            InProcess.deliver(self, octets)
+
+
+@pytest.mark.parametrize("seconds", [8.0, 100.0])
+def test_without_a_restart_a_silent_implementation_is_waited_for(seconds: float):
+    """Silence for seconds may be the machine's; the run goes on when it is over."""
+    sut = Stalled()
+    sut.seconds = seconds
+    runner = runner_of(sut, can_restart=False)
+
+    def body(bench: Bench) -> None:
+        says(A, expect=False)(bench)
+        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+
+    first, second = case_of("TC_DCP_X_BV_05", body, "VD-RX-03"), dataclasses.replace(SECOND, id="TC_DCP_X_BV_06")
+    found = results_of(runner, SECOND, first, second)
+    if seconds > 50:
+        assert runner.dead
+        return
+    assert found[first.id].verdict is Verdict.INCONCLUSIVE
+    assert "it answered again after " in found[first.id].reason
+    assert not failed_in(found[first.id])
+    assert found[second.id].verdict is Verdict.PASS
+    assert not runner.dead
