@@ -24,8 +24,9 @@ QUESTIONS: Final = 4
 DEATH_PATIENCE: Final = 1.5
 #: Seconds that an implementation may take to answer after a start.
 START_PATIENCE: Final = 30.0
-#: Seconds from opening the link to the first answer, after the first start.
-READY_PATIENCE: Final = 3.0
+#: Seconds from opening the link to the first answer, after the first start: of several processes the one that opens the
+#: link may be the first to start.
+READY_PATIENCE: Final = 8.0
 #: Seconds of waiting after which the user gets a message.
 SILENT: Final = 3.0
 Sign = Literal["answer", "beacon", "service"]
