@@ -349,6 +349,8 @@ def test_a_finding_says_where_it_was_heard():
     assert ": bp.numPayloads" in found.reason
     assert "frame 1 of TC_VD_CRE_BV_01" in found.reason
     assert found.rerun == "dcp-conformance run TC_VD_CRE_BV_01"
+    # The measurement of reaction times, before the first case, is in no recording: its frames are not judged.
+    assert {each.text.partition(" of ")[2] for each in found.evidence} <= {"TC_VD_CRE_BV_01", "TC_VD_CRE_BV_02"}
     first = found.checks[0].frames[0]
     event = found.evidence[first.frame - 1]
     assert event.frame == first.frame
