@@ -41,7 +41,8 @@ class ProcessControl:
 
     * ``start``: a command that is the implementation, or launches it and ends with status 0: within ``SETTLE`` s, or
       later, if something that it has started still runs.
-    * ``stop``: a command that stops it; without one the process of ``start`` gets SIGTERM, and SIGKILL after 3 s.
+    * ``stop``: a command that stops it; without one the process of ``start`` and all that it has started get SIGTERM,
+      and SIGKILL after 3 s.
     * ``restart``: a command that restarts it and ends; without one it is stopped and started.
     * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a number used again is no mistake; the
       file is read again after a restart.
@@ -193,7 +194,20 @@ class ProcessControl:
         if self._process is not None:
             end_group(self._process, patience=END_PATIENCE)
             self._process = None
+            if self._stop is None:
+                self._end_detached()
         self._watched = None
+
+    def _end_detached(self) -> None:
+        """End what the start command has started in other sessions: two nodes of one name spoil every verdict."""
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            left = [int(process.name) for process in self._processes()]
+            for pid in left:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, number)
+            deadline = time.monotonic() + END_PATIENCE
+            while left and any(True for _ in self._processes()) and time.monotonic() < deadline:
+                time.sleep(0.02)
 
     def _run(self, name: str, words: list[str]) -> None:
         """Run a command to its end. Raises ``ConformanceError`` if it fails or hangs."""
