@@ -41,12 +41,12 @@ Feed = Callable[[Script, PassiveTester], None]
 class Ear:
     """A passive tester with a script of beacons, which all come from the implementation."""
 
-    def __init__(self, profile: str = "dcp-2.0", pics: Pics | None = None) -> None:
+    def __init__(self, profile: str = "dcp-2.0", pics: Pics | None = None, *, overload: str = "") -> None:
         self.air = Script(profile)
         self.parameters: dict[str, int] = {}
         """What the implementation has told of its own."""
         self.air.step = 100 * MS
-        self.tester = PassiveTester(self.air.codec, pics or Pics(), self.parameters)
+        self.tester = PassiveTester(self.air.codec, pics or Pics(), self.parameters, lambda: overload)
         self.tester.begin(-1, self)
         self._heard = 0
 
@@ -260,6 +260,16 @@ def test_a_period_that_is_not_the_stated_one():
     found = ear.failed()["CK_BP_PERIOD"]
     assert named(found) == {"BP-TX-01"}
     assert "the period is 150 ms" in found.reason
+
+
+@pytest.mark.parametrize(("stated", "verdict"), [(90.0, Verdict.INCONCLUSIVE), (150.0, Verdict.FAIL)])
+def test_an_overloaded_machine_lengthens_periods_and_shortens_none(stated: float, verdict: Verdict):
+    ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=stated)), overload="the machine was overloaded")
+    for number in range(200):
+        ear.air.say(SUT, VarSumm(1, number % 256))
+    found = ear.failed()["CK_BP_PERIOD"]
+    assert found.verdict is verdict
+    assert ("but the machine was overloaded" in found.reason) is (verdict is Verdict.INCONCLUSIVE)
 
 
 def test_a_finding_about_all_beacons_is_repeated_by_the_cases_in_which_most_of_them_were_heard():

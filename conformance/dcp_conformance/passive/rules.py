@@ -123,7 +123,12 @@ class UndisturbedPeriod(BeaconPeriod):
             off = (min(mean, median) - error - tolerance > period, max(mean, median) + error + tolerance < period)
             if any(off):
                 text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99 %), median {median:.2f} ms, n = {len(kept)}"
-                self.violated(f"{text}; the period is {period:g} ms", [], once=sender)
+                text += f"; the period is {period:g} ms"
+                if mean > period and (why := self.context.overload()):
+                    # An implementation on this machine waits for its turn in every period.
+                    self.violated(f"{text}; but {why}", [], once=sender, verdict=Verdict.INCONCLUSIVE)
+                else:
+                    self.violated(text, [], once=sender)
 
     def _without_pauses(self, intervals: Sequence[float], period: float) -> tuple[float, list[float]]:
         """The median and the intervals to judge, in ms; few or none if it is open what the others are."""
