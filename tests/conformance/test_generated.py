@@ -138,7 +138,8 @@ def test_what_cases_execute_is_measured():
     [reach] = _in_new_processes(measure, ("dcp-2.0", few))
     store = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
     assert reach.cases(store) == {number["TC_VD_UPD_BV_01"]}
-    # What only a configuration depends on is executed before the first case.
+    # What builds tables and configurations is executed before the first case.
+    assert reach.cases(site("_known: other return value", "other return value")) is None
     assert reach.cases(site("_initial: comparison: settings is None", "comparison")) is None
 
 
@@ -215,3 +216,22 @@ def test_a_node_that_sends_without_end_at_one_time_is_dead():
         frames += 1
         assert frames < 5_000
     assert sut.died == "" or "timeouts were handled" in sut.died
+
+
+def test_a_node_that_raises_when_it_is_asked_for_its_next_timer_is_dead():
+    """The tester used to stumble instead, and a fault of the node counted as one of the tester."""
+    from dcp_conformance.reference.inprocess import InProcess, reference_config
+    from dcp_stack.node import Node
+
+    from .rig import codec_of
+
+    class Raises(Node):
+        def poll_timeout(self):
+            raise TypeError("no timer")
+
+    sut = InProcess(
+        reference_config(codec_of("dcp-2.0")),
+        make=lambda *args: Raises(args[0], rng=args[1], now=args[2], wall=args[3]),
+    )
+    assert sut.lower_tester().receive(10_000_000_000) is None
+    assert sut.died == "TypeError: no timer"
