@@ -43,7 +43,7 @@ def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
         raise RpcError(METHOD_NOT_FOUND, str(error)) from None
     except UnknownParameterError as error:
         raise RpcError(INVALID_PARAMS, str(error)) from None
-    except (ValueError, TypeError) as error:
+    except ValueError as error:
         # What the fields of a message cannot express: the cores raise before they change anything.
         raise RpcError(INVALID_PARAMS, str(error)) from None
 

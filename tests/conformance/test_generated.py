@@ -221,6 +221,7 @@ def test_a_node_that_sends_without_end_at_one_time_is_dead():
 def test_a_node_that_raises_when_it_is_asked_for_its_next_timer_is_dead():
     """The tester used to stumble instead, and a fault of the node counted as one of the tester."""
     from dcp_conformance.reference.inprocess import InProcess, reference_config
+
     from dcp_stack.node import Node
 
     from .rig import codec_of

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate
+from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.filling import PAYLOAD_SIZE, filling, longest, settable
@@ -21,6 +21,8 @@ from .vardis_payload import all_of, request, size_of
 from .vardis_summaries import SUMMARIES, summarises
 
 _CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
+_DELETE, _ASK = ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES
+_ASK_UPDATE = ICType.REQUEST_VARUPDATES
 
 #: Variables that are learnt at a time.
 _FEW = 6
@@ -255,6 +257,46 @@ def _lower(bench: Bench, octets: int) -> None:
     bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
     bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=bench.forge.container_header_size + octets)
     bench.wait(3)
+
+
+@case(
+    "TC_VD_PAY_BV_10",
+    "Records without a value fill a payload to the last octet; with one octet less the last one waits ({variant})",
+    requirements="VD-PAY-02 VD-IC-05",
+    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with eight records, or one octet less; the "
+    "eight records become due at once",
+    expect="all in one payload; with one octet less the last of them in a second one",
+    window=10,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
+    variants={
+        "deletes": (_DELETE, 0),
+        "deletes-less": (_DELETE, 1),
+        "create-requests": (_ASK, 0),
+        "create-requests-less": (_ASK, 1),
+        "update-requests": (_ASK_UPDATE, 0),
+        "update-requests-less": (_ASK_UPDATE, 1),
+    },
+)
+def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
+    (kind, less), peer, number = variant, bench.peer(), 8
+    names = bench.unknown_ids(number) if kind is _ASK else bench.var_ids(number)
+    if kind is not _ASK:
+        bench.learn(peer, *(peer.create(each, seqno=5) for each in names))
+    sample: VardisRecord = peer.request_create(names[0])
+    stimuli: list[VardisRecord] = [peer.summary(each, 6) for each in names]
+    if kind is _DELETE:
+        stimuli = [peer.delete(each) for each in names]
+        sample = stimuli[0]
+    elif kind is _ASK_UPDATE:
+        sample = peer.request_update(names[0], 5)
+    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    _lower(bench, number * bench.forge.record_size(sample) - less)
+    mark = bench.mark()
+    peer.send(*stimuli)
+    frames = bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+    counts = [len(each.instructions(kind)) for each in frames]
+    right = [number - 1, 1] if less else [number]
+    bench.check(counts == right, f"payloads with {right} records", f"{counts}", frames=frames, shown=bool(counts))
 
 
 @case(

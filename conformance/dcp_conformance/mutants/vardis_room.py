@@ -111,3 +111,10 @@ class SkipsExactFit(Composer):
 class RefusesExactFit(Vardis):
     def _room(self) -> int:
         return super()._room() - 1
+
+
+@mutant("small-records-too-large", "VD-PAY-02", "reckons with an octet too much for each VarDelete and VarReqCreate")
+class WidensSmallRecords(Composer):
+    def _record_size(self, kind: ICType, var_id: int) -> int:
+        small = kind in (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES)
+        return super()._record_size(kind, var_id) + small
