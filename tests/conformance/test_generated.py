@@ -10,11 +10,12 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 from dcp_conformance.case import DECLARED, SANITY
-from dcp_conformance.generated.campaign import Trial, draw, run
+from dcp_conformance.generated.campaign import GeneratedResult, Trial, draw, run
 from dcp_conformance.generated.ledger import CLASSES, entries, ledger
 from dcp_conformance.generated.reach import Reach, measure
 from dcp_conformance.generated.reports import _SHOWING, reports_of
 from dcp_conformance.generated.sites import Site, _candidates, _changes, cited, mutated, sites
+from dcp_conformance.generated.table import section
 from dcp_conformance.generated.trial import PROFILES, Outcome, Step, _in_order, cases, steps, try_site
 
 from .command import Command
@@ -162,8 +163,6 @@ def test_what_the_ledger_excuses_does_not_count():
     excused = Trial(one, Outcome(one.key, "survived"), "counter: only dcp-node shows it")
     wrong = Trial(one, Outcome(one.key, "killed"), "counter: only dcp-node shows it")
     survivor = Trial(one, Outcome(one.key, "noticed"))
-    from dcp_conformance.generated.campaign import GeneratedResult
-
     result = GeneratedResult(trials=(excused, wrong, survivor))
     assert result.judged == (survivor,)
     assert result.survivors == (survivor,)
@@ -183,6 +182,27 @@ class TestCommand:
         assert done.status == 0
         assert len(done.out.splitlines()) == 3
         assert all("dcp_stack/" in line for line in done.out.splitlines())
+
+    def test_several_draws_make_a_section_of_the_document(self):
+        one, two = (
+            GeneratedResult(seed=seed, drawn=2, trials=trials)
+            for seed, trials in (
+                (8, (Trial(sites()[0], Outcome(sites()[0].key, "killed")), Trial(sites()[1], Outcome("", "survived")))),
+                (9, (Trial(sites()[0], Outcome(sites()[0].key, "excused"), "counter: only dcp-node shows it"),)),
+            )
+        )
+        text = section([one, two])
+        assert "`dcp-conformance selftest --generated 2 --seed 8 --seed 9 --document docs/selftest.md`" in text
+        assert "| 8 | 2 | 0 | 2 | 1 | 1 | 50.0% |" in text
+        assert "| 9 | 2 | 1 | 0 | 0 | 0 | 100.0% |" in text
+        assert f"| `{sites()[1].module}.{sites()[1].function}` | {sites()[1].operator}: " in text
+        assert (
+            f"The ledger holds {sum(len(entry.changes) for entry in entries()):,} of {len(sites()):,} changes" in text
+        )
+
+    def test_draws_with_several_seeds_are_listed_once(self, dcp_conformance: Command):
+        done = dcp_conformance("selftest", "--generated", "3", "--seed", "5", "--seed", "5", "--list")
+        assert len(done.out.splitlines()) == 3
 
     @pytest.mark.parametrize(
         ("words", "message"),

@@ -211,11 +211,11 @@ def description_length(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
 )
 def description_length_beside_values(bench: Bench) -> None:
-    value, bound = bench.parameter(_VALUE) + 8, bench.parameter(_DESCR) + 8
+    value, bound = bench.parameter(_VALUE) + 8, bench.parameter(_DESCR) + 12
     payload = _bare_create(bench) + value + bound
     with parameters_set(bench, "VD", **{_PAYLOAD: payload, _VALUE: value, _REPETITIONS: 2}), _kept(bench, _DESCR):
-        _check_taken(bench, _DESCR, bound)
         _check_refused(bench, _DESCR, bound + 1)
+        _check_taken(bench, _DESCR, bound)
 
 
 @case(
