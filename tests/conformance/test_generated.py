@@ -8,8 +8,11 @@ import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 
+import msgspec
 import pytest
 from dcp_conformance.case import DECLARED, SANITY
+from dcp_conformance.errors import ConformanceError
+from dcp_conformance.generated import campaign
 from dcp_conformance.generated.campaign import GeneratedResult, Trial, draw, run
 from dcp_conformance.generated.ledger import CLASSES, entries, ledger
 from dcp_conformance.generated.reach import Reach, measure
@@ -156,6 +159,13 @@ def _in_new_processes(work, *calls):
     context = multiprocessing.get_context("forkserver")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         return [pool.submit(work, *arguments).result() for arguments in calls]
+
+
+def test_a_node_that_does_not_work_by_itself_ends_the_run(monkeypatch):
+    """Otherwise every change would count as killed, as it once did beside an unfinished edit."""
+    monkeypatch.setattr(campaign, "_ask", lambda *_: (msgspec.json.encode(Outcome("", "broken", "SyntaxError: x")), ""))
+    with pytest.raises(ConformanceError, match="does not work without a change: SyntaxError: x"):
+        run(sites()[:1])
 
 
 def test_what_the_ledger_excuses_does_not_count():

@@ -17,6 +17,8 @@ from typing import Final
 import msgspec
 from dcp_spec.version import __version__
 
+from dcp_conformance.errors import ConformanceError
+
 from .ledger import Entry, ledger
 from .reach import Reach, measure
 from .sites import Site, sites
@@ -109,12 +111,15 @@ def run(
 ) -> GeneratedResult:
     """Try each of the changes in a process of its own.
 
+    Raises :class:`ConformanceError` if the node does not work without a change: every change would count as killed.
+
     ``excused``: also those in the ledger, to find entries that a case kills. ``reached``: what the cases execute, if
     that is known (see :func:`reach`); by default it is measured when many changes are tried.
     """
     began = time.monotonic()
     excuses = ledger()
     context = _context()
+    _require_working(context)
 
     def attempt(site: Site) -> Trial:
         entry: Entry | None = excuses.get(site.key)
@@ -146,6 +151,14 @@ def run(
         duration=round(time.monotonic() - began, 1),
         trials=tuple(sorted(trials, key=lambda trial: order[trial.site.key])),
     )
+
+
+def _require_working(context: multiprocessing.context.ForkServerContext) -> None:
+    """Run the sanity case against the node as it is. Raises :class:`ConformanceError` if it fails."""
+    answer, fate = _ask(context, _try, None, (Step(PROFILES[0], (0,)),))
+    outcome = msgspec.json.decode(answer, type=Outcome) if answer else None
+    if outcome is None or outcome.fate != "survived":
+        raise ConformanceError(f"the node does not work without a change: {outcome.by if outcome else fate}")
 
 
 def _in_process(context: multiprocessing.context.ForkServerContext, site: Site, plan: Sequence[Step]) -> Outcome:
@@ -198,7 +211,7 @@ def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> No
     to.close()
 
 
-def _try(site: Site, plan: Sequence[Step]) -> bytes:
+def _try(site: Site | None, plan: Sequence[Step]) -> bytes:
     limit()
     return msgspec.json.encode(try_site(site, plan))
 

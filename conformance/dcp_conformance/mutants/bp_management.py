@@ -70,6 +70,19 @@ class DeliversLater(BeaconingProtocol):
         return confirm
 
 
+@mutant("starts-over", "BP-MGT-05 BP-TX-01", "begins a new interval whenever it is activated, also while it is active")
+class StartsOver(BeaconingProtocol):
+    def activate(self, now: int) -> StatusConfirm:
+        self._schedule.restart(now)
+        return super().activate(now)
+
+
+@mutant("on-the-side", "BP-TX-01", "has no timer of its own and sends when another protocol has something to do")
+class OnTheSide(BeaconingProtocol):
+    def poll_timeout(self) -> int | None:
+        return None
+
+
 @mutant("refuses", "BP-MGT-04", "refuses payloads while it is inactive")
 class RefusesInactive(BeaconingProtocol):
     def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
