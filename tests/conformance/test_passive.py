@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import random
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -300,11 +301,12 @@ def test_more_summaries_than_the_implementation_tells(told: int, wrong: bool):
     assert not wrong or named(found["CK_VD_SUMMARIES"]) == {"VD-CMP-02"}
 
 
-@pytest.mark.parametrize(("told", "wrong"), [(44, False), (43, True)])
+@pytest.mark.parametrize(("told", "wrong"), [(44, False), (43, False), (26, False), (25, True)])
 def test_beacons_that_are_longer_than_the_implementation_tells(told: int, wrong: bool):
     ear = Ear()
     ear.parameters["BPPAR_MAXIMUM_PACKET_SIZE"] = told
     ear.air.say(SUT, *(VarSumm(number, 0) for number in range(10)))
+    # Whether the 18 octets of the header count is open (X04).
     assert len(ear.air.frames[0].data) - 14 == 44
     assert ("CK_BP_SIZE" in ear.failed()) is wrong
 
@@ -443,3 +445,25 @@ def test_each_rule_is_documented():
     section = document.partition("## Passive testing")[2].partition("\n## ")[0]
     listed = re.findall(r"^\| `(CK_\w+)` \|", section, re.MULTILINE)
     assert sorted(listed) == sorted(rule.id for rule in passive.RULES)
+
+
+@pytest.mark.parametrize(("true_ms", "wrong"), [(100, False), (130, True), (220, True)])
+def test_pauses_are_no_long_period(true_ms: int, wrong: bool):
+    ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=100.0)))
+    rng = random.Random(1)
+    for number in range(600):
+        # Seven times in ten there is nothing to send for a period or two.
+        steps = rng.choice((1, 1, 1, 2, 2, 2, 2, 3, 3, 3))
+        ear.air.step = round(steps * true_ms * rng.uniform(0.95, 1.05) * MS)
+        ear.air.say(SUT, VarSumm(1, number % 256))
+    assert ("CK_BP_PERIOD" in ear.failed()) is wrong
+
+
+@pytest.mark.parametrize(("true_ms", "wrong"), [(100, False), (140, True), (200, True)])
+def test_much_jitter_is_no_other_period(true_ms: int, wrong: bool):
+    ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=100.0)))
+    rng = random.Random(1)
+    for number in range(3000):
+        ear.air.step = round(true_ms * rng.uniform(0.05, 1.95) * MS)
+        ear.air.say(SUT, VarSumm(1, number % 256))
+    assert ("CK_BP_PERIOD" in ear.failed()) is wrong
