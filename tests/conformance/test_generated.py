@@ -55,6 +55,11 @@ class Receiver:
             self._drop("empty")
             return
         self._emit(Dropped("bp", "odd", len(octets) + 1))
+        self._counters.count("octets", len(octets) - 1)
+        self.fault = Fault("odd", "BP-RX-16", 1 + 2)
+        if len(octets) > 9:
+            raise ValueError("octets")
+        self.first = config.reading("X03") == "first"
         self._emit(Received(octets, 2))
 
     def _drop(self, reason):
@@ -83,7 +88,10 @@ def test_what_only_reports_or_shows_is_not_changed():
     names = {function for function, _ in changed}
     assert names == {"Receiver.handle", "_shared", "compute"}
     assert ("Receiver.handle", "self._emit(Received(octets, 2))") in changed
-    assert not any("Dropped" in text or text == "self._drop('empty')" for _, text in changed)
+    assert ("Receiver.handle", "self.fault = Fault('odd', 'BP-RX-16', 1 + 2)") in changed
+    texts = {text for _, text in changed}
+    assert texts.isdisjoint({"self._drop('empty')", "len(octets) - 1", "1 + 2", "len(octets) > 9"})
+    assert not any("Dropped" in text or text.startswith(("config.reading", "if len(octets) > 9")) for text in texts)
 
 
 def test_the_same_seed_draws_the_same():
