@@ -37,18 +37,20 @@ _MANDATORY: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
 _ALSO_IN_PROFILES: Final = ("payload_transmitted_indication", "transmit_payload_confirm")
 
 
-def denied_by(capabilities: Capabilities, profile: Profile) -> dict[str, str]:
+def denied_by(capabilities: Capabilities, profile: Profile, *, recorded: bool = False) -> dict[str, str]:
     """Requirement -> what the PICS denies, for the mandatory requirements of the profile's version.
 
-    A profile says how an implementation behaves as well; this counts where the PICS is silent.
+    A profile says how an implementation behaves as well; this counts where the PICS is silent, but not for a recording
+    (``recorded``): its profile tells how to read octets, of whichever implementation.
     """
-    return dict(_denials(capabilities, profile))
+    return dict(_denials(capabilities, profile, recorded=recorded))
 
 
-def _denials(capabilities: Capabilities, profile: Profile) -> Iterator[tuple[str, str]]:
+def _denials(capabilities: Capabilities, profile: Profile, *, recorded: bool) -> Iterator[tuple[str, str]]:
     for name, (identifiers, text) in _MANDATORY.items():
         said = getattr(capabilities, name)
-        by_profile = said is None and name in _ALSO_IN_PROFILES and not getattr(profile.behaviour, name)
+        speaks = said is None and name in _ALSO_IN_PROFILES and not recorded
+        by_profile = speaks and not getattr(profile.behaviour, name)
         if said is not False and not by_profile:
             continue
         who = f"the profile {profile.name}, as the PICS is silent" if by_profile else f"the PICS ({name} = false)"
@@ -62,8 +64,11 @@ def with_declared(verdicts: Mapping[str, Verdict], *declared: Mapping[str, str])
     return {**verdicts, **{name: Verdict.FAIL for each in declared for name in each}}
 
 
-def declarations(capabilities: Capabilities, profile: Profile) -> list[CaseResult]:
-    """The results of the two cases about declarations where no case is run; empty if nothing is declared."""
+def declarations(capabilities: Capabilities, profile: Profile, rerun: str) -> list[CaseResult]:
+    """The results of the two cases about declarations for a recording; empty if nothing is declared.
+
+    ``rerun``: the command that judges the recording again.
+    """
     from .case import DECLARED, DENIED, cases_of
     from .cases import profile_declarations
 
@@ -71,7 +76,7 @@ def declarations(capabilities: Capabilities, profile: Profile) -> list[CaseResul
     told = {
         identifier: {name: f"declared by the profile {profile.name}: {text}" for name, text in declared.items()}
         for identifier, declared in ((DECLARED, declared_by(profile)),)
-    } | {DENIED: denied_by(capabilities, profile)}
+    } | {DENIED: denied_by(capabilities, profile, recorded=True)}
     for case in cases_of(profile_declarations):
         checks = tuple(
             Check(Verdict.FAIL, (name,), requirement(name).statement, text, shown=True)
@@ -90,6 +95,7 @@ def declarations(capabilities: Capabilities, profile: Profile) -> list[CaseResul
                     stimulus=case.stimulus,
                     expectation=case.expect,
                     checks=checks,
+                    rerun=rerun,
                 )
             )
     return found

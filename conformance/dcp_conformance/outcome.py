@@ -39,7 +39,7 @@ def assemble(
 ) -> RunResult:
     """A run of these cases, with what follows from them."""
     cases = tuple(cases)
-    declared, denied = declared_by(profile), denied_by(pics.pics, profile)
+    declared, denied = declared_by(profile), denied_by(pics.pics, profile, recorded=kind == "check")
     observed: dict[str, dict[str, None]] = {}
     for case in cases:
         for identifier, name in case.readings.items():

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_conformance.case import DECLARED, DENIED
+from dcp_conformance.case import DECLARED
 from dcp_conformance.check import RULES, Judge
 from dcp_conformance.check.recording import judge_recording
-from dcp_conformance.declared import declared_by, denied_by
+from dcp_conformance.declared import declared_by
 from dcp_conformance.errors import UsageError
-from dcp_conformance.pics import Capabilities, Pics, Testing
+from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.verdict import Verdict
 from dcp_spec.requirements import requirements
 from hypothesis import given, settings
@@ -460,7 +460,7 @@ class TestEveryInvariant:
         assert named >= set(outcome.frames)
         others = {case.id for case in run.cases if case.verdict in (Verdict.FAIL, Verdict.ERROR)} - {rule}
         # What the profile of a script declares fails as in a run.
-        assert others - {DECLARED, DENIED} <= set(outcome.also), findings(run)
+        assert others - {DECLARED} <= set(outcome.also), findings(run)
         if outcome.verdict is Verdict.FAIL:
             assert all(run.requirements[each] is Verdict.FAIL for each in outcome.requirements)
             kept = {event.frame for event in case_of(run, rule).evidence}
@@ -611,11 +611,10 @@ class TestCaptures:
     def test_what_is_found_is_true(self, name: str):
         run, codec = judge_recording(CAPTURES / f"{name}.mcap", None, Pics())
         failed = {case.id: case for case in run.cases if case.verdict is Verdict.FAIL}
-        declared = {DECLARED: set(declared_by(codec.profile)), DENIED: set(denied_by(Capabilities(), codec.profile))}
         assert {
             rule: {each for check in case.checks if check.verdict is Verdict.FAIL for each in check.requirements}
             for rule, case in failed.items()
-        } == GOLDENS[name] | {case: names for case, names in declared.items() if names}
+        } == GOLDENS[name] | {DECLARED: set(declared_by(codec.profile))}
         assert not [case for case in run.cases if case.verdict is Verdict.ERROR]
         assert codec.profile.name == ("cpp-1.3" if "1.3" in name else "cpp-2.0")
         if name in BLAMED:

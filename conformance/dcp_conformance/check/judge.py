@@ -133,7 +133,7 @@ class Judge:
         for rule in self._active:
             rule.finish()
         self._cite()
-        cases = (*declarations(self._pics.pics, self._codec.profile), *map(self._case, self._rules))
+        cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
         if self.other:
             about.append(f"{self.other} frames of other traffic were passed over")
