@@ -176,7 +176,6 @@ _TABLE: Final[Table] = {
     ##= VD-PS-04
     ##= VD-PS-01
     Event.RX_SUMMARY_NEWER: _known(_ASK_CREATE, "summary-own", _ASK_UPDATE, "summary-deleted"),
-    ##= VD-RU-01
     ##= VD-RU-02
     ##= VD-RU-04
     Event.RX_REQUEST_UPDATE_BEHIND: (
@@ -187,6 +186,7 @@ _TABLE: Final[Table] = {
         _ignore("update-request-deleted"),
     ),
     ##= VD-RU-03
+    ##= VD-RU-01
     Event.RX_REQUEST_UPDATE_OTHER: (
         _ASK_CREATE,
         _ignore("update-request-not-behind"),
