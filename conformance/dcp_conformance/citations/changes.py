@@ -184,7 +184,7 @@ _OTHERS: Final = 4
 
 
 def _exchanges(table: ast.Dict, index: int) -> Iterator[ast.expr]:
-    """The entry with two parts in each other's place, or one part as another entry has it; without parts another entry."""
+    """The entry with two parts exchanged, or one part as another entry has it; without parts another entry."""
     mine = table.values[index]
     others = [each for number, each in enumerate(table.values) if number != index]
     parts = _parts(mine)
