@@ -202,6 +202,23 @@ def description_length(bench: Bench) -> None:
 
 
 @case(
+    "TC_VD_PAR_BI_09",
+    "The bound of VARDISPAR_MAX_DESCRIPTION_LENGTH follows the value length that is set",
+    requirements="VD-PAR-03",
+    stimulus="lower VARDISPAR_MAX_PAYLOAD_SIZE so that it decides, set another VARDISPAR_MAX_VALUE_LENGTH, then "
+    "another VARDISPAR_MAX_REPETITIONS; set the bound, and one more",
+    expect="the bound is taken, one more is not",
+    needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
+)
+def description_length_beside_values(bench: Bench) -> None:
+    value, bound = bench.parameter(_VALUE) + 8, bench.parameter(_DESCR) + 12
+    payload = _bare_create(bench) + value + bound
+    with parameters_set(bench, "VD", **{_PAYLOAD: payload, _VALUE: value, _REPETITIONS: 2}), _kept(bench, _DESCR):
+        _check_refused(bench, _DESCR, bound + 1)
+        _check_taken(bench, _DESCR, bound)
+
+
+@case(
     "TC_VD_PAR_BI_04",
     "The bounds of VARDISPAR_MAX_REPETITIONS",
     requirements="VD-PAR-04",
@@ -326,7 +343,7 @@ def description_effect(bench: Bench) -> None:
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update", "RTDB-Read"), when=lambda bench: _is_least(bench, _VALUE)),
 )
 def value_effect(bench: Bench) -> None:
-    longest = bench.parameter(_VALUE)
+    longest = bench.bound(_VALUE)
     var_id = produced(bench, value=b"v" * longest)
     with parameters_set(bench, "VD", **{_VALUE: longest - 1}):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
@@ -346,7 +363,7 @@ def value_effect(bench: Bench) -> None:
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update"), when=several_repetitions),
 )
 def repetitions_effect(bench: Bench) -> None:
-    old = produced(bench, rep_cnt=3)
+    old = produced(bench, rep_cnt=bench.rep_cnt(3))
     settled(bench, old)
     with parameters_set(bench, "VD", **{_REPETITIONS: 2}):
         bench.expect_status(ILLEGAL_REPCOUNT, "RTDB-Create", **create_request(bench, bench.unknown_id(), rep_cnt=3))
@@ -381,7 +398,7 @@ def summaries_effect(bench: Bench, most: int) -> None:
     with parameters_set(bench, "VD", **{_SUMMARIES: most}):
         # The new variables keep beacons coming for a while; then only summaries do.
         for _ in range(2):
-            produced(bench, rep_cnt=min(3, bench.parameter(_REPETITIONS)))
+            produced(bench, rep_cnt=bench.rep_cnt(3))
         bench.mark()
         bench.beacons(1)
         mark = bench.mark()
