@@ -236,6 +236,7 @@ class BeaconingProtocol:
     ##= BP-TXP-10
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         ##= BP-TXP-01
+        ##= BP-REG-10
         if client is None:
             return BPStatus.UNKNOWN_PROTOCOL
         ##= BP-TXP-02

@@ -77,7 +77,6 @@ class Receiver:
             self.drop("foreign-network", self._wire.offset("networkId"))
             return False
         ##= BP-RX-06
-        ##= DATA-04
         if header.sender_id == self._node_id:
             self.drop("own-beacon", self._wire.offset("senderId"))
             return False

@@ -130,7 +130,6 @@ class BPWire:
         problem, beacon = error.problem, error.partial
         if not isinstance(beacon, Beacon):
             fault = _fault(problem, in_header=True)
-            ##= BP-RX-15
             if problem.reason == "beacon-overrun":
                 return Reception(self._header(octets), fault=fault)
             return Reception(None, fault=fault, refused=True)

@@ -147,8 +147,8 @@ class StateReporting:
             now=now,
             wall=wall,
         )
-        ##= SRP-INI-05
         self._table.clear()
+        ##= SRP-INI-05
         self._seqno = 0
         self._own.clear()
         self._registered = self._initialized = confirm.status is BPStatus.OK

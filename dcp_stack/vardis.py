@@ -167,6 +167,7 @@ class Vardis(VariableServices):
             self._core.emit(Dropped("vardis", "vardis-inactive", DROPS["vardis-inactive"][0]))
             return
         ##= VD-ROB-01
+        ##= VD-RX-01
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
     def payload_transmitted(self, now: int, wall: int) -> None:
