@@ -14,7 +14,7 @@ _AT_ONCE = 25
 @case(
     "TC_SRP_NT_BV_04",
     "1,001 neighbours are survived, and the table is right for the first and the last of them",
-    requirements="SRP-RX-03",
+    requirements="SRP-RX-03 BP-RX-16",
     stimulus="a record of each of 1,001 neighbours; then another one of the first three and of the last three",
     expect="entries of these six with the newer records; how many there are in all is reported (a profile may say that "
     "the table has room for fewer: then the last three are those that it has room for)",
