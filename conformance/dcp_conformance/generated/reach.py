@@ -19,13 +19,14 @@ _FILES: Final = {f"/dcp_stack/{module}.py": module for module in MODULES}
 
 
 class Reach(msgspec.Struct, frozen=True):
-    """What the cases execute on one profile."""
+    """What the cases execute on one node."""
 
-    profile: str
+    node: str
+    """One of :data:`trial.NODES`."""
     lines: dict[str, dict[int, tuple[int, ...]]]
     """By module and line: the numbers of the cases that execute the line, in the order of :func:`trial.cases`."""
     always: dict[str, tuple[int, ...]]
-    """By module: lines that are executed when the node is configured, so that every case depends on them."""
+    """By module: lines that are executed when the node is imported and configured: every case depends on them."""
 
     def cases(self, site: Site) -> frozenset[int] | None:
         """The cases that execute the statement of ``site``; None if every case may depend on it."""
@@ -72,25 +73,25 @@ class _Tracer:
         return taken
 
 
-def measure(profile: str, numbers: Sequence[int] | None = None) -> Reach:
-    """Run the suite on ``profile`` under the tracer, or the cases with these numbers, which must begin with sanity.
+def measure(node: str, numbers: Sequence[int] | None = None) -> Reach:
+    """Run the suite on ``node`` under the tracer, or the cases with these numbers, which must begin with sanity.
 
-    For a process of its own: it changes how a node is configured.
+    For a process of its own that has not imported the node, since it changes how a node is configured.
     """
-    from dcp_conformance.selftest import Suite
-    from dcp_stack.config import NodeConfig
+    from .trial import cases, suite_of
 
-    from .trial import cases
-
-    # Otherwise the first case alone would execute what is found out once and kept for all others.
-    setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
-    tracer = _Tracer()
-    found: dict[str, dict[int, list[int]]] = {}
     chosen = cases() if numbers is None else [cases()[number] for number in numbers]
     place = {case.id: number for number, case in enumerate(cases())}
+    tracer = _Tracer()
+    found: dict[str, dict[int, list[int]]] = {}
     sys.settrace(tracer)
     try:
-        suite = Suite(profile)
+        # The node is imported under the tracer: some functions are called by modules only.
+        from dcp_stack.config import NodeConfig
+
+        # Otherwise the first case alone would execute what is found out once and kept for all others.
+        setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
+        suite, _ = suite_of(node)
         always = tracer.take()
         for result in suite.run(chosen):
             for module, line in tracer.take():
@@ -98,7 +99,7 @@ def measure(profile: str, numbers: Sequence[int] | None = None) -> Reach:
     finally:
         sys.settrace(None)
     return Reach(
-        profile,
+        node,
         {module: {line: tuple(each) for line, each in lines.items()} for module, lines in found.items()},
         {module: _of_module(module, always) for module in {module for module, _ in always}},
     )
