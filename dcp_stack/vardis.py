@@ -99,7 +99,7 @@ class Vardis(VariableServices):
         ##= VD-INI-02
         confirm = self._bp.register(
             BP_PROTID_VARDIS,
-            f"VarDis -- Variable Dissemination Protocol V{self._core.config.profile.spec_version}",
+            f"VarDis -- Variable Dissemination Protocol V{self._core.config.named_version}",
             size,
             self._core.features.vardis_queueing_mode,
             self._core.settings.bp_queue_entries,

@@ -9,6 +9,7 @@ from typing import Final
 import msgspec
 
 from .attribution import Trial
+from .findings import in_force
 from .results import CaseResult, Check, EventRecord
 from .traffic import Event
 from .verdict import Verdict, worst
@@ -39,7 +40,7 @@ def result_of(
         purpose=case.purpose,
         section=case.section,
         kind=str(case.kind),
-        requirements=case.requirements,
+        requirements=in_force(case.requirements, bench.profile.spec_version),
         verdict=verdict,
         reason=_reason(checks, verdict, executions),
         stimulus=case.stimulus,

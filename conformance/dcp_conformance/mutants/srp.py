@@ -116,13 +116,7 @@ class Repeats(Reporting):
             return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
 
 
-@mutant(
-    "once",
-    "SRP-INI-03",
-    "registers with mode ONCE instead of REPEAT, as only later versions do",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_2,
-)
+@mutant("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as only later versions do")
 class Once(Reporting):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
