@@ -9,6 +9,7 @@ fault, whatever the implementation did.
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -275,6 +276,8 @@ def _baseline_task(profile: str) -> Baseline:
 
 
 def _trial_task(mutant: str, profile: str, full: bool, every: bool) -> Trial:
+    # A mutant may fail in a service: that is an answer, and nobody needs to read its traceback.
+    logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
     return trial(_mutants()[mutant], profile=profile, full=full, every=every)
 
 
