@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from functools import cache
 
 import pytest
-from dcp_conformance.case import DECLARED
+from dcp_conformance.case import DECLARED, DENIED
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.probe import PIXIT_OF
 from dcp_conformance.reference.inprocess import InProcess, reference_config
@@ -14,8 +14,8 @@ from dcp_conformance.verdict import Verdict
 
 from .rig import OTHER_PROFILES, PROFILES, codec_of, known_cases, one_case
 
-#: What a profile declares is no behaviour of our node: tests/conformance/test_declared.py.
-CASES = tuple(each for each in known_cases() if each != DECLARED)
+#: What a profile or a PICS declares is no behaviour of our node: tests/conformance/test_declared.py.
+CASES = tuple(each for each in known_cases() if each not in (DECLARED, DENIED))
 WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
 #: One of each kind of version: a case that applies to none of them applies to none at all.
 VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0")
