@@ -14,6 +14,7 @@ from dcp_stack.effects import SendBeacon
 
 from .air import Air
 from .mutant import mutant
+from .unseen import NO_LENGTH, NO_NETWORK, NOT_SET, RIGHT_SINCE_1_1
 
 Blocks = list[tuple[int, bytes]]
 
@@ -48,7 +49,7 @@ class SwappedMagic(Wire):
     field = "magicNo"
 
 
-@mutant("swapped-length", "DATA-01 BP-HDR-06", "sends the length least significant octet first")
+@mutant("swapped-length", "DATA-01 BP-HDR-06", "sends the length least significant octet first", unseen=NO_LENGTH)
 class SwappedLength(Wire):
     field = "length"
 
@@ -58,7 +59,12 @@ class SwappedSeqno(Wire):
     field = "seqno"
 
 
-@mutant("swapped-network", "DATA-01 BP-HDR-04", "sends the network identifier least significant octet first")
+@mutant(
+    "swapped-network",
+    "DATA-01 BP-HDR-04",
+    "sends the network identifier least significant octet first",
+    unseen=NO_NETWORK,
+)
 class SwappedNetwork(Wire):
     field = "networkId"
 
@@ -225,6 +231,7 @@ class StartsAtTwo(Numbers):
     "begins with sequence number 0, where 1.0 increments before it sends",
     since=SpecVersion.V1_0,
     until=SpecVersion.V1_0,
+    unseen=RIGHT_SINCE_1_1,
 )
 class StartsAtZero(Numbers):
     def number(self, seqno: int) -> int:
@@ -276,7 +283,12 @@ class Survives(Air):
 # -- what is in a beacon -----------------------------------------------------------------------------------------------
 
 
-@mutant("no-limit", "BP-FMT-02 BP-PAR-02", "fills beacons to the bearer's limit, whatever the maximum packet size is")
+@mutant(
+    "no-limit",
+    "BP-FMT-02 BP-PAR-02",
+    "fills beacons to the bearer's limit, whatever the maximum packet size is",
+    unseen=NOT_SET,
+)
 class NoLimit(BeaconingProtocol):
     def _room(self) -> int:
         return self._parameters.uwb_max_packet_size - self._wire.header_size

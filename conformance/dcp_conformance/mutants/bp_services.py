@@ -19,6 +19,7 @@ from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, PayloadTransmitted
 
 from .mutant import mutant
+from .unseen import RIGHT_SINCE_1_1
 
 OK = StatusConfirm(BPStatus.OK)
 
@@ -286,8 +287,8 @@ class EmptyClears(Transmissions):
     "empty-refused",
     "BP-TXP-06",
     "refuses an empty payload, which in 1.0 empties a buffer",
-    since=SpecVersion.V1_0,
     until=SpecVersion.V1_0,
+    unseen=RIGHT_SINCE_1_1,
 )
 class EmptyRefused(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:

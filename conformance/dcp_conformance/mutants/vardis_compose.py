@@ -19,6 +19,7 @@ from dcp_stack.vardis_db import IdQueue
 
 from .air import Air
 from .mutant import mutant
+from .unseen import RIGHT_SINCE_1_1
 
 C, D, U = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
 S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -107,6 +108,7 @@ class RequestsLate(Ordered):
     "composes in the order of later versions",
     since=SpecVersion.V1_0,
     until=SpecVersion.V1_0,
+    unseen=RIGHT_SINCE_1_1,
 )
 class LaterOrder(Ordered):
     """Which is that of the class it derives from."""

@@ -80,8 +80,8 @@ class OwnKept(Receiver):
     "known-taken",
     "VD-SCP-03",
     "takes a VarCreate of a variable that it knows",
-    since=SpecVersion.V1_0,
     until=SpecVersion.V1_3,
+    unseen={"2.0": "it is right since 2.0"},
 )
 class KnownTaken(Receiver):
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:  # noqa: ARG002 - always

@@ -68,7 +68,7 @@ class RepetitionsZero(Unbound):
     wrong = range(1)
 
 
-@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255", since=V1_2)
+@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255")
 class RepetitionsUnbound(Unbound):
     name = REPETITIONS
     wrong = range(16, 256)

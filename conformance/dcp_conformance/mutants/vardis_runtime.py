@@ -25,6 +25,7 @@ from .air import Air
 from .cells import Cells
 from .mutant import mutant
 from .port import Port, registration
+from .unseen import ALWAYS_ACTIVE
 
 V2 = SpecVersion.V2_0
 V1_2 = SpecVersion.V1_2
@@ -77,7 +78,12 @@ class OtherSize(Vardis):
         return super()._register(size // 2, now, wall)
 
 
-@mutant("other-id", "VD-INI-05 VD-CRE-08", "creates variables with another identifier than the one that BP told")
+@mutant(
+    "other-id",
+    "VD-INI-05 VD-CRE-08",
+    "creates variables with another identifier than the one that BP told",
+    unseen={"1.1": "the application names the producer up to 1.1"},
+)
 class OtherIdentifier(Vardis):
     def _register(self, size: int, now: int, wall: int) -> Any:
         status = super()._register(size, now, wall)
@@ -107,7 +113,7 @@ class QueueSurvives(Air):
 # -- activation --------------------------------------------------------------------------------------------------------
 
 
-@mutant("sends", "VD-MGT-02 VD-RUN-03", "goes on composing payloads while it is inactive", since=V1_2)
+@mutant("sends", "VD-MGT-02 VD-RUN-03", "goes on composing payloads while it is inactive", unseen=ALWAYS_ACTIVE)
 class SendsInactive(Vardis):
     def _generate(self, now: int, wall: int) -> None:
         active, self._core.active = self._core.active, self.registered
