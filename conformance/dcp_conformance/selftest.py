@@ -104,9 +104,9 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
     duration: float = 0.0
     """Seconds."""
     full: bool = False
-    """Whether every mutant met every case."""
+    """Whether every mutant met every case, on its newest version or on the profiles that were asked for."""
     every: bool = False
-    """Whether every mutant met all cases that name its requirement; otherwise those until one killed it."""
+    """Whether every mutant met all cases that name its requirement, likewise; otherwise those until one killed it."""
     baselines: tuple[Baseline, ...] = ()
     mutants: tuple[Trial, ...] = ()
 
@@ -200,12 +200,14 @@ def trials(
 ) -> list[Trial]:
     """Try ``mutant`` on each of ``profiles``, by default on one profile for each version that it is tried on.
 
-    The case that killed it on one version is the first one on the next: it mostly does so there as well.
+    By default, ``full`` and ``every`` (as for :func:`trial`) hold for the newest version only. The case that killed it
+    on one version is the first one on the next, where it mostly does so as well.
     """
     found: list[Trial] = []
     first = ""
     for profile in mutant.profiles if profiles is None else profiles:
-        found.append(trial(mutant, profile=profile, full=full, every=every, first=first))
+        whole = profiles is not None or not found
+        found.append(trial(mutant, profile=profile, full=full and whole, every=every and whole, first=first))
         first = found[-1].killers[0].case if found[-1].killers else first
     return found
 
@@ -293,7 +295,7 @@ def _baseline_task(profile: str) -> Baseline:
     return baseline(profile)
 
 
-def _trials_task(mutant: str, profiles: tuple[str, ...], full: bool, every: bool) -> list[Trial]:
+def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
     return trials(_mutants()[mutant], profiles, full=full, every=every)
 
 
@@ -324,6 +326,7 @@ def selftest(
     baselines: dict[str, Baseline] = {}
     outcomes: dict[str, list[Trial]] = {}
     wanted = {each.id: _profiles(each, profiles) for each in mutants}
+    wanted = {each: names for each, names in wanted.items() if names}
     if on_start is not None:
         on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
     # Before the processes are forked, so that each of them has it.
@@ -335,7 +338,9 @@ def selftest(
             baselines[result.profile] = result
             if on_result is not None:
                 on_result(result)
-        tried = [pool.submit(_trials_task, each, names, full, every) for each, names in wanted.items() if names]
+        tried = [
+            pool.submit(_trials_task, each, names if profiles else None, full, every) for each, names in wanted.items()
+        ]
         for each in as_completed(tried):
             for outcome in each.result():
                 outcomes.setdefault(outcome.mutant, []).append(outcome)
@@ -347,7 +352,7 @@ def selftest(
         full=full,
         every=every or full,
         baselines=tuple(baselines[profile] for profile in profiles or PROFILES),
-        mutants=tuple(outcome for each in wanted for outcome in outcomes.get(each, ())),
+        mutants=tuple(outcome for each in wanted for outcome in outcomes[each]),
     )
 
 

@@ -41,10 +41,8 @@ def print_selftest(result: SelftestResult, *, verbose: bool, quiet: bool) -> Non
     there = {each.mutant for each in result.mutants}
     killed = len(there) - len({each.mutant for each in result.survivors})
     how = "every case" if result.full else "the cases that name the requirement"
-    where = f"on each of their versions ({len(result.mutants)} trials)"
-    out.print(
-        f"\n{killed} of {len(there)} mutants killed {where}, by {how}, in {result.duration:.1f} s", soft_wrap=True
-    )
+    tried = f"in {len(result.mutants)} trials"
+    out.print(f"\n{killed} of {len(there)} mutants killed {tried}, by {how}, in {result.duration:.1f} s")
 
 
 def _baselines(baselines: Sequence[Baseline]) -> Table:

@@ -129,8 +129,6 @@ def mutant(
     begin = requirement(first).since if since is None else since
     end = until or requirement(first).until or SpecVersion.V2_0
     excused = {SpecVersion(each): why for names, why in (unseen or {}).items() for each in names.split()}
-    if since is None and until is None:
-        excused |= {each: f"{each} does not have {first}" for each in requirement(first).not_in}
     for version in SpecVersion:
         if requirement(first).holds_in(version) and not begin <= version <= end and version not in excused:
             raise ValueError(f"M-{first}-{fault} is not tried on {version}, which has {first}: say why in unseen")

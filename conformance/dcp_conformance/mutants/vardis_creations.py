@@ -76,13 +76,7 @@ class OwnKept(Receiver):
         return super()._is_later(record, entry) and entry.spec.prod_id != self._core.own_id
 
 
-@mutant(
-    "known-taken",
-    "VD-SCP-03",
-    "takes a VarCreate of a variable that it knows",
-    until=SpecVersion.V1_3,
-    unseen={"2.0": "it is right since 2.0"},
-)
+@mutant("known-taken", "VD-SCP-03", "takes a VarCreate of a variable that it knows")
 class KnownTaken(Receiver):
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:  # noqa: ARG002 - always
         return True

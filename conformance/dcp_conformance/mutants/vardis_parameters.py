@@ -68,7 +68,7 @@ class RepetitionsZero(Unbound):
     wrong = range(1)
 
 
-@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255")
+@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255", unseen={"1.1": "1.1 has no upper bound"})
 class RepetitionsUnbound(Unbound):
     name = REPETITIONS
     wrong = range(16, 256)
