@@ -45,6 +45,7 @@ class Composer:
             ICType.UPDATES: database.update_q,
             ICType.REQUEST_VARUPDATES: database.req_upd_q,
         }
+        ##= VD-PAY-07
         self._order = tuple([(kind, self._queues[kind]) for kind in config.features.container_order])
         ##= VD-IC-02
         self._numbers = config.container_numbers

@@ -135,6 +135,7 @@ class Database:
     def after_last_delete(self, var_id: int) -> None:
         """All repetitions of a VarDelete have been sent."""
         ##= VD-DEL-06
+        ##= VD-DEL-08
         if self.remove_deleted:
             del self.entries[var_id]
 

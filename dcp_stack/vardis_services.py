@@ -213,6 +213,9 @@ class VariableServices:
 
     def _confirm(self, status: VardisStatus) -> Confirm:
         """With the code that the version has for it: two were renamed."""
+        ##= VD-DEL-09
+        ##= VD-UPD-12
+        ##= VD-REA-06
         return Confirm(status.in_version(self._core.config.profile.spec_version))
 
     def _check_expressible(self, var_id: int, prod_id: bytes | None, descr: bytes, timeout_ms: int) -> None:

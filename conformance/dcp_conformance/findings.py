@@ -23,6 +23,7 @@ from dcp_spec.readings import reading as reading_of
 
 from dcp_codec.fields import Field
 
+from .applicability import in_force
 from .case import Case
 from .errors import StopCase
 from .heard import Heard, Instruction
@@ -199,7 +200,7 @@ class Findings:
     ) -> None:
         table: Table = "robustness" if self.case.robustness else "conformance"
         marks = tuple(self._mark(each) for each in frames)
-        decided = tuple(requirements) or self.case.requirements
+        decided = in_force(requirements or self.case.requirements, self.profile.spec_version)
         checked = Check(verdict, decided, expected, observed, marks, table, shown)
         self.checks.append(checked)
         self.traffic.note("note", self.lower.wall(), f"{verdict}: {expected}" + (f": {observed}" if observed else ""))

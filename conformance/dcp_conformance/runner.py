@@ -11,7 +11,7 @@ from typing import NamedTuple
 import msgspec
 from dcp_spec.parameters import parameters
 
-from .applicability import why_not
+from .applicability import in_force, why_not
 from .attribution import Trial, attribute, blamed, likely_stimulus
 from .bench import Bench, Session
 from .case import SANITY, Case
@@ -419,7 +419,7 @@ class Runner:
             purpose=case.purpose,
             section=case.section,
             kind=str(case.kind),
-            requirements=case.requirements,
+            requirements=in_force(case.requirements, bench.profile.spec_version),
             verdict=verdict,
             reason=reason,
             stimulus=case.stimulus,

@@ -163,7 +163,7 @@ def test_mutants_are_chosen_by_name_requirement_or_glob():
 
 
 def test_a_mutant_is_tried_where_it_is_a_fault():
-    old = MUTANTS["M-VD-SCP-01-update-requested"]
+    old = MUTANTS["M-VD-RU-05-requested"]
     assert old.profile == "dcp-1.0"
     result = selftest([old, MUTANTS[EQUAL]], profiles=["cpp-2.0"], jobs=1)
     assert [(each.mutant, each.profile) for each in result.mutants] == [(EQUAL, "cpp-2.0")]

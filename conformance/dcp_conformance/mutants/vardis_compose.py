@@ -19,7 +19,6 @@ from dcp_stack.vardis_db import IdQueue
 
 from .air import Air
 from .mutant import mutant
-from .unseen import RIGHT_SINCE_1_1
 
 C, D, U = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
 S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -102,14 +101,7 @@ class RequestsLate(Ordered):
     order = (C, D, S, RC, U, RU)
 
 
-@mutant(
-    "later-order",
-    "VD-PAY-01",
-    "composes in the order of later versions",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_0,
-    unseen=RIGHT_SINCE_1_1,
-)
+@mutant("later-order", "VD-PAY-07", "composes in the order of later versions")
 class LaterOrder(Ordered):
     """Which is that of the class it derives from."""
 

@@ -79,15 +79,14 @@ class DeletedNotAnew(Cells):
     cells: ClassVar = _refused(Event.APP_CREATE, EXISTS, DELETED_OWN)
 
 
-@mutant(
-    "accepted",
-    "VD-CRE-02 VD-CRE-03",
-    "creates a variable that it has anew, as only 2.0 does",
-    until=SpecVersion.V1_3,
-    unseen={"2.0": "it is right since 2.0"},
-)
+@mutant("accepted", "VD-CRE-16 VD-CRE-02", "creates a variable that it has anew, as only 2.0 does")
 class CreatesAnew(Cells):
     cells: ClassVar = {(Event.APP_CREATE, PRODUCED): Cell(Action.CREATE)}
+
+
+@mutant("deleting-accepted", "VD-CRE-16 VD-CRE-02", "creates a variable anew while its deletion is being repeated")
+class CreatesWhileDeleting(Cells):
+    cells: ClassVar = {(Event.APP_CREATE, DELETED_OWN): Cell(Action.CREATE)}
 
 
 class Limits(VardisParameters):

@@ -82,6 +82,18 @@ class KnownTaken(Receiver):
         return True
 
 
+@mutant("other-producer", "VD-PC-11", "takes a VarCreate of a variable that it knows if it names another producer")
+class OtherProducerTaken(Receiver):
+    def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
+        return record.spec.prod_id != entry.spec.prod_id
+
+
+@mutant("revives", "VD-PC-11", "takes a VarCreate of a variable that is being deleted")
+class DeletedTaken(Receiver):
+    def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:  # noqa: ARG002 - whatever it says
+        return entry.is_deleted
+
+
 @mutant("not-revived", "VD-PC-02", "does not create a deleted variable anew", since=V2)
 class NotRevived(Creations):
     def later(self, received: int, stored: int, entry: DBEntry) -> bool:

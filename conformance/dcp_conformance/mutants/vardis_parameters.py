@@ -74,6 +74,19 @@ class RepetitionsUnbound(Unbound):
     wrong = range(16, 256)
 
 
+@mutant("fifteen", "VD-PAR-10", "takes no repetition counts above 15, as all other versions")
+class RepetitionsBound(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        if name == REPETITIONS and isinstance(value, int) and value > 15:
+            return super().set(name, 0)
+        return super().set(name, value)
+
+
+@mutant("zero", "VD-PAR-10", "takes 0 as the highest repetition count")
+class RepetitionsZeroToo(RepetitionsZero):
+    """Which is the fault of the class it derives from, in 1.1."""
+
+
 @mutant("zero", "VD-PAR-05", "takes 0 as the largest payload")
 class PayloadZero(Unbound):
     name = PAYLOAD_SIZE

@@ -58,7 +58,19 @@ class OldMode(Ported):
             return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
 
 
-@mutant("several", "VD-INI-02", "registers for several payloads in a beacon", since=SpecVersion.V1_1)
+@mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
+class RepeatMode(OtherMode):
+    """Which is the fault of the class it derives from, in 1.0."""
+
+
+@mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as later versions do")
+class LaterMode(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPHEAD), **times)
+
+
+@mutant("several", "VD-INI-02 VD-INI-08", "registers for several payloads in a beacon", since=SpecVersion.V1_1)
 class OtherSeveral(Ported):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:

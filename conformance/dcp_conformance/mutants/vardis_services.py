@@ -34,6 +34,11 @@ def _refused(event: Event, status: VardisStatus, *states: State) -> dict[tuple[E
     return {(event, state): Cell(Action.REFUSE, status=status) for state in states}
 
 
+def _later(confirm: Confirm) -> Confirm:
+    """A confirm with the status that 2.0 has for deleted variables."""
+    return Confirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
+
+
 # -- RTDB-Delete, RTDB-Update, RTDB-Read -------------------------------------------------------------------------------
 
 
@@ -92,6 +97,25 @@ class UpdatesForeign(Cells):
 @mutant("status", "VD-UPD-03", "says of a deleted variable of another node that it is deleted")
 class UpdateStatus(Cells):
     cells: ClassVar = _refused(Event.APP_UPDATE, IS_DELETED, DELETED)
+
+
+@mutant("later-status", "VD-UPD-12", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+class UpdateLaterStatus(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        return _later(super().update(var_id, value, now=now, wall=wall))
+
+
+@mutant("later-status", "VD-DEL-09", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+class DeleteLaterStatus(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        return _later(super().delete(var_id, now=now, wall=wall))
+
+
+@mutant("later-status", "VD-REA-06", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+class ReadLaterStatus(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        return ReadConfirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
 
 
 @mutant("ok", "VD-UPD-04", "confirms updates of its own deleted variables with OK", since=V2)

@@ -14,7 +14,7 @@ from dcp_stack.vardis_table import Action, Cell, Event
 
 from .cells import CONSUMED, DELETED, DELETED_OWN, PRODUCED, UNKNOWN, Cells, within
 from .mutant import mutant
-from .unseen import PURGED, RIGHT_SINCE_1_1
+from .unseen import PURGED
 
 V2 = SpecVersion.V2_0
 
@@ -208,11 +208,9 @@ class UnknownUpdateRequest(Cells):
 
 
 @mutant(
-    "update-requested",
-    "VD-SCP-01",
+    "requested",
+    "VD-RU-05 VD-SCP-01",
     "requests an unknown variable that another node asks an update of, as only later versions do",
-    until=SpecVersion.V1_0,
-    unseen=RIGHT_SINCE_1_1,
 )
 class UnknownUpdateRequested(Cells):
     cells: ClassVar = within((UNKNOWN,), Action.REQUEST_CREATE, *REQUESTS)
@@ -271,11 +269,9 @@ class UnknownRequest(Cells):
 
 
 @mutant(
-    "create-requested",
-    "VD-SCP-01",
+    "requested",
+    "VD-RC-04 VD-SCP-01",
     "requests an unknown variable that another node asks for, as only later versions do",
-    until=SpecVersion.V1_0,
-    unseen=RIGHT_SINCE_1_1,
 )
 class UnknownRequested(Cells):
     cells: ClassVar = within((UNKNOWN,), Action.REQUEST_CREATE, Event.RX_REQUEST_CREATE)

@@ -267,14 +267,7 @@ class ForgetsDeleted(Core):
         self.database.remove_deleted = True
 
 
-@mutant(
-    "remembers",
-    "VD-DEL-06 VD-DB-02",
-    "keeps deleted variables, as only later versions do",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_3,
-    unseen={"2.0": "it is right since 2.0"},
-)
+@mutant("remembers", "VD-DEL-08", "keeps deleted variables, as only later versions do")
 class RemembersDeleted(Core):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
