@@ -110,7 +110,8 @@ class Database:
         return entry
 
     def store(self, entry: DBEntry, value: bytes, seqno: int, *, now: int, wall: int) -> None:
-        """A newer value: repeat its VarUpdate."""
+        """A newer value: repeat its VarUpdate. The specification, and the producer with it, stays."""
+        ##= VD-TYP-09
         entry.value = value
         entry.seqno = seqno
         ##= VD-DB-03

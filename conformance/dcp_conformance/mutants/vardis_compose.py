@@ -143,6 +143,12 @@ class FiveRecords(Fitting):
         return chosen if kind is S else chosen[:5]
 
 
+@mutant("one-request", "VD-PAY-02", "sends one request of each kind in a payload")
+class OneRequest(Fitting):
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
+        return chosen[:1] if kind in (RC, RU) else chosen
+
+
 @mutant("sorted", "VD-PAY-06", "sends records in the order of their identifiers")
 class SortedRecords(Fitting):
     def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - as above
