@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from typing import Final
 
 from dcp_spec.requirements import requirements
 
@@ -12,20 +11,18 @@ from .mutants import all_mutants
 from .selftest import Finding, SelftestResult, Trial
 
 _SHOWN = 4
-#: The section that ``dcp-conformance selftest --variants --document`` makes, the last one of the document.
-VARIANTS_HEADING: Final = "## Permitted variants"
 #: Groups of requirements with their headings.
 _PROTOCOLS = {"DATA": "Data types", "UWB": "Bearer", "BP": "BP", "SRP": "SRP", "VD": "VarDis"}
 
 
 def markdown(result: SelftestResult) -> str:
-    """The whole document; the same for the same suite and mutants, whenever and wherever it is made."""
+    """The section ``mutants`` of the document; the same for the same suite and mutants, whenever it is made."""
     there = {trial.mutant for trial in result.mutants}
     killed = len(there) - len({trial.mutant for trial in result.survivors})
     lines = [
-        "# Who tests the tester",
+        "## Mutants",
         "",
-        "Made by `make selftest-doc`; do not edit.",
+        "Made by `dcp-conformance selftest --document docs/selftest.md`.",
         "",
         "The suite runs against our node as it is, which must pass, and against *mutants*: the same node with one",
         "small fault each (`conformance/dcp_conformance/mutants/`). A mutant is killed by a case that fails with a",
@@ -37,27 +34,15 @@ def markdown(result: SelftestResult) -> str:
         "that has it. Cases are counted on the newest of them. A version in brackets is one on which a mutant is not",
         "tried, because it is no fault there or cannot be seen; the mutant says why.",
         "",
-        "## The node as it is",
+        "### The node as it is",
         "",
         "| profile | cases | neither pass, info nor not applicable |",
         "|---|---:|---|",
         *(f"| {each.profile} | {each.cases} | {_names(each.findings) or '-'} |" for each in result.baselines),
     ]
     for heading, trials in _grouped(result.mutants):
-        lines += ["", f"## {heading}", "", *_table(trials, result)]
+        lines += ["", f"### {heading}", "", *_table(trials, result)]
     return "\n".join(lines) + "\n"
-
-
-def variants_of(document: str) -> str:
-    """The section of the permitted variants in a document, empty if there is none."""
-    _, found, rest = document.partition(f"\n{VARIANTS_HEADING}\n")
-    return f"{VARIANTS_HEADING}\n{rest}" if found else ""
-
-
-def with_variants(document: str, section: str) -> str:
-    """A document with ``section`` at its end, in place of the section of the variants that it has."""
-    kept, _, _ = document.partition(f"\n{VARIANTS_HEADING}\n")
-    return f"{kept.rstrip()}\n\n{section}" if section else document
 
 
 def _grouped(trials: Sequence[Trial]) -> Iterator[tuple[str, list[Trial]]]:
@@ -96,4 +81,4 @@ def _names(findings: Sequence[Finding]) -> str:
     return f"{named}, ..." if len(findings) > _SHOWN else named
 
 
-__all__ = ["VARIANTS_HEADING", "markdown", "variants_of", "with_variants"]
+__all__ = ["markdown"]

@@ -193,7 +193,8 @@ class ConformanceRun:
         if runner is not None:
             self._sut = runner.about()
             self._notes += runner.notes
-            self.take_passive(runner.session.passive.results(runner.rerun))
+            options = {case.id: case.options for case in self.found_by_fuzzer.values()}
+            self.take_passive(runner.session.passive.results(runner.rerun, options))
         with contextlib.suppress(LowerTesterError, UpperTesterError):
             self._stack.close()
 

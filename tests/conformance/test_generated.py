@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import ast
+import multiprocessing
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 
 import pytest
+from dcp_conformance.case import DECLARED, SANITY
 from dcp_conformance.generated.campaign import Trial, draw, run
 from dcp_conformance.generated.ledger import CLASSES, entries, ledger
-from dcp_conformance.generated.sites import Site, mutated, sites
-from dcp_conformance.generated.trial import Outcome
+from dcp_conformance.generated.reach import Reach, measure
+from dcp_conformance.generated.reports import _SHOWING, reports_of
+from dcp_conformance.generated.sites import Site, _candidates, _changes, cited, mutated, sites
+from dcp_conformance.generated.trial import PROFILES, Outcome, Step, _in_order, cases, steps, try_site
 
 from .command import Command
 
@@ -39,6 +44,44 @@ def test_keys_tell_changes_apart():
     assert len({each.key for each in sites()}) == len(sites()) > 1000
 
 
+SOURCE = """
+class Receiver:
+    def handle(self, octets):
+        if not octets:
+            self._drop("empty")
+            return
+        self._emit(Dropped("bp", "odd", len(octets) + 1))
+        self._emit(Received(octets, 2))
+
+    def _drop(self, reason):
+        "Report it."
+        if reason is not None:
+            self._emit(Dropped("bp", reason, 1 + 1))
+
+    def snapshot(self):
+        return {"a": _plain(1 < 2), "b": _shared(3)}
+
+def _plain(value):
+    return value + 1
+
+def _shared(value):
+    return value + 1
+
+def compute():
+    return _shared(4)
+"""
+
+
+def test_what_only_reports_or_shows_is_not_changed():
+    tree = ast.parse(SOURCE)
+    assert reports_of(tree).functions - _SHOWING == {"_drop", "_plain"}
+    changed = {(function, ast.unparse(node)) for function, _, node in _candidates(tree) if list(_changes(node))}
+    names = {function for function, _ in changed}
+    assert names == {"Receiver.handle", "_shared", "compute"}
+    assert ("Receiver.handle", "self._emit(Received(octets, 2))") in changed
+    assert not any("Dropped" in text or text == "self._drop('empty')" for _, text in changed)
+
+
 def test_the_same_seed_draws_the_same():
     assert draw(50, 3) == draw(50, 3)
     assert draw(50, 3) != draw(50, 4)
@@ -51,7 +94,7 @@ def test_the_ledger_is_well_formed_and_about_code_that_is_there():
     assert len(named) == len(set(named))
     assert {entry.kind for entry in entries()} <= set(CLASSES)
     gone = [key for key in named if key not in known]
-    assert not gone, "the code of these changes has changed: take them out of data/invisible-changes.toml"
+    assert not gone, "the code of these changes has changed: take them out of data/invisible-changes/"
     assert len(ledger()) == len(named)
 
 
@@ -66,6 +109,51 @@ def test_faults_are_noticed_and_others_survive():
     assert fates[broken.key].killed
     assert result.score == 1.0
     assert result.survivors == ()
+
+
+def test_what_a_profile_declares_kills_nothing():
+    """TC_DCP_PROF_BV_01 fails on cpp-2.0 whatever the node does: once every change counted as killed for that."""
+    reported = site("Vardis._scrub: dropped call: self._core.changed('deleted', entry)", "dropped call")
+    wanted = ("TC_DCP_SANITY_BV_01", DECLARED, "TC_VD_PC_BI_01")
+    few = tuple(number for number, case in enumerate(cases()) if case.id in wanted)
+    [answer] = _in_new_processes(try_site, (reported, (Step("cpp-2.0", few),)))
+    assert answer.fate == "survived"
+
+
+def test_a_trial_runs_the_cases_that_execute_the_changed_lines():
+    one = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
+    lines = {one.module: {one.first: (3, 5), one.first + 1: (4,)}}
+    stores = Reach("dcp-2.0", lines, {})
+    elsewhere = Reach("dcp-1.0", {one.module: {one.first + 1: (4,)}}, {})
+    configures = Reach("dcp-1.3", {}, {one.module: (one.first,)})
+    assert steps(one, (stores, elsewhere, configures)) == (Step("dcp-2.0", (3, 5)), Step("dcp-1.3", None))
+    assert steps(one, (elsewhere,)) == ()
+    assert [step.cases for step in steps(one)] == [None] * len(PROFILES)
+    assert stores.cases(one._replace(first=0, last=0)) is None
+
+
+def test_what_cases_execute_is_measured():
+    number = {case.id: number for number, case in enumerate(cases())}
+    few = [number[SANITY], number["TC_VD_UPD_BV_01"]]
+    [reach] = _in_new_processes(measure, ("dcp-2.0", few))
+    store = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
+    assert reach.cases(store) == {number["TC_VD_UPD_BV_01"]}
+    # What only a configuration depends on is executed before the first case.
+    assert reach.cases(site("_initial: comparison: settings is None", "comparison")) is None
+
+
+def test_cases_that_name_a_requirement_cited_near_the_change_come_first():
+    stored = site("Database.store: dropped assignment: entry.t_stamp = wall", "dropped assignment")
+    assert "VD-DB-03" in cited(stored)
+    first = _in_order(stored, None)[0]
+    assert set(cited(stored)).intersection(first.requirements)
+
+
+def _in_new_processes(work, *calls):
+    """What ``work`` returns in processes that have not imported the node."""
+    context = multiprocessing.get_context("forkserver")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        return [pool.submit(work, *arguments).result() for arguments in calls]
 
 
 def test_what_the_ledger_excuses_does_not_count():

@@ -261,6 +261,26 @@ def test_a_period_that_is_not_the_stated_one():
     assert "the period is 150 ms" in found.reason
 
 
+def test_a_finding_about_all_beacons_is_repeated_by_the_cases_in_which_most_of_them_were_heard():
+    ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=150.0)))
+    for case, beacons in {"TC_A": 20, "TC_B": 200, "TC_C": 60, "TC_D": 50, "TC_E": 5}.items():
+        for number in range(beacons):
+            ear.air.say(SUT, VarSumm(1, number % 256))
+        ear.listen(case)
+    found = ear.failed()["CK_BP_PERIOD"]
+    assert not any(each.frames for each in found.checks)
+    assert found.rerun == "dcp-conformance run --in-process TC_B TC_C TC_D"
+
+
+def test_a_case_that_needs_an_option_is_repeated_with_it():
+    ear = Ear()
+    ear.air.say(SUT, report=ear.air.report(SUT, about=2))
+    ear.listen("TC_F")
+    results = ear.tester.results("dcp-conformance run", {"TC_F": ("--artefacts", "my finds")})
+    found = next(each for each in results if each.id == "CK_SRP_OWN")
+    assert found.rerun == "dcp-conformance run --artefacts 'my finds' TC_F"
+
+
 def test_what_the_implementation_tells_of_itself_counts_more_than_what_is_assumed():
     for told, wrong in ((100, False), (120, True)):
         ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=150.0)))

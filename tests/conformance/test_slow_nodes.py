@@ -17,6 +17,7 @@ from .slow import polling, runner_for
 SLOW: Mapping[str, dict[str, Any]] = {
     "one payload per 50 ms": {"make": polling(50)},
     "one payload per 120 ms": {"make": polling(120)},
+    "one payload per 25 ms, room for 10": {"make": polling(25, room=10)},
     "buffer check period of 400 ms": {"buffer_check_period_ms": 400},
     "buffer check period of 2 s": {"buffer_check_period_ms": 2000},
     "500 ms for each call": {"call_ms": 500},
@@ -27,7 +28,11 @@ MOST_UNDECIDED = 28
 
 @pytest.mark.parametrize(
     ("how", "profile"),
-    [*((each, "dcp-2.0") for each in SLOW), ("one payload per 50 ms", "cpp-1.2"), ("500 ms for each call", "dcp-1.1")],
+    [
+        *((each, "dcp-2.0") for each in SLOW),
+        ("one payload per 25 ms, room for 10", "cpp-1.2"),
+        ("500 ms for each call", "dcp-1.1"),
+    ],
 )
 def test_nobody_fails_for_being_slow(how: str, profile: str):
     runner = runner_for(profile, **SLOW[how])

@@ -162,7 +162,8 @@ def test_a_case_that_kills_is_named_and_the_next_one_runs(node):
     result = runner.run(made_up(kill, destructive=True, robustness=True))
     assert (result.verdict, result.killed) == (Verdict.FAIL, True)
     assert any("signal SIGKILL" in check.observed for check in result.checks)
-    assert runner.notes == ["the implementation died in TC_X and was restarted"]
+    # A machine that is busy adds a note about the time of reactions.
+    assert [note for note in runner.notes if "died" in note] == ["the implementation died in TC_X and was restarted"]
     assert runner.run(all_cases()[SANITY]).verdict is Verdict.PASS
 
 

@@ -70,7 +70,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if subprocess.run(["git", "status", "--porcelain"], cwd=ROOT, capture_output=True, check=True).stdout:
         print("only what is committed is cloned; there are changes that are not", file=sys.stderr)
-    folder = Path(tempfile.mkdtemp(prefix="dcp-repeat-"))
+    folder = Path(tempfile.mkdtemp(prefix="make-test-repeat-"))
     failed = 0
     print(f"{arguments.n} clones in {folder}, {arguments.load} busy processes", flush=True)
     print("run  result  time     tests", flush=True)

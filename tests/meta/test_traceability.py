@@ -76,7 +76,9 @@ def test_citations_tests_and_cases_are_joined(repository):
     assert row.code == ("dcp_stack/all", "spec/dcp_spec/some")
     assert row.tests == ("unit/test_some",)
     assert row.cases == ("TC_VD_PAY_BV_01",)
-    assert "| VD-IC-03 | M | W | all, some | unit/test_some | VD_PAY_BV_01 |" in render(matrix(repository, EVERYTHING))
+    (line,) = [each for each in render(matrix(repository, EVERYTHING)).splitlines() if each.startswith("| VD-IC-03 ")]
+    assert line.startswith("| VD-IC-03 | M | W | vardis ")
+    assert line.endswith("| all, some | unit/test_some | VD_PAY_BV_01 |")
 
 
 def test_unknown_ids_are_found_wherever_they_stand(repository):

@@ -19,7 +19,7 @@ FILES = {
     "DATA": {"dcp-datatypes.md"},
     "UWB": {"dcp-architecture.md"},
     "BP": {"dcp-bp.md"},
-    "SRP": {"dcp-srp.md"},
+    "SRP": {"dcp-srp.md", "dcp-architecture.md"},
     "VD": {"dcp-vardis.md"},
 }
 

@@ -39,6 +39,8 @@ CONFIDENCE = "99 %"
 #: Fewer intervals say too little about how much they vary.
 LEAST = 25
 MOST = 300
+#: A gap in the numbers is believed up to this many beacons for each usual interval that passed.
+_MOST_MISSED = 2
 
 
 class Estimate(NamedTuple):
@@ -57,13 +59,16 @@ def estimate(frames: Sequence[Heard]) -> Estimate:
     """The mean interval between these beacons, at least three of them.
 
     Sequence numbers say how many beacons lie between two that were heard, so that a beacon that the tester has missed
-    does not make the mean larger.
+    does not make the mean larger. A gap for which there was no time is a fault of the numbers, which other cases judge.
     """
+    usual = statistics.median(after.time - before.time for before, after in itertools.pairwise(frames))
     intervals, beacons = [], 0
     for before, after in itertools.pairwise(frames):
         count = 1
         if before.seqno is not None and after.seqno is not None:
             count = (after.seqno - before.seqno) % BP_SEQNO_MODULUS or 1
+        if count > 1 + _MOST_MISSED * (after.time - before.time) / max(1, usual):
+            count = 1
         beacons += count
         intervals.append((after.time - before.time) / count)
     mean = (frames[-1].time - frames[0].time) / beacons

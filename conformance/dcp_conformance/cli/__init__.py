@@ -21,6 +21,7 @@ main = CommandLine(
         "report": "Make a report again, or put several runs side by side.",
         "compare": "Show which verdicts differ between two runs.",
         "selftest": "Test the suite with mutants of our own node.",
+        "provenance": "Compare the catalogue with another version of the specification.",
     },
     about="Test implementations of DCP (BP, SRP, VarDis), live or from recordings.",
     exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "

@@ -11,6 +11,7 @@ from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
+    from dcp_conformance.citations.campaign import CitationsResult
     from dcp_conformance.generated.campaign import GeneratedResult
     from dcp_conformance.selftest import Baseline, SelftestResult, Trial
     from dcp_conformance.variants.campaign import Judged, VariantsResult
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 EXIT_STATUS = (
     "Exit status: 0 our node passes and every mutant is killed by a case that names its requirement; 1 not so; "
     "2 wrong usage; 4 a case ended in an error of the tester. With --variants, 0 means that no "
-    "variant fails a case and that every inconclusive verdict is explained."
+    "variant fails a case and that every inconclusive verdict is explained. With --citations, 0 means that "
+    "every citation is proved by a case or test, or has a reason in the ledger that is still needed."
 )
 #: Mutants up to which each has a row of its own without --verbose.
 _FEW = 40
@@ -34,7 +36,7 @@ _FEW = 40
     "--document",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Write the kill matrix (Markdown).",
+    help="Write the table of this command into its section of FILE (Markdown).",
 )
 @click.option(
     "--generated",
@@ -48,6 +50,12 @@ _FEW = 40
     is_flag=True,
     help="Try nodes that the specification permits instead: none may fail. MUTANTS are identifiers of variants.",
 )
+@click.option(
+    "--citations",
+    is_flag=True,
+    help="Check citations (##= ID) in the node's source instead: a case or test with the same ID must notice "
+    "changes of the cited code. MUTANTS are IDs or file names.",
+)
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants or variants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
@@ -56,6 +64,8 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
     MUTANTS are identifiers of mutants or of the requirements that they violate, or globs of them; without any, all.
     """
+    if options["citations"]:
+        return _citations(mutants, options)
     if options["variants"]:
         return _variants(mutants, options)
     if options["generated"] is not None:
@@ -125,6 +135,35 @@ def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     return 1 if result.survivors or result.misplaced else 0
 
 
+def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
+    """Citations and what they stand on; the exit status."""
+    from dcp_conformance.citations.campaign import Verdict, chosen, run
+    from dcp_conformance.citations.unit_tests import checkout
+
+    from .display import progress_bar
+    from .selftest_display import print_citations
+
+    for name in ("profile", "full", "document", "generated", "variants"):
+        if options[name]:
+            raise UsageError(f"--{name} does not go with --citations")
+    picked = chosen(patterns)
+    if options["listing"]:
+        for each in picked:
+            say(f"{each.requirement:<10}  {each}  {each.function or '(module)'}")
+        return 0
+    with progress_bar(quiet=options["quiet"]) as progress:
+        task = progress.add_task("citations", total=len(picked))
+
+        def done(verdict: Verdict) -> None:
+            progress.update(task, advance=1, description=f"{verdict.citation.requirement} {verdict.proof}")
+
+        result = run(picked, jobs=options["jobs"], root=checkout(), on_result=done)
+    if options["report_dir"] is not None:
+        _write_json(result, options["report_dir"], "citations.json")
+    print_citations(result, verbose=options["verbose"], quiet=options["quiet"])
+    return 1 if result.unproved or result.outdated else 0
+
+
 def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Permitted variants; the exit status."""
     from dcp_conformance.variants import chosen
@@ -159,38 +198,37 @@ def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     if options["report_dir"] is not None:
         _write_json(result, options["report_dir"], "variants.json")
     if options["document"] is not None:
-        _write_section(result, options["document"])
+        from dcp_conformance.variants.table import section
+
+        _write_section(options["document"], "variants", section(result))
     print_variants(result, verbose=options["verbose"], quiet=options["quiet"])
     return result.exit_status()
-
-
-def _write_section(result: VariantsResult, document: Path) -> None:
-    """Put the table of variants at the end of a document, in place of the one that is there."""
-    from dcp_conformance.kill_matrix import with_variants
-    from dcp_conformance.variants.table import section
-
-    try:
-        text = document.read_text(encoding="utf-8") if document.exists() else ""
-        document.write_text(with_variants(text, section(result)), encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
 
 
 def _write(result: SelftestResult, directory: Path | None, document: Path | None) -> None:
     if directory is not None:
         _write_json(result, directory, "selftest.json")
     if document is not None:
-        from dcp_conformance.kill_matrix import markdown, variants_of, with_variants
+        from dcp_conformance.kill_matrix import markdown
 
-        try:
-            # The section of the variants has a command of its own, and stays.
-            kept = variants_of(document.read_text(encoding="utf-8")) if document.exists() else ""
-            document.write_text(with_variants(markdown(result), kept), encoding="utf-8")
-        except OSError as error:
-            raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
+        _write_section(document, "mutants", markdown(result))
 
 
-def _write_json(result: SelftestResult | GeneratedResult | VariantsResult, directory: Path, name: str) -> None:
+def _write_section(document: Path, name: str, text: str) -> None:
+    """Put a section into the document, and leave those of the other commands as they are."""
+    from dcp_conformance.selftest_document import DocumentError, write_section
+
+    try:
+        write_section(document, name, text)
+    except DocumentError as error:
+        raise UsageError(f"{document}: {error}") from None
+    except OSError as error:
+        raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
+
+
+def _write_json(
+    result: SelftestResult | GeneratedResult | VariantsResult | CitationsResult, directory: Path, name: str
+) -> None:
     import msgspec
 
     data = msgspec.json.format(msgspec.json.encode(result), indent=2)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
+from dcp_conformance.citations.campaign import CitationsResult
 from dcp_conformance.generated.campaign import GeneratedResult
 from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial
 from dcp_conformance.variants.campaign import Judged, VariantsResult
@@ -181,3 +182,35 @@ def _variants(result: VariantsResult, *, verbose: bool) -> Table:
             errors,
         )
     return table
+
+
+def print_citations(result: CitationsResult, *, verbose: bool, quiet: bool) -> None:
+    """Citations that nothing proves; with ``verbose`` all of them, each with its proof."""
+    out = console()
+    if verbose:
+        for each in result.verdicts:
+            proof = each.by or each.reason or each.proof
+            out.print(f"{each.citation.requirement:<10} {each.citation}: {data(proof)}", soft_wrap=True)
+            if each.change and not quiet:
+                out.print(f"           {data(each.change)}", soft_wrap=True)
+    said = {
+        "none": "no change of the cited code is noticed",
+        "breaks": "changes of the cited code only break the node as a whole",
+        "no change": "there is nothing to change in the cited code",
+    }
+    for each in result.unproved:
+        out.print(
+            f"[bold red]unproved[/] {each.citation.requirement} {each.citation}: {said[each.proof]}", soft_wrap=True
+        )
+    for each in result.outdated:
+        out.print(
+            f"[bold red]proved[/] {each.citation.requirement} {each.citation}, by {data(each.by)}: "
+            "take it out of the ledger",
+            soft_wrap=True,
+        )
+    counts = {proof: sum(each.proof == proof for each in result.verdicts) for proof in ("case", "test")}
+    excused = sum(bool(each.reason) and not each.proved for each in result.verdicts)
+    out.print(
+        f"\n{len(result.verdicts)} citations: {counts['case']} proved by a case, {counts['test']} by a test, "
+        f"{excused} in the ledger, {len(result.unproved)} unproved, in {result.duration:.1f} s"
+    )

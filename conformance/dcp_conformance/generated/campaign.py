@@ -9,6 +9,7 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
@@ -17,12 +18,15 @@ import msgspec
 from dcp_spec.version import __version__
 
 from .ledger import Entry, ledger
+from .reach import Reach, measure
 from .sites import Site, sites
-from .trial import CPU_SECONDS, Outcome, limit, try_site
+from .trial import PROFILES, Outcome, Step, limit, steps, try_site
 
 SCHEMA: Final = "dcp-conformance-generated/1"
 #: Seconds that a process may take by the clock: the processors may have other work.
-_PATIENCE: Final = 10.0 * CPU_SECONDS
+_PATIENCE: Final = 600.0
+#: Changes from which on it pays to find out first which cases execute them.
+_MANY: Final = 40
 
 
 class Trial(msgspec.Struct, frozen=True):
@@ -87,9 +91,13 @@ def run(
     *,
     seed: int | None = None,
     jobs: int | None = None,
+    excused: bool = True,
     on_result: Callable[[Trial], None] | None = None,
 ) -> GeneratedResult:
-    """Try each of the changes in a process of its own."""
+    """Try each of the changes in a process of its own.
+
+    ``excused``: also those in the ledger, to find entries that a case kills.
+    """
     began = time.monotonic()
     excuses = ledger()
     context = multiprocessing.get_context("forkserver")
@@ -97,11 +105,15 @@ def run(
 
     def attempt(site: Site) -> Trial:
         entry: Entry | None = excuses.get(site.key)
-        return Trial(site, _in_process(context, site), entry.text if entry is not None else "")
+        if entry is not None and not excused:
+            return Trial(site, Outcome(site.key, "excused"), entry.text)
+        outcome = _in_process(context, site, steps(site, reached))
+        return Trial(site, outcome, entry.text if entry is not None else "")
 
     trials: list[Trial] = []
     chosen = list(chosen)
     with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
+        reached = tuple(pool.map(partial(_measured, context), PROFILES)) if len(chosen) >= _MANY else ()
         waiting = [pool.submit(attempt, site) for site in chosen]
         try:
             for done in as_completed(waiting):
@@ -122,34 +134,60 @@ def run(
     )
 
 
-def _in_process(context: multiprocessing.context.ForkServerContext, site: Site) -> Outcome:
+def _in_process(context: multiprocessing.context.ForkServerContext, site: Site, plan: Sequence[Step]) -> Outcome:
+    if not plan:
+        return Outcome(site.key, "survived", "no case executes this code")
     began = time.monotonic()
+    answer, fate = _ask(context, _try, site, plan)
+    if answer:
+        outcome: Outcome = msgspec.json.decode(answer, type=Outcome)
+        return outcome
+    # SIGXCPU, or out of memory: the node does not come to an end.
+    return Outcome(site.key, "broken", fate, "", round(time.monotonic() - began, 2))
+
+
+def _measured(context: multiprocessing.context.ForkServerContext, profile: str) -> Reach:
+    answer, fate = _ask(context, _measure, profile)
+    if not answer:
+        raise RuntimeError(f"what the cases execute on {profile}: {fate}")
+    return msgspec.msgpack.decode(answer, type=Reach)
+
+
+def _ask(
+    context: multiprocessing.context.ForkServerContext, work: Callable[..., bytes], *arguments: object
+) -> tuple[bytes, str]:
+    """What ``work`` returns in a process of its own; if nothing, how that process ended."""
     ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(theirs, site), daemon=True)
+    process = context.Process(target=_child, args=(theirs, work, *arguments), daemon=True)
     process.start()
     theirs.close()
     try:
         if ours.poll(_PATIENCE):
-            outcome: Outcome = msgspec.json.decode(ours.recv_bytes(), type=Outcome)
-            return outcome
-        fate = f"did not come to an end within {_PATIENCE:g} s"
+            return ours.recv_bytes(), ""
+        return b"", f"did not come to an end within {_PATIENCE:g} s"
     except (EOFError, OSError):
         process.join(5)
-        # SIGXCPU, or out of memory: the node does not come to an end.
-        fate = f"its process ended with status {process.exitcode}"
+        return b"", f"its process ended with status {process.exitcode}"
     finally:
         process.kill()
         process.join()
         ours.close()
-    return Outcome(site.key, "broken", fate, "", round(time.monotonic() - began, 2))
 
 
-def _child(to: Connection, site: Site) -> None:
-    # What a broken node says of itself is not ours to show: there may be any amount of it.
+def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> None:
+    # A broken node may write any amount of messages.
     with Path(os.devnull).open("r+b") as nowhere:
         for descriptor in (1, 2):
             os.dup2(nowhere.fileno(), descriptor)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    limit()
-    to.send_bytes(msgspec.json.encode(try_site(Site(*site))))
+    to.send_bytes(work(*arguments))
     to.close()
+
+
+def _try(site: Site, plan: Sequence[Step]) -> bytes:
+    limit()
+    return msgspec.json.encode(try_site(site, plan))
+
+
+def _measure(profile: str) -> bytes:
+    return msgspec.msgpack.encode(measure(profile))

@@ -1,12 +1,14 @@
-"""Changes that cannot be seen from outside, each with the reason: ``data/invisible-changes.toml``.
+"""Changes that cannot be seen from outside, each with the reason: the files of ``data/invisible-changes/``.
 
-An entry names changes by their keys (see :mod:`.sites`): it goes out of use when the changed code changes.
+Each file is a list of tables ``[[entry]]`` with the keys of :class:`Entry`. An entry names changes by their keys (see
+:mod:`.sites`): when the changed code changes, the key no longer exists, and a test asks for the entry to be removed.
 """
 
 from __future__ import annotations
 
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from typing import Final
 
 import msgspec
@@ -51,9 +53,20 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def entries() -> tuple[Entry, ...]:
-    """All entries, in the order of the file. Raises ``msgspec.DecodeError`` for a file that is not well-formed."""
-    text = resources.files("dcp_conformance").joinpath("data", "invisible-changes.toml").read_bytes()
-    return msgspec.toml.decode(text, type=_File).entry
+    """All entries, file by file in the order of the names. Raises ``ValueError`` for a file that is not well-formed."""
+    folder = resources.files("dcp_conformance").joinpath("data", "invisible-changes")
+    found: list[Entry] = []
+    for file in sorted(folder.iterdir(), key=lambda each: each.name):
+        if file.name.endswith(".toml"):
+            found += _read(file)
+    return tuple(found)
+
+
+def _read(file: Traversable) -> tuple[Entry, ...]:
+    try:
+        return msgspec.toml.decode(file.read_bytes(), type=_File).entry
+    except msgspec.DecodeError as error:
+        raise ValueError(f"{file.name}: {error}") from None
 
 
 @cache

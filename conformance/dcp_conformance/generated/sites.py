@@ -5,10 +5,13 @@ from __future__ import annotations
 import ast
 import copy
 import hashlib
+import re
 from collections.abc import Iterator
 from functools import cache
 from importlib import resources
 from typing import Final, NamedTuple
+
+from .reports import Reports, reports_of
 
 #: The modules of BP, SRP and VarDis. What only composes them, names effects or reads configurations is left out.
 MODULES: Final = (
@@ -45,6 +48,11 @@ _ARITHMETIC: Final[dict[type[ast.operator], type[ast.operator]]] = {
 }
 
 
+#: A requirement that the code below fulfils, and the number of lines within which it is near a change.
+_CITATION: Final = re.compile(r"##= ([A-Z0-9-]+)")
+_NEAR: Final = 20
+
+
 class Site(NamedTuple):
     """One change at one place."""
 
@@ -63,6 +71,9 @@ class Site(NamedTuple):
     """Which of the changes of this kind at the node."""
     key: str
     """A fingerprint of function, statement and change: it survives edits elsewhere in the file."""
+    first: int = 0
+    last: int = 0
+    """The lines of the statement without the statements in it; 0 if it is executed when the module is imported."""
 
     def __str__(self) -> str:
         return f"dcp_stack/{self.module}.py:{self.line} {self.function}: {self.operator}: {self.before} -> {self.after}"
@@ -85,6 +96,22 @@ def sites() -> tuple[Site, ...]:
     return tuple(site for module in MODULES for site in _sites_of(module))
 
 
+@cache
+def _citations(module: str) -> tuple[tuple[int, str], ...]:
+    """Lines and identifiers of the requirements that a module cites."""
+    return tuple(
+        (number, identifier)
+        for number, line in enumerate(_source(module).splitlines(), 1)
+        for identifier in _CITATION.findall(line)
+    )
+
+
+def cited(site: Site) -> tuple[str, ...]:
+    """The requirements that are cited near the change, the nearest first."""
+    near = sorted((abs(line - site.line), identifier) for line, identifier in _citations(site.module))
+    return tuple(dict.fromkeys(identifier for distance, identifier in near if distance <= _NEAR))
+
+
 def mutated(site: Site) -> ast.Module:
     """The module with this change."""
     tree = ast.parse(_source(site.module))
@@ -99,26 +126,29 @@ def _sites_of(module: str) -> Iterator[Site]:
     tree = ast.parse(_source(module))
     place = {id(node): number for number, node in enumerate(_nodes(tree))}
     seen: dict[str, int] = {}
+    functions = {id(each) for top in ast.walk(tree) if isinstance(top, ast.FunctionDef) for each in ast.walk(top)}
     for function, statement, node in _candidates(tree):
+        span = _lines(statement) if id(statement) in functions else (0, 0)
         variants: dict[str, int] = {}
         for change in _changes(node):
             variant = variants[change.operator] = variants.get(change.operator, -1) + 1
             before = ast.unparse(node)
             after = "dropped" if change.replacement is None else ast.unparse(change.replacement)
+            if before == after:
+                continue
             text = "\0".join((module, function, _head(statement), change.operator, before, after))
             # The same change of the same text twice in a statement: the second has a number.
             nth = seen[text] = seen.get(text, -1) + 1
             key = hashlib.sha256(f"{text}\0{nth}".encode()).hexdigest()[:12]
             line = getattr(node, "lineno", 0)
-            yield Site(
-                module, function, line, change.operator, _short(before), _short(after), place[id(node)], variant, key
-            )
+            short = _short(before), _short(after)
+            yield Site(module, function, line, change.operator, *short, place[id(node)], variant, key, *span)
 
 
 def _head(statement: ast.stmt) -> str:
     """A statement without the statements in it."""
     head = copy.copy(statement)
-    for name in ("body", "orelse", "finalbody", "handlers"):
+    for name in ("body", "orelse", "finalbody", "handlers", "cases"):
         if getattr(head, name, None):
             setattr(head, name, [])
     try:
@@ -127,32 +157,46 @@ def _head(statement: ast.stmt) -> str:
         return type(statement).__name__
 
 
+def _lines(statement: ast.stmt) -> tuple[int, int]:
+    """First and last line of a statement without the statements in it."""
+    inner = [
+        each.lineno
+        for name in ("body", "orelse", "finalbody", "handlers")
+        for each in getattr(statement, name, ())
+        if isinstance(each, ast.stmt)
+    ]
+    last = statement.end_lineno or statement.lineno
+    return statement.lineno, max(statement.lineno, min([last, *(line - 1 for line in inner)]))
+
+
 def _nodes(tree: ast.Module) -> list[ast.AST]:
     return list(ast.walk(tree))
 
 
 def _candidates(tree: ast.Module) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
     """Nodes that may be changed, with the function and the statement that hold them."""
-    yield from _in_body(tree.body, "")
+    yield from _in_body(tree.body, "", reports_of(tree))
 
 
-def _in_body(body: list[ast.stmt], function: str) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
+def _in_body(body: list[ast.stmt], function: str, reports: Reports) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
     for statement in body:
-        yield from _in_statement(statement, function)
+        yield from _in_statement(statement, function, reports)
 
 
-def _in_statement(statement: ast.stmt, function: str) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
+def _in_statement(statement: ast.stmt, function: str, reports: Reports) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
     if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-        yield from _in_body(statement.body, f"{function}.{statement.name}" if function else statement.name)
+        if statement.name not in reports.functions:
+            inner = f"{function}.{statement.name}" if function else statement.name
+            yield from _in_body(statement.body, inner, reports)
         return
-    if not function or _is_only_for_readers(statement):
+    if not function or _is_only_for_readers(statement) or reports.is_report(statement):
         return
     yield function, statement, statement
     for child in ast.iter_child_nodes(statement):
         if isinstance(child, ast.stmt):
-            yield from _in_statement(child, function)
+            yield from _in_statement(child, function, reports)
         elif isinstance(child, ast.match_case | ast.ExceptHandler):
-            yield from _in_body(child.body, function)
+            yield from _in_body(child.body, function, reports)
         elif not (isinstance(statement, ast.AnnAssign) and child is statement.annotation):
             for node in ast.walk(child):
                 yield function, statement, node

@@ -2,30 +2,47 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import itertools
 import resource
 import sys
 import time
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from types import CodeType, ModuleType
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import msgspec
+from dcp_spec.profile_loading import load_profile
 
+from dcp_conformance.case import Case, all_cases
 from dcp_conformance.errors import ConformanceError
+from dcp_conformance.selection import ordered
 from dcp_conformance.verdict import Verdict
 
-from .sites import Site, mutated
+from .reach import Reach
+from .sites import Site, cited, mutated
 
 PROFILES: Final = ("dcp-2.0", "dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "cpp-2.0")
 """Profiles on which a change is tried, until one notices: much of the source serves one version only."""
-#: Bounds of one process: seconds of CPU time, octets of address space.
-CPU_SECONDS: Final = 120
+#: How the cases about a module begin, by the first word of its name.
+_PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
+    lambda: ("TC_",),
+    vardis=("TC_VD", "TC_NET"),
+    bp=("TC_BP",),
+    client=("TC_BP",),
+    srp=("TC_SRP",),
+    neighbours=("TC_SRP",),
+)
+#: Bounds: seconds of CPU time for one case (the longest takes 0.1 s), octets of address space.
+CPU_SECONDS: Final = 10
 _ADDRESS_SPACE: Final = 4 << 30
 
-Fate = Literal["killed", "broken", "noticed", "survived"]
+Fate = Literal["killed", "broken", "noticed", "survived", "excused"]
 
 
 class Outcome(msgspec.Struct, frozen=True):
@@ -34,7 +51,8 @@ class Outcome(msgspec.Struct, frozen=True):
     key: str
     fate: Fate
     """``killed``: a case failed; ``broken``: the node did not start, or did not come to an end; ``noticed``: cases
-    became inconclusive or stumbled, none failed; ``survived``: every case came out as without the change."""
+    became inconclusive or stumbled, none failed; ``survived``: every case came out as without the change; ``excused``:
+    the change is in the ledger and was not tried."""
     by: str = ""
     """The first case that noticed, and why."""
     profile: str = ""
@@ -60,15 +78,54 @@ class _Mutator(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(self._code, module.__dict__)  # noqa: S102 - our own source with one change
 
 
+@cache
+def cases() -> tuple[Case, ...]:
+    """All cases in the order of a run. Their numbers are places in this tuple."""
+    return tuple(ordered(all_cases().values()))
+
+
+class Step(NamedTuple):
+    """A part of a trial."""
+
+    profile: str
+    cases: tuple[int, ...] | None
+    """Numbers of the cases to run (see :func:`cases`); None: all."""
+
+
+def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
+    """What must be run to see whether a case notices the change; empty if no case executes the changed code.
+
+    ``reached``: what the cases execute on each profile; without it every case is run on every profile.
+    """
+    if not reached:
+        return tuple(Step(profile, None) for profile in PROFILES)
+    found = [(each.profile, each.cases(site)) for each in reached]
+    return tuple(
+        Step(name, None if some is None else tuple(sorted(some))) for name, some in found if some is None or some
+    )
+
+
 def limit() -> None:
-    """Bound this process: a change can make a loop endless, or a list."""
-    resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS + 5))
+    """Bound the memory of this process and the CPU time of its first case: a change can make a loop endless."""
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _limit_time()
+    # Most objects of a trial die by their reference counts.
+    gc.freeze()
+    gc.set_threshold(100_000)
 
 
-def try_site(site: Site, profiles: Sequence[str] = PROFILES) -> Outcome:
-    """Run the suite until a case notices. For a new process only: it must not have imported ``dcp_stack``."""
+def _limit_time() -> None:
+    """Let the process end if it uses ``CPU_SECONDS`` from now on."""
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + CPU_SECONDS, hard))
+
+
+def try_site(site: Site, plan: Sequence[Step] | None = None) -> Outcome:
+    """Run the suite until a case notices. For a new process only: it must not have imported ``dcp_stack``.
+
+    ``plan``: what to run, by default everything. Cases that name a requirement cited near the change are run first.
+    """
     loaded = [name for name in sys.modules if name == "dcp_stack" or name.startswith("dcp_stack.")]
     if loaded:
         raise RuntimeError(f"the node without the change has been imported already: {', '.join(loaded[:3])}")
@@ -81,14 +138,13 @@ def try_site(site: Site, profiles: Sequence[str] = PROFILES) -> Outcome:
     noticed: Outcome | None = None
     profile = ""
     try:
-        from dcp_conformance.case import all_cases
-        from dcp_conformance.selection import ordered
-        from dcp_conformance.selftest import Suite
+        from dcp_conformance.selftest import Suite, is_declared
 
-        cases = list(ordered(all_cases().values()))
-        for profile in profiles:
-            for result in Suite(profile).run(cases):
-                if result.verdict is Verdict.FAIL:
+        for profile, numbers in steps(site) if plan is None else plan:
+            suite = Suite(profile)
+            wire = load_profile(profile)
+            for result in itertools.chain(suite.run(_timed(_in_order(site, numbers))), suite.passive()):
+                if result.verdict is Verdict.FAIL and not is_declared(result, wire):
                     return outcome("killed", f"{result.id}: {result.reason}", profile)
                 if noticed is None and result.verdict in (Verdict.ERROR, Verdict.INCONCLUSIVE):
                     noticed = outcome("noticed", f"{result.id}: {result.verdict}: {result.reason}", profile)
@@ -96,4 +152,27 @@ def try_site(site: Site, profiles: Sequence[str] = PROFILES) -> Outcome:
         return outcome("broken", str(error), profile)
     except Exception as error:
         return outcome("broken", f"{type(error).__name__}: {error}", profile)
+    if not profile:
+        return outcome("survived", "no case executes this code", "")
     return noticed or outcome("survived", "", profile)
+
+
+def _timed(chosen: Iterable[Case]) -> Iterator[Case]:
+    for case in chosen:
+        _limit_time()
+        yield case
+
+
+def _in_order(site: Site, numbers: tuple[int, ...] | None) -> list[Case]:
+    """The cases with these numbers, those first that are likely to notice."""
+    chosen = cases() if numbers is None else [cases()[number] for number in numbers]
+    place = {identifier: number for number, identifier in enumerate(cited(site))}
+    variants: dict[str, int] = {}
+    ranks: dict[str, tuple[bool, int, int, bool]] = {}
+    for case in chosen:
+        nth = variants[case.base] = variants.get(case.base, -1) + 1
+        near = min((place[each] for each in case.requirements if each in place), default=len(place))
+        elsewhere = not case.id.startswith(_PREFIXES[site.module.partition("_")[0]])
+        # What can leave the node dead stays last; variants of one case mostly notice the same.
+        ranks[case.id] = case.destructive, nth, near, elsewhere
+    return sorted(chosen, key=lambda case: ranks[case.id])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections import deque
-from collections.abc import Iterable, Mapping
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -12,7 +12,7 @@ from dcp_spec.constants import ProtocolId
 
 from dcp_codec.codec import Codec
 from dcp_codec.framing import ETHERNET_HEADER
-from dcp_conformance.case import Case, Kind
+from dcp_conformance.case import SANITY, Case, Kind
 from dcp_conformance.check.base import Context, Invariant, Seen
 from dcp_conformance.check.places import placed
 from dcp_conformance.heard import Heard
@@ -31,6 +31,9 @@ _STIMULUS: Final = "none of its own: whatever the cases of the run do"
 MOST_FRAMES = 24
 #: Frames of the case so far that a finding can still cite.
 _RECENT = 16
+#: The command that repeats a finding which cites no frame names the cases with the most beacons: as few as have this
+#: many beacons together, and no more than this many cases.
+_ENOUGH_BEACONS, _MOST_CASES = 300, 5
 
 _BLOCKS = frozenset(
     {
@@ -69,8 +72,13 @@ class PassiveTester:
         self._traffic: object = None
         self._recent: deque[_Place] = deque(maxlen=_RECENT)
         self._evidence: dict[str, list[_Place]] = {}
-        self.frames = 0
-        """Beacons that were judged."""
+        self._beacons: Counter[str] = Counter()
+        """Beacons that were judged, by the case in which they were heard."""
+
+    @property
+    def frames(self) -> int:
+        """The number of beacons that were judged."""
+        return self._beacons.total()
 
     # -- what the run tells --------------------------------------------------------------------------------------------
 
@@ -120,7 +128,7 @@ class PassiveTester:
         """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
         if heard.time <= self._since or traffic is not self._traffic:
             return
-        self.frames += 1
+        self._beacons[case] += 1
         self._recent.append(_Place(case, heard, frame, start))
         seen = Seen(self._codec, heard, frame, start, frame[:6] if start >= ETHERNET_HEADER else None)
         for rule in self._fed:
@@ -144,16 +152,31 @@ class PassiveTester:
 
     # -- what came of it -----------------------------------------------------------------------------------------------
 
-    def results(self, rerun: str) -> tuple[CaseResult, ...]:
+    def results(self, rerun: str, options: Mapping[str, Sequence[str]] | None = None) -> tuple[CaseResult, ...]:
         """A result for each invariant; ``rerun`` is the command of the run, without cases. Call once, at the end.
 
-        An invariant that holds decides no requirement: that a fault never showed is less than a case demands.
+        ``options``: further options by the identifier of the case that needs them to be known. An invariant that holds
+        decides no requirement: that a fault never showed is less than a case demands.
         """
         for rule in self._active:
             rule.finish()
-        return tuple(self._result(rule, rerun) for rule in self._rules)
+        return tuple(self._result(rule, rerun, options or {}) for rule in self._rules)
 
-    def _result(self, rule: Invariant, rerun: str) -> CaseResult:
+    def _cases_again(self, cited: str | None) -> list[str]:
+        """The cases to repeat for a finding: the one that it cites, or else those in which most beacons were heard."""
+        if cited is not None:
+            return [cited]
+        chosen: list[str] = []
+        beacons = 0
+        for case, count in self._beacons.most_common(_MOST_CASES):
+            if beacons >= _ENOUGH_BEACONS:
+                break
+            chosen.append(case)
+            beacons += count
+        # The sanity case is run in any case.
+        return [case for case in chosen if case != SANITY] or chosen
+
+    def _result(self, rule: Invariant, rerun: str, options: Mapping[str, Sequence[str]]) -> CaseResult:
         kept = self._evidence.get(rule.id, [])
         checks = [
             Check(
@@ -176,6 +199,9 @@ class PassiveTester:
         verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
         decisive = next(check for check in checks if check.verdict is verdict)
         cited = next((kept[mark.frame - 1].case for check in checks for mark in check.frames), None)
+        again: list[str] = []
+        for case in self._cases_again(cited):
+            again += [*options.get(case, ()), case]
         return CaseResult(
             id=rule.id,
             purpose=rule.purpose,
@@ -191,7 +217,7 @@ class PassiveTester:
             left_out=rule.left_out,
             # What holds is no case beside the others; what does not is a finding.
             counted=verdict is Verdict.FAIL,
-            rerun=rerun if cited is None else f"{rerun} {shlex.quote(cited)}",
+            rerun=f"{rerun} {shlex.join(again)}" if again else rerun,
         )
 
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import groupby
 
-from dcp_conformance.kill_matrix import VARIANTS_HEADING
-
 from .campaign import Judged, VariantsResult
 
 
 def section(result: VariantsResult) -> str:
-    """The section of the document; the same for the same suite and variants, whenever and wherever it is made."""
+    """The section ``variants`` of the document; the same whenever and wherever it is made."""
     fair = sum(all(each.good for each in trials) for _, trials in _grouped(result))
     total = sum(1 for _ in _grouped(result))
     profiles = list(dict.fromkeys(each.profile for each in result.trials))
     lines = [
-        VARIANTS_HEADING,
+        "## Permitted variants",
         "",
         "Made by `dcp-conformance selftest --variants --document docs/selftest.md`.",
         "",

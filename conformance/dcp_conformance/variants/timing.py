@@ -21,8 +21,11 @@ from .variant import Setup, Variant, setup
 _V = SpecVersion
 
 
-def polling(interval_ms: int) -> MakeNode:
-    """A node whose VarDis takes one received payload from BP each so many ms, as the C++ implementation 1.2 does."""
+def polling(interval_ms: int, room: int | None = None) -> MakeNode:
+    """A node whose VarDis takes one received payload from BP every ``interval_ms``.
+
+    ``room``: how many payloads wait at most; further ones are lost. None: all wait.
+    """
 
     class Polling(Vardis):
         def __init__(self, *args: Any, now: int, **more: Any) -> None:
@@ -32,7 +35,7 @@ def polling(interval_ms: int) -> MakeNode:
 
         def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
             del now, wall
-            if self.active:
+            if self.active and (room is None or len(self._inbox) < room):
                 self._inbox.append(payload)
 
         def _due(self) -> int:

@@ -1,0 +1,107 @@
+"""The cases that name a requirement, against our node with a change in the code that cites it."""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from types import CodeType, ModuleType
+from typing import Final
+
+import msgspec
+from dcp_spec.constants import SpecVersion
+from dcp_spec.requirements import requirement
+
+from dcp_conformance.errors import ConformanceError
+from dcp_conformance.verdict import Verdict
+
+from .changes import CodeChange
+
+
+class Noticed(msgspec.Struct, frozen=True):
+    """What one change did to the cases of some requirements."""
+
+    by: dict[str, str]
+    """The case with a failed check that names the requirement, by requirement."""
+    broken: bool = False
+    """Whether the node does not start or does not even pass the sanity case: then every case fails."""
+
+
+class _Importer(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Imports one module from a changed tree."""
+
+    def __init__(self, change: CodeChange) -> None:
+        self._name = change.module
+        self._code: CodeType = compile(change.tree(), f"<changed {change.module}>", "exec")
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        """The changed module; None for every other."""
+        del path, target
+        return importlib.util.spec_from_loader(fullname, self) if fullname == self._name else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Run the changed code."""
+        exec(self._code, module.__dict__)  # noqa: S102 - our own source with one change
+
+
+#: Cases per requirement and profile: a citation that dozens of cases do not notice stands in the wrong place.
+_CASES: Final = 25
+
+
+def try_change(change: CodeChange, names: Iterable[str]) -> Noticed:
+    """Run the cases of requirements until each is noticed. For a new process that has not imported ``dcp_stack``."""
+    sys.meta_path.insert(0, _Importer(change))
+    noticed: dict[str, str] = {}
+    broken = False
+    for profile, group in _profiles(names):
+        open_names = [name for name in group if name not in noticed]
+        if not open_names:
+            continue
+        try:
+            broken |= _run(profile, open_names, noticed)
+        except ConformanceError:
+            broken = True
+        except Exception:
+            # The change makes the node raise where nobody expects it.
+            broken = True
+    return Noticed(noticed, broken)
+
+
+def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
+    """Add what the cases notice on one profile; whether the sanity case failed."""
+    from dcp_conformance.case import SANITY, all_cases
+    from dcp_conformance.selection import ordered
+    from dcp_conformance.selftest import Suite, finding_of
+
+    open_names = set(names)
+    chosen: dict[str, None] = {}
+    for name in names:
+        deciding = [case.id for case in ordered(all_cases().values()) if name in case.requirements]
+        chosen.update(dict.fromkeys(deciding[:_CASES]))
+    for result in Suite(profile).run([all_cases()[each] for each in chosen]):
+        if result.verdict is not Verdict.FAIL:
+            continue
+        if result.id == SANITY and SANITY not in chosen:
+            return True
+        for name in open_names.intersection(finding_of(result).requirements):
+            noticed[name] = f"{result.id} ({profile})"
+            open_names.discard(name)
+        if not open_names:
+            break
+    return False
+
+
+def _profiles(names: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
+    """On which profiles to try which requirements: the newest version that has it first, then the oldest."""
+    groups: dict[str, list[str]] = {}
+    for newest in (True, False):
+        for name in names:
+            held = [version for version in SpecVersion if requirement(name).holds_in(version)]
+            group = groups.setdefault(f"dcp-{(max if newest else min)(held)}", [])
+            if name not in group:
+                group.append(name)
+    yield from groups.items()

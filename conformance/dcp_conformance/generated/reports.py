@@ -1,0 +1,77 @@
+"""Code of the node that only reports or shows something: no change of it can alter what the protocols do.
+
+Three kinds are recognised, all from the syntax alone: statements that emit a ``Dropped`` effect, which are the log of
+the protocol cores; functions that consist of such statements, with the calls of them; and functions that show or check
+the state for a reader, with the private functions that only these use.
+"""
+
+from __future__ import annotations
+
+import ast
+from typing import Final, NamedTuple
+
+#: The effect by which a core reports what it has dropped and why.
+_REPORT: Final = "Dropped"
+#: Methods that show or check the state of an object.
+_SHOWING: Final = frozenset({"__repr__", "snapshot", "check_invariants"})
+
+
+class Reports(NamedTuple):
+    """What a module has of such code."""
+
+    functions: frozenset[str]
+    """Names of functions that only report or show."""
+
+    def is_report(self, statement: ast.stmt) -> bool:
+        """Whether a statement is a call that only reports."""
+        if not isinstance(statement, ast.Expr) or not isinstance(statement.value, ast.Call):
+            return False
+        call = statement.value
+        return _name(call.func) in self.functions or any(
+            isinstance(each, ast.Call) and _name(each.func) == _REPORT for each in call.args
+        )
+
+
+def reports_of(tree: ast.Module) -> Reports:
+    """Find such code in a module."""
+    functions = [each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)]
+    found = Reports(_SHOWING)
+    while True:
+        more = {each.name for each in functions if _only_reports(each, found) or _only_used_by(each, functions, found)}
+        if more <= found.functions:
+            return found
+        found = Reports(found.functions | more)
+
+
+def _only_reports(function: ast.FunctionDef, known: Reports) -> bool:
+    body = [each for each in function.body if not _is_docstring(each)]
+    return bool(body) and all(_is_report_or_branch(each, known) for each in body)
+
+
+def _is_report_or_branch(statement: ast.stmt, known: Reports) -> bool:
+    if isinstance(statement, ast.If):
+        return all(_is_report_or_branch(each, known) for each in (*statement.body, *statement.orelse))
+    return known.is_report(statement)
+
+
+def _only_used_by(function: ast.FunctionDef, functions: list[ast.FunctionDef], known: Reports) -> bool:
+    """Whether a private function is used, and by no function but those that show."""
+    if not function.name.startswith("_") or function.name.startswith("__"):
+        return False
+    users = {each.name for each in functions if each is not function and function.name in _names_in(each)}
+    return bool(users) and users <= known.functions & _SHOWING
+
+
+def _names_in(function: ast.FunctionDef) -> set[str]:
+    return {_name(each) for each in ast.walk(function) if isinstance(each, ast.Name | ast.Attribute)}
+
+
+def _is_docstring(statement: ast.stmt) -> bool:
+    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+
+
+def _name(node: ast.AST) -> str:
+    """The last part of a name: ``emit`` of ``self._core.emit``."""
+    if isinstance(node, ast.Attribute):
+        return node.attr
+    return node.id if isinstance(node, ast.Name) else ""
