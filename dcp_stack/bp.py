@@ -116,7 +116,6 @@ class BeaconingProtocol:
 
     # -- registration -----------------------------------------------------------------------------------------
 
-    ##= BP-REG-01
     def register(
         self,
         prot_id: int,
@@ -143,6 +142,7 @@ class BeaconingProtocol:
         mode = _mode(queueing_mode)
         rule = self.queueing[mode] if isinstance(mode, QueueingMode) and mode in self._features.queueing_modes else None
         several = allow_multiple_payloads and self._features.allow_multiple_payloads
+        ##= BP-REG-01
         registration = Registration(prot_id, name, max_payload_size, mode, wall, max_entries, allow_multiple_payloads)
         status = self._registrable(registration, known=rule is not None)
         if status is BPStatus.OK:
@@ -150,15 +150,15 @@ class BeaconingProtocol:
             ##= BP-DRG-05
             self._clients.insert(Client(registration, rule, several=several))
         ##= BP-REG-07
+        own = self._config.node_id if self._features.own_id_in_register_confirm else None
         ##= BP-REG-08
         ##= DATA-10
-        own = self._config.node_id if self._features.own_id_in_register_confirm else None
         return RegisterConfirm(status, own)
 
+    ##= BP-REG-09
+    ##= DATA-11
     def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
         """The checks of the service, in the order of its steps."""
-        ##= BP-REG-09
-        ##= DATA-11
         ##= BP-REG-02
         if registration.protocol_id in self._clients:
             return BPStatus.PROTOCOL_ALREADY_REGISTERED
@@ -192,8 +192,6 @@ class BeaconingProtocol:
         if self._client(prot_id) is None:
             return StatusConfirm(BPStatus.UNKNOWN_PROTOCOL)
         ##= BP-DRG-02
-        ##= BP-DRG-03
-        ##= BP-DRG-04
         self._clients.remove(prot_id)
         return StatusConfirm(BPStatus.OK)
 
@@ -222,10 +220,9 @@ class BeaconingProtocol:
         ##= BP-GEN-02
         return StatusConfirm(self._submit(client, bytes(payload), now))
 
+    ##= BP-TXP-10
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        ##= BP-TXP-10
         ##= BP-TXP-01
-        ##= BP-REG-10
         if client is None:
             return BPStatus.UNKNOWN_PROTOCOL
         ##= BP-TXP-02
@@ -293,10 +290,10 @@ class BeaconingProtocol:
             self._schedule.restart(now)
         return StatusConfirm(BPStatus.OK)
 
+    ##= BP-MGT-01
     def deactivate(self) -> StatusConfirm:
         """``BP-MGMT-Deactivate.request``; raises UnknownServiceError before 1.2. All services stay available."""
         self._needs(self._features.bp_activation, "BP-MGMT-Deactivate", SpecVersion.V1_2)
-        ##= BP-MGT-01
         ##= BP-MGT-04
         self._active = False
         return StatusConfirm(BPStatus.OK)
@@ -371,23 +368,22 @@ class BeaconingProtocol:
         if left_out := self._schedule.passed(now, sent=bool(blocks)):
             self._counters.count("beacons-left-out", left_out)
         ##= BP-FMT-03
-        ##= BP-HDR-09
         if not blocks:
             self._counters.count("beacons-without-payload")
+            ##= BP-HDR-09
             return
         octets = self._wire.build(self._seqno, self._parameters.network_id, blocks)
         self._counters.count("beacons-sent")
         self._counters.count("octets-sent", len(octets))
-        ##= UWB-05
         seqno = self._seqno
         ##= BP-HDR-08
         self._seqno = (seqno + 1) % BP_SEQNO_MODULUS
         self._emit(SendBeacon(octets, seqno, len(blocks)))
-        ##= BP-PTI-01
-        ##= BP-PTI-02
         ##= BP-PTI-03
         for protocol_id, _ in blocks:
             self._counters.count(f"payloads-sent/{protocol_id}")
+            ##= BP-PTI-01
+            ##= BP-PTI-02
             self._emit(PayloadTransmitted(protocol_id, self._schedule.due))
 
     def _room(self) -> int:
@@ -395,6 +391,7 @@ class BeaconingProtocol:
         header, bearer = self._wire.header_size, self._parameters.uwb_max_packet_size
         counted = header if self._counts_header else 0
         # Whatever the parameter is taken to count, the bearer counts everything.
+        ##= UWB-05
         room = min(self._parameters.max_packet_size - counted, bearer - header)
         return room if self._wire.max_blocks is None else min(room, self._wire.max_blocks)
 

@@ -42,13 +42,14 @@ class ClientList:
     def remove(self, protocol_id: int) -> None:
         """Forget a client and its payloads."""
         ##= DATA-13
+        ##= BP-DRG-04
         client = self._clients.pop(protocol_id)
         client.stands = False
+        ##= BP-DRG-03
         self._order.remove(client)
 
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         """Take payloads for a beacon with ``room`` octets for blocks: at most ``most`` (protocol id, payload)."""
-        ##= BP-TX-03
         chosen: Chosen = []
         turn = self._order
         served: dict[int, Client] = {}
@@ -58,13 +59,13 @@ class ClientList:
                 ##= BP-TX-08
                 if len(chosen) == most:
                     break
-                ##= BP-TX-06
                 payload = None if client.queue is None else client.queue.head()
                 if client.queue is None or payload is None:
                     continue
                 ##= BP-TX-04
                 ##= BP-FMT-02
                 taken = size(payload)
+                ##= BP-TX-06
                 if taken > room:
                     # Its other payloads wait behind this one; there will be no more room in this beacon.
                     continue
@@ -76,6 +77,7 @@ class ClientList:
                 if client.several:
                     again.append(client)
             turn = again if len(chosen) < most else []
+        ##= BP-TX-03
         self._order = [client for client in self._order if client.protocol_id not in served]
         self._order.extend(served.values())
         return chosen

@@ -30,12 +30,12 @@ class BPParameters:
         profile = config.profile
         self._sizes = config.sizes
         self._usable_minimum = _has_usable_minimum(config)
-        ##= BP-PAR-08
-        ##= BP-PAR-09
-        ##= UWB-03
         # Read here, before there is anybody to register, and never assigned again.
         self._fixed: dict[str, int | bytes] = {
+            ##= BP-PAR-08
+            ##= UWB-03
             UWB_MAX_PACKET: profile.limits.uwb_max_packet,
+            ##= BP-PAR-09
             OWN_NODE: config.node_id,
         }
         ##= BP-PAR-10
@@ -61,9 +61,9 @@ class BPParameters:
             bound = "left alone: it is determined once, during initialization"
             return Violation(parameter=name, value=value, bound=bound, requirement=entry.requirement)
         violation = validate(name, value, self._sizes) or _unusable(name, value, self._sizes, self._usable_minimum)
+        ##= BP-PAR-06
         if violation is None:
             self._values[name] = value
-        ##= BP-PAR-06
         ##= BP-PAR-07
         return violation
 

@@ -84,9 +84,9 @@ class Receiver:
         if not block.payload:
             self.drop("empty-payload", block.offset)
             return
+        self._counters.count(f"payloads-received/{block.protocol_id}")
         ##= BP-RXP-01
         ##= BP-RXP-02
-        self._counters.count(f"payloads-received/{block.protocol_id}")
         self._emit(PayloadReceived(block.protocol_id, block.payload, sender))
 
     def drop(self, reason: str, offset: int = -1) -> None:

@@ -64,9 +64,9 @@ class BeaconSchedule:
 
         Returns how many slots have passed altogether meanwhile.
         """
-        ##= BP-TX-01
         if sent:
             self._sent_at = now
+        ##= BP-TX-01
         self._anchor = self._slot
         self._plan()
         if self._slot > now:
@@ -79,8 +79,8 @@ class BeaconSchedule:
 
     def trigger(self, now: int) -> None:
         """Bring the next beacon forward to ``now``, or as near to it as the rules above allow."""
-        ##= BP-TXP-07
         earliest = max(now, self._anchor)
         if self._sent_at is not None:
             earliest = max(earliest, self._sent_at + self._gap)
+        ##= BP-TXP-07
         self.due = min(self.due, earliest)

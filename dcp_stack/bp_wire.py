@@ -100,18 +100,6 @@ class BPWire:
         ##= BP-HDR-04
         ##= DATA-04
         header = BPHeader(self._node_id, seqno, network_id) if self._places else None
-        ##= BP-HDR-01
-        ##= BP-HDR-02
-        ##= BP-HDR-05
-        ##= BP-HDR-06
-        ##= BP-HDR-07
-        ##= BP-HDR-10
-        ##= BP-HDR-11
-        ##= BP-FMT-01
-        ##= DATA-01
-        ##= DATA-02
-        ##= DATA-03
-        ##= UWB-04
         # Everything else in a header follows from what is in the beacon; the schema of the profile has it.
         payloads = tuple(starmap(Payload, blocks))
         return self._codec.encode_envelope(Beacon(header, payloads))
@@ -122,11 +110,6 @@ class BPWire:
         The checks of the header come in the order of the text. A length that reaches beyond the frame is the last
         of them (C.6), so the header is there with the fault.
         """
-        ##= BP-RX-01
-        ##= BP-RX-02
-        ##= BP-RX-03
-        ##= BP-RX-04
-        ##= BP-RX-14
         ##= BP-RX-16
         try:
             beacon, _ = self._codec.decode_envelope(self._announcing_frame(octets) if self._frame_is_end else octets)

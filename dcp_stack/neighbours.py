@@ -1,14 +1,12 @@
-"""The neighbour table of SRP and the questions people ask it (dcp-srp.md, "The Neighbour Table").
+"""The neighbour table of SRP (dcp-srp.md, "The Neighbour Table"); times are ns.
 
-Positions are in m and velocities in m/s, along the axes that the nodes agreed on; times are ns. An entry says where its
-node was when the report was made; how long it was under way is not known without common clocks, so motions count from
-its reception, and a place is late by the delay of the bearer (see :meth:`NeighbourTable.delay`).
+What control loops ask it is in :mod:`.neighbour_queries`, the base class of the table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import msgspec
 from dcp_spec.constants import SRP_SEQNO_MODULUS
@@ -16,8 +14,8 @@ from dcp_spec.profile import Profile
 
 from dcp_codec.values import ExtendedSafetyData
 
+from .neighbour_queries import NeighbourQueries
 from .positions.fields import SafetyFields
-from .positions.geometry import Approach, Motion, Vector, closest_approach, distance, velocity_between
 from .timestamps import StampClock
 
 RESTART_GAP: Final = 1 << 16
@@ -75,24 +73,7 @@ class NeighbourTableEntry(msgspec.Struct, frozen=True, gc=False):
         return now - self.received_at
 
 
-class Near(msgspec.Struct, frozen=True, gc=False):
-    """A neighbour and its distance in m, from where it last reported to be."""
-
-    node_id: bytes
-    distance: float
-    position: Vector
-
-
-class NeighbourApproach(msgspec.Struct, frozen=True, gc=False):
-    """The closest point of approach of one neighbour (see :class:`~dcp_stack.positions.geometry.Approach`)."""
-
-    node_id: bytes
-    approach: Approach
-    velocity: Literal["reported", "estimated", "unknown"]
-    """What is known of the neighbour's velocity; ``unknown`` counts as standing."""
-
-
-class NeighbourTable:
+class NeighbourTable(NeighbourQueries):
     """The neighbours of one node, at most ``capacity`` of them; see the module docstring for units."""
 
     def __init__(
@@ -168,113 +149,6 @@ class NeighbourTable:
     def clear(self) -> None:
         """Forget everybody."""
         self._entries.clear()
-
-    # -- one entry --------------------------------------------------------------------------------------------
-
-    def position(self, entry: NeighbourTableEntry) -> Vector | None:
-        """Where the node reported to be (m); None if the profile has no position or a coordinate is not finite."""
-        return self.fields.position(entry.ext_sd.s_data)
-
-    def motion(self, entry: NeighbourTableEntry) -> Motion | None:
-        """Place and velocity of a neighbour as of the (first) reception of its report; None without a position.
-
-        The velocity is what the report says, or where the profile has no field for it, that between the last two
-        reports of different sequence numbers by the stamps of their node.
-        """
-        position = self.position(entry)
-        if position is None:
-            return None
-        if self.fields.has_velocity:
-            return Motion(position, self.fields.velocity(entry.ext_sd.s_data), entry.fresh_at)
-        return Motion(position, self._estimate(entry, position), entry.fresh_at, estimated=True)
-
-    def _estimate(self, entry: NeighbourTableEntry, position: Vector) -> Vector | None:
-        if entry.before is None or (start := self.fields.position(entry.before.s_data)) is None:
-            return None
-        # Receptions jitter by a whole beacon period, about the time between two reports; stamps do not. They only
-        # have to be by one clock, which need not be ours.
-        elapsed = self.stamps.between(entry.before.t_stamp, entry.ext_sd.t_stamp)
-        return velocity_between(start, position, elapsed if elapsed > 0 else entry.fresh_at - entry.before_at)
-
-    def delay(self, entry: NeighbourTableEntry) -> int | None:
-        """Time in ns between the stamp of a report and its reception: delay of BP and bearer if clocks agree.
-
-        None where the epoch of stamps is not comparable (simulation, boot).
-        """
-        if not self.stamps.comparable:
-            return None
-        return entry.reception_time - self.stamps.wall(entry.ext_sd.t_stamp, near=entry.reception_time)
-
-    # -- all entries ------------------------------------------------------------------------------------------
-
-    def nearest(self, point: Vector, *, limit: int | None = None) -> list[Near]:
-        """Neighbours by increasing distance from ``point`` (m), the first ``limit`` of them; no position, no place."""
-        found = [
-            Near(entry.node_id, distance(point, position), position)
-            for entry in self._entries.values()
-            if (position := self.position(entry)) is not None
-        ]
-        found.sort(key=lambda near: near.distance)
-        return found[:limit]
-
-    def within(self, point: Vector, radius: float) -> list[Near]:
-        """Neighbours at most ``radius`` m from ``point``, by increasing distance."""
-        return [near for near in self.nearest(point) if near.distance <= radius]
-
-    def older_than(self, age: int, *, now: int) -> list[NeighbourTableEntry]:
-        """Entries whose report was received more than ``age`` ns before ``now``, the oldest first."""
-        found = [entry for entry in self._entries.values() if entry.age(now) > age]
-        found.sort(key=lambda entry: entry.received_at)
-        return found
-
-    def closest_approaches(
-        self, own: Motion, *, now: int, horizon: int, limit: int | None = None
-    ) -> list[NeighbourApproach]:
-        """How close each neighbour comes to ``own`` within ``horizon`` ns from ``now``, the closest first.
-
-        Everybody is taken to go on in a straight line at the last known velocity, also since the last report.
-        Neighbours without a position are left out.
-        """
-        found = []
-        for entry in self._entries.values():
-            motion = self.motion(entry)
-            if motion is None:
-                continue
-            approach = closest_approach(own, motion, now=now, horizon=horizon)
-            known: Literal["reported", "estimated", "unknown"] = "estimated" if motion.estimated else "reported"
-            found.append(NeighbourApproach(entry.node_id, approach, "unknown" if motion.velocity is None else known))
-        found.sort(key=lambda each: (each.approach.distance, each.approach.time))
-        return found[:limit]
-
-    def snapshot(self) -> list[dict[str, Any]]:
-        """The entries as plain data, by node id: octets as hex, times in ns."""
-        return [self._plain(entry) for _, entry in sorted(self._entries.items())]
-
-    def _plain(self, entry: NeighbourTableEntry) -> dict[str, Any]:
-        motion = self.motion(entry)
-        return {
-            "node_id": entry.node_id.hex(":"),
-            "sender_id": entry.sender_id.hex(":"),
-            "safety_data": {
-                name: value.hex() if isinstance(value, bytes) else value
-                for name, value in entry.ext_sd.s_data.as_dict().items()
-            },
-            "t_stamp": entry.ext_sd.t_stamp,
-            "seqno": entry.ext_sd.seqno,
-            "reception_time": entry.reception_time,
-            "received_at": entry.received_at,
-            "first_seen": entry.first_seen,
-            "received": entry.received,
-            "repeated": entry.repeated,
-            "lost": entry.lost,
-            "restarts": entry.restarts,
-            "mean_gap": entry.mean_gap,
-            "mean_interval": entry.mean_interval,
-            "delay": self.delay(entry),
-            "position": motion.position if motion is not None else None,
-            "velocity": motion.velocity if motion is not None else None,
-            "velocity_estimated": motion is not None and motion.velocity is not None and motion.estimated,
-        }
 
 
 def seqno_modulus(profile: Profile) -> int:

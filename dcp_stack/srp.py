@@ -21,8 +21,9 @@ from dcp_codec.values import ExtendedSafetyData, SafetyData
 from .config import MS, NodeConfig, SRPConfig
 from .drops import DROPS
 from .effects import Dropped, Effect, NeighbourExpired, NeighbourSeen
+from .neighbour_queries import OwnMotion
 from .neighbours import NeighbourTable, seqno_modulus
-from .positions.geometry import Motion, velocity_between
+from .positions.geometry import Motion
 from .timestamps import StampClock
 
 TIMEOUT: Final = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
@@ -112,9 +113,7 @@ class StateReporting:
         self._registered = False
         self._initialized = False
         self._seqno = 0
-        # What was handed down last and before that, with the monotonic times.
-        self._own: tuple[SafetyData, int] | None = None
-        self._own_before: tuple[SafetyData, int] | None = None
+        self._own = OwnMotion(self._fields)
         self._traversed = now
         self._timeout_ms: float = 0
         violation = self.set_parameter(TIMEOUT, self._settings.neighbour_table_timeout_ms)
@@ -149,7 +148,7 @@ class StateReporting:
         ##= SRP-INI-05
         self._table.clear()
         self._seqno = 0
-        self._own = self._own_before = None
+        self._own.clear()
         self._registered = self._initialized = confirm.status is BPStatus.OK
         if self._registered:
             ##= SRP-INI-06
@@ -163,7 +162,7 @@ class StateReporting:
         self._bp.deregister(BP_PROTID_SRP)
         self._registered = self._initialized = False
         self._table.clear()
-        self._own = self._own_before = None
+        self._own.clear()
 
     @property
     def registered(self) -> bool:
@@ -214,7 +213,7 @@ class StateReporting:
         ##= SRP-SEQ-01
         ##= SRP-TYP-01
         self._seqno = (self._seqno + 1) % seqno_modulus(self._config.profile)
-        self._own_before, self._own = self._own, (report.s_data, now)
+        self._own.note(report.s_data, now)
         ##= SRP-SRV-03
         ##= SRP-SRV-04
         ##= SRP-RX-06
@@ -236,18 +235,7 @@ class StateReporting:
 
         Where the profile has no velocity it is that between the last two hand-downs.
         """
-        if self._own is None:
-            return None
-        data, at = self._own
-        position = self._fields.position(data)
-        if position is None:
-            return None
-        if self._fields.has_velocity:
-            return Motion(position, self._fields.velocity(data), at)
-        start = None if self._own_before is None else self._fields.position(self._own_before[0])
-        if self._own_before is None or start is None:
-            return Motion(position, None, at, estimated=True)
-        return Motion(position, velocity_between(start, position, at - self._own_before[1]), at, estimated=True)
+        return self._own.motion()
 
     def parameters(self) -> dict[str, float]:
         """The configurable parameters under the specification's names."""
@@ -328,7 +316,7 @@ class StateReporting:
 
     def snapshot(self) -> dict[str, Any]:
         """The state as plain data."""
-        own = self._own[0].as_dict() if self._own is not None else None
+        own = None if self._own.data is None else self._own.data.as_dict()
         return {
             "registered": self._registered,
             "node_id": self._node_id.hex(":"),

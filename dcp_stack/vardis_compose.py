@@ -66,17 +66,17 @@ class Composer:
         largest = room - self._sizes.ic_header
         containers: list[Container] = []
         for kind, queue in self._order:
+            ##= VD-IC-03
             if not queue:
                 continue
             chosen, used = self._fitting(kind, queue, room, largest)
             room -= used
             # Records are made before the next container is considered: what is chosen has left its queue.
             records = [self._take(kind, var_id) for var_id in chosen]
-            ##= VD-IC-01
-            ##= VD-IC-03
             ##= VD-PAY-05
             for first in range(0, len(records), IC_MAX_RECORDS):
                 group = tuple(records[first : first + IC_MAX_RECORDS])
+                ##= VD-IC-01
                 containers.append(Container(ic_type=self._numbers[kind], records=group))
         return tuple(containers)
 
@@ -86,10 +86,6 @@ class Composer:
         The queue is looked at once, from its head, until a record does not fit, so no variable comes twice into a
         payload. ``largest`` is what an empty payload could take.
         """
-        ##= VD-PAY-02
-        ##= VD-PAY-03
-        ##= VD-PAY-06
-        ##= VD-IC-05
         candidates: Iterable[int] = queue
         if kind is _SUMMARIES:
             ##= VD-CMP-01
@@ -98,6 +94,7 @@ class Composer:
         header = self._sizes.ic_header
         chosen: list[int] = []
         used = 0
+        ##= VD-PAY-06
         for var_id in candidates:
             size = self._record_size(kind, var_id)
             ##= VD-CMP-08 | exception: what no payload can hold (limits were lowered since) does not block the rest
@@ -109,8 +106,11 @@ class Composer:
                 size += header
             ##= VD-CMP-08
             ##= VD-CMP-13
+            ##= VD-IC-05
             if used + size > room:
                 break
+            ##= VD-PAY-02
+            ##= VD-PAY-03
             chosen.append(var_id)
             used += size
         return chosen, used
@@ -136,9 +136,6 @@ class Composer:
             database.req_create_q.remove(var_id)
             return VarReqCreate(var_id)
         entry = self._entry(var_id)
-        ##= VD-UPD-10
-        ##= VD-SCP-02
-        ##= VD-TYP-07
         if kind is _CREATES:
             ##= VD-CMP-06
             entry.count_create -= 1
@@ -146,11 +143,13 @@ class Composer:
             ##= VD-CMP-07
             ##= VD-TYP-06
             ##= VD-PC-10
+            ##= VD-TYP-07
             return VarCreate(entry.spec, VarUpdate(var_id, entry.seqno, entry.value))
         if kind is _UPDATES:
             ##= VD-CMP-09
             entry.count_update -= 1
             _rotate_or_leave(database.update_q, var_id, entry.count_update)
+            ##= VD-UPD-10
             return VarUpdate(var_id, entry.seqno, entry.value)
         if kind is _DELETES:
             ##= VD-CMP-10
@@ -166,12 +165,11 @@ class Composer:
         ##= VD-CMP-03
         database.summary_q.rotate(var_id)
         ##= VD-CMP-04
-        ##= VD-CMP-05
-        ##= VD-TYP-08
         return VarSumm(var_id, entry.seqno)
 
 
 def _rotate_or_leave(queue: IdQueue, var_id: int, remaining: int) -> None:
+    ##= VD-SCP-02
     if remaining:
         queue.rotate(var_id)
     else:

@@ -102,26 +102,41 @@ class Database:
     def insert(self, spec: VarSpec, value: bytes, seqno: int, *, now: int, wall: int) -> DBEntry:
         """A variable is created, or created anew: repeat its VarCreate, summarise it, and nothing else about it."""
         var_id = spec.var_id
+        ##= VD-CRE-10
+        ##= VD-PC-07
         entry = DBEntry(spec=spec, value=value, seqno=seqno, t_stamp=wall, refreshed=now)
+        ##= VD-CRE-11
+        ##= VD-CRE-11 | exception: in 1.0, too, which has no such step and goes on asking for what it now produces
+        ##= VD-PC-08
         self._remove_from_queues(var_id)
         self.entries[var_id] = entry
+        ##= VD-CRE-12
+        ##= VD-PC-09
         self.arm_create(entry)
+        ##= VD-TYP-08
         self.summary_q.append(var_id)
         return entry
 
     def store(self, entry: DBEntry, value: bytes, seqno: int, *, now: int, wall: int) -> None:
         """A newer value: repeat its VarUpdate. The specification, and the producer with it, stays."""
         ##= VD-TYP-09
+        ##= VD-UPD-08
+        ##= VD-PU-07
         entry.value = value
         entry.seqno = seqno
         ##= VD-DB-03
         entry.t_stamp = wall
+        ##= VD-SCR-06
         entry.refreshed = now
         self.arm_update(entry)
 
     def mark_deleted(self, entry: DBEntry) -> None:
         """A variable is deleted: repeat its VarDelete, and nothing else about it."""
         var_id = entry.spec.var_id
+        ##= VD-DEL-05
+        ##= VD-PD-04
+        ##= VD-SCR-04
+        ##= VD-CMP-05
         self._remove_from_queues(var_id)
         ##= VD-DB-02
         entry.is_deleted = True
@@ -151,6 +166,7 @@ class Database:
         """Have the VarUpdate sent in as many payloads as the variable asks for, counted from now."""
         entry.count_update = entry.spec.rep_cnt
         if entry.count_update:
+            ##= VD-UPD-09
             self.update_q.append(entry.spec.var_id)
 
     def drop_pending(self) -> None:

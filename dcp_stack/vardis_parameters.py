@@ -48,6 +48,7 @@ class VardisParameters:
 
     def as_dict(self) -> dict[str, int]:
         """All parameters that the version has, in the order of the specification."""
+        ##= VD-PAR-09
         return {name: self._values[name] for name in parameters() if name in self._values}
 
     def set(self, name: str, value: object) -> Violation | None:
@@ -55,14 +56,6 @@ class VardisParameters:
 
         Raises ``UnknownParameterError`` for a name that is no parameter of VarDis.
         """
-        ##= VD-PAR-02
-        ##= VD-PAR-03
-        ##= VD-PAR-04
-        ##= VD-PAR-05
-        ##= VD-PAR-06
-        ##= VD-PAR-07
-        ##= VD-PAR-08
-        ##= VD-PAR-09
         if name not in _ORDER:
             raise UnknownParameterError(f"VarDis has no parameter {name!r}")
         changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)
@@ -72,8 +65,8 @@ class VardisParameters:
         if isinstance(changed, Violation):
             return changed
         assert isinstance(value, int)
-        ##= VD-PAR-01
         self._sizes = changed
+        ##= VD-PAR-01
         self._values[name] = value
         return None
 

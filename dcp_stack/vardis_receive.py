@@ -71,8 +71,6 @@ class Receiver:
             self._dropped("database-full", offset, var_id)
             return
         ##= VD-PC-07
-        ##= VD-PC-08
-        ##= VD-PC-09
         stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
         self._core.changed("created", stored)
 
@@ -128,7 +126,6 @@ class Receiver:
         cell = self._core.cell(self._update_event(record, entry), entry)
         if cell.action is Action.STORE and entry is not None:
             ##= VD-PU-07
-            ##= VD-SCR-06
             self._database.store(entry, record.value, record.seqno, now=now, wall=wall)
             ##= VD-PU-08
             self._database.req_upd_q.remove(var_id)

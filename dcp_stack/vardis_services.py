@@ -38,12 +38,8 @@ class VariableServices:
         """Whether ages and creation times do not follow a system time that is set."""
         self._refuses_empty_description = core.config.reading("X21") == "refuse-locally"
 
-    ##= VD-SRV-01
-    ##= VD-SRV-02
-    ##= VD-SRV-03
-    ##= DATA-10
-    # A confirm is what the call returns, so it gets to the application that asked, whoever else does.
-
+    ##= VD-CRE-13
+    ##= DATA-11
     def create(
         self,
         var_id: int,
@@ -64,9 +60,6 @@ class VariableServices:
         """
         self._check_expressible(var_id, prod_id, descr, timeout_ms)
         ##= VD-CRE-01
-        ##= VD-CRE-13
-        ##= VD-MGT-04
-        ##= DATA-11
         if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
@@ -86,7 +79,6 @@ class VariableServices:
         if not 1 <= rep_cnt <= min(self._core.parameters.max_repetitions, self._core.sizes.highest_rep_cnt):
             return self._confirm(VardisStatus.ILLEGAL_REPCOUNT)
         creation_time = self._creation_time(entry, wall)
-        ##= VD-TYP-04
         ##= VD-TYP-05
         spec = VarSpec(
             var_id=var_id,
@@ -95,6 +87,7 @@ class VariableServices:
             rep_cnt=rep_cnt,
             descr=descr,
             creation_time=creation_time,
+            ##= VD-TYP-04
             timeout=timeout_ms if self._core.features.creation_time else None,
         )
         ##= VD-CRE-04 | exception: a description is too long as well if the VarCreate fits into no payload (X42)
@@ -107,18 +100,14 @@ class VariableServices:
         if creation_time is not None and creation_time > self._core.sizes.highest_stamp:
             # The variable was created at the end of time; there is nothing later.
             return self._confirm(VardisStatus.VARIABLE_EXISTS)
-        ##= VD-CRE-10
-        ##= VD-CRE-11
-        ##= VD-CRE-11 | exception: in 1.0, too, which has no such step and goes on asking for what it now produces
-        ##= VD-CRE-12
         self._core.changed("created", self._core.database.insert(spec, value, 0, now=now, wall=wall))
         ##= VD-CRE-14
         return self._confirm(VardisStatus.OK)
 
+    ##= VD-UPD-11
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         """``RTDB-Update``."""
         ##= VD-UPD-01
-        ##= VD-UPD-11
         if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
@@ -132,16 +121,14 @@ class VariableServices:
         if status is not None:
             return self._confirm(status)
         ##= VD-UPD-07
-        ##= VD-UPD-08
-        ##= VD-UPD-09
         self._core.database.store(entry, value, self._core.sequence.after(entry.seqno), now=now, wall=wall)
         self._core.changed("updated", entry)
         return self._confirm(VardisStatus.OK)
 
+    ##= VD-DEL-07
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:  # noqa: ARG002 - every service takes the time
         """``RTDB-Delete``."""
         ##= VD-DEL-01
-        ##= VD-DEL-07
         if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
@@ -153,10 +140,10 @@ class VariableServices:
         self._core.changed("deleted", entry)
         return self._confirm(VardisStatus.OK)
 
+    ##= VD-REA-05
     def read(self, var_id: int) -> ReadConfirm:
         """``RTDB-Read``."""
         ##= VD-REA-01
-        ##= VD-REA-05
         if not self._serving():
             return ReadConfirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
@@ -171,9 +158,9 @@ class VariableServices:
         ##= VD-DDB-01
         if not self._serving():
             return DescribeDatabaseConfirm(VardisStatus.INACTIVE)
+        entries = self._core.database.entries.values()
         ##= VD-DDB-02
         ##= VD-DDB-03
-        entries = self._core.database.entries.values()
         listed = tuple(DescribedVariable(entry.spec, entry.is_deleted, entry.t_stamp) for entry in entries)
         return DescribeDatabaseConfirm(VardisStatus.OK, listed)
 
@@ -204,6 +191,8 @@ class VariableServices:
 
         Raises NoResponseError while VarDis is not registered, under reading X30 ``no-response``.
         """
+        ##= VD-SRV-01
+        ##= VD-MGT-04
         # BP is asked: somebody else may have deregistered VarDis.
         if self.registered and self._bp.query_number_buffered(BP_PROTID_VARDIS).status.is_ok:
             return self._core.active
@@ -216,6 +205,10 @@ class VariableServices:
         ##= VD-DEL-09
         ##= VD-UPD-12
         ##= VD-REA-06
+        ##= VD-SRV-02
+        ##= VD-SRV-03
+        ##= DATA-10
+        # A confirm is what the call returns, so it gets to the application that asked, whoever else does.
         return Confirm(status.in_version(self._core.config.profile.spec_version))
 
     def _check_expressible(self, var_id: int, prod_id: bytes | None, descr: bytes, timeout_ms: int) -> None:
@@ -265,7 +258,8 @@ class VariableServices:
         """
         if not self._core.features.creation_time:
             return None
-        ##= VD-CRE-09 | exception: later than the creation that is known, if the system time is not (X38)
+        ##= VD-CRE-09
         stamp = self._core.clock.stamp(wall)
         known = entry.spec.creation_time if entry is not None else None
+        ##= VD-CRE-09 | exception: later than the creation that is known, if the system time is not (X38)
         return max(stamp, known + 1) if known is not None and self._steady else stamp

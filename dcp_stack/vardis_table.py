@@ -123,6 +123,11 @@ def _everywhere(cell: Cell) -> Row:
 
 def _known(unknown: Cell, own: str, alive: Cell, deleted: str) -> Row:
     """A row about values: what is deleted or produced here is nobody else's business, in this order."""
+    ##= VD-PD-02
+    ##= VD-PD-03
+    ##= VD-PU-02
+    ##= VD-PU-03
+    ##= VD-PS-02
     return (unknown, _ignore(own), alive, _ignore(deleted), _ignore(deleted))
 
 
@@ -156,12 +161,7 @@ _TABLE: Final[Table] = {
     ##= VD-PC-02
     Event.RX_CREATE_LATER: _everywhere(_ADOPT),
     ##= VD-PD-01
-    ##= VD-PD-02
-    ##= VD-PD-03
     Event.RX_DELETE: _known(_ignore("delete-unknown"), "delete-own", _DELETE, "delete-deleted"),
-    ##= VD-PU-01
-    ##= VD-PU-02
-    ##= VD-PU-03
     ##= VD-PU-04
     Event.RX_UPDATE_BAD_VALUE: _known(_UPDATE_UNKNOWN, "update-own", _ignore("update-bad-value"), "update-deleted"),
     ##= VD-PU-05
@@ -170,13 +170,14 @@ _TABLE: Final[Table] = {
     ##= VD-PU-06
     Event.RX_UPDATE_OLDER: _known(_UPDATE_UNKNOWN, "update-own", _UPDATE_OLDER, "update-deleted"),
     ##= VD-PU-07
+    ##= VD-PU-01
     Event.RX_UPDATE_NEWER: _known(_UPDATE_UNKNOWN, "update-own", _STORE, "update-deleted"),
-    ##= VD-PS-01
     ##= VD-PS-02
     Event.RX_SUMMARY_EQUAL: _known(_ASK_CREATE, "summary-own", _ignore("summary-equal"), "summary-deleted"),
     ##= VD-PS-03
     Event.RX_SUMMARY_OLDER: _known(_ASK_CREATE, "summary-own", _TEACH, "summary-deleted"),
     ##= VD-PS-04
+    ##= VD-PS-01
     Event.RX_SUMMARY_NEWER: _known(_ASK_CREATE, "summary-own", _ASK_UPDATE, "summary-deleted"),
     ##= VD-RU-01
     ##= VD-RU-02

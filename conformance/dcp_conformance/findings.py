@@ -26,7 +26,12 @@ from dcp_codec.fields import Field
 from .applicability import in_force
 from .case import Case
 from .errors import StopCase
+from .extraction import OWNERS as EXTRACTION
+from .extraction import sent_several
 from .heard import Heard, Instruction
+from .misreading import CREATION_OWNERS, backwards, disordered, sent_creation, sent_report
+from .misreading import OWNERS as LAYOUTS
+from .misreading import Field as Misread
 from .results import Check, Mark, Table
 from .session import Session
 from .traffic import Traffic
@@ -59,6 +64,8 @@ class Findings:
         self.dropped = 0
         self.late_ns = 0
         """The longest that the tester itself was idle in this case when it had to act; see :meth:`acts`."""
+        self._relied: set[Misread] = set()
+        """The fields on whose values this case hangs, see :meth:`relies_on`."""
         self._excused = False
         """Whether a failure of this case had an excuse."""
         self._acted: int | None = None
@@ -99,6 +106,7 @@ class Findings:
         frames: Iterable[Heard | Instruction | Mark] = (),
         shown: object = False,
         numbers: bool = False,
+        field: Misread | None = None,
     ) -> bool:
         """Record whether something is as it must be. Does not stop the case; returns whether it holds.
 
@@ -111,11 +119,17 @@ class Findings:
         ``numbers``: the check is about sequence numbers of beacons: a gap between them is the finding and no excuse;
         only frames that the kernel dropped are one.
 
+        ``field``: the check compares this field, see :meth:`relies_on`.
+
         A failure that :meth:`excuse` explains is recorded as inconclusive. From then on failures of both kinds are, in
         this case: they may follow from the same loss.
         """
         verdict = Verdict.PASS if holds else Verdict.FAIL
-        if not holds and not shown and not numbers and (why := self.unreadable(requirements or self.case.requirements)):
+        if not holds and (why := self.misread(*requirements, shown=bool(shown), field=field)):
+            verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but this follows from another fault: {why}"
+        elif (
+            not holds and not shown and not numbers and (why := self.unreadable(requirements or self.case.requirements))
+        ):
             # Nothing of the tester's is lost: what was received and is wrong stays a failure, in this case too.
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {why}"
         elif not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
@@ -257,16 +271,51 @@ class Findings:
         ]
         return f"{len(bad)} of its {len(self.heard)} beacons cannot be read: {bad[0].problem}" if bad else ""
 
+    def relies_on(self, field: Misread) -> None:
+        """Say that the expectations of this case, from here on, hang on the value that the implementation sends or
+        tells of a field: if it misreads that field, their failures are consequences.
+        """
+        self._relied.add(field)
+
+    def misread(self, *requirements: str, shown: bool = False, field: Misread | None = None) -> str:
+        """Which misread field a failed check follows from, in words; empty if from none.
+
+        ``requirements``: those of the check, by default all of the case. ``shown`` and ``field``: as for :meth:`check`.
+        """
+        if LAYOUTS & set(requirements or self.case.requirements):
+            return ""
+        found, events = self.session.misread, self.traffic.events
+        relied = self._relied if field is None else {*self._relied, field}
+        for each in relied:
+            if each in found:
+                return found[each]
+        if "creationTime" in relied and backwards(self.codec, self.heard, self.session.sut_id, self.lower.wall()):
+            return "its own creationTimes are times of today only with their octets swapped (DATA-01)"
+        if "creationTime" in found and disordered(self.codec, events):
+            return found["creationTime"]
+        if shown:
+            return ""
+        decided = set(requirements or self.case.requirements)
+        if "VarCreate" in found and not CREATION_OWNERS & decided and sent_creation(self.codec, events):
+            return found["VarCreate"]
+        return found["report"] if "report" in found and sent_report(self.codec, events) else ""
+
     def out_of_reach(self, *requirements: str) -> str:
         """Why something missing is no news, in words; empty if it counts.
 
-        The basic interconnection test has shown that the implementation does not answer what this case has sent, and
-        blamed it for that. ``requirements``: those of the failed check, by default all of the case.
+        The start of the run has shown that the implementation does not answer what this case has sent, or that it
+        loses a container of the payloads that this case has sent, and other cases fail it for that. ``requirements``:
+        those of the failed check, by default all of the case.
         """
+        decided = requirements or self.case.requirements
+        lost = self.session.lost_container
+        if lost and not EXTRACTION & set(decided) and sent_several(self.codec, self.traffic.events):
+            return (
+                f"it loses the {lost} of two containers in a payload (VD-RX-04), and this case has sent such payloads"
+            )
         contact = self.session.contact
         if contact is None or contact.good:
             return ""
-        decided = requirements or self.case.requirements
         return contact.excuse(self.codec, self.traffic.events, self.heard, self.made, decided)
 
     @property

@@ -8,9 +8,9 @@ profile, network identifier, EtherType or node identifier.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Final
+from typing import Final, Literal
 
-from dcp_spec.constants import BP_PROTID_VARDIS, ICType, QueueingMode
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, QueueingMode
 
 from dcp_codec.errors import DecodeError
 
@@ -22,6 +22,7 @@ from .forge import Block
 from .header_rules import Violation, judge
 from .heard import Heard, var_id_of
 from .misconfiguration import PERIODS, look_elsewhere, misnamed, suspect
+from .misreading import stores_reports
 from .results import Mark
 
 #: Attempts with the first question, and with each further kind of stimulus: frames get lost.
@@ -119,7 +120,7 @@ class _Test:
             return
         if "SRP-NeighbourTable" in methods:
             self._tried.add("report")
-            if self._report():
+            if stores_reports(self._bench):
                 self._answered.add("report")
         if "SRP-UpdateSafetyData" in methods:
             self._update_state()
@@ -177,17 +178,6 @@ class _Test:
             return False
         return bool(bench.beacons(1, PERIODS)) if bench.pics.vardis is False else bench.ask("summary", PERIODS)
 
-    def _report(self) -> bool:
-        bench = self._bench
-        peer = bench.peer()
-        peer.send(bench.report(peer.node_id, 1))
-        bench.wait(2)
-        told = bench.call("SRP-NeighbourTable").result.get("neighbours")
-        listed = (
-            [str(each.get("nodeId", "")) for each in told if isinstance(each, dict)] if isinstance(told, list) else []
-        )
-        return peer.node_id.hex() in [each.replace(":", "").lower() for each in listed]
-
     # -- in words ------------------------------------------------------------------------------------------------------
 
     def _silence(self) -> str:
@@ -238,6 +228,10 @@ def _violations(bench: Bench) -> Iterator[tuple[Heard, Violation]]:
         yield heard, _at(bench, heard, f"payloads[{block}].protocolId", "BP-HDR-11", right)
         # What stands in blocks with the wrong number breaks the rules of another protocol.
         return
+    if (turned := _swapped_number(bench)) is not None:
+        heard, block, number = turned
+        yield heard, _at(bench, heard, f"payloads[{block}].protocolId", "DATA-01", f"{number:#06x}, not swapped")
+        return
     network_id = bench.parameter("BPPAR_NETWORK_ID")
     for heard in _sampled(bench.heard):
         source = heard.source if bench.profile.link.transport == "ethernet" else None
@@ -281,6 +275,21 @@ def _renumbered(bench: Bench) -> tuple[Heard, int] | None:
             if any(var_id_of(record) in asked for container in containers for record in container.records):
                 return heard, number
     return None
+
+
+def _swapped_number(bench: Bench) -> tuple[Heard, int, int] | None:
+    """A beacon with a block for SRP or VarDis whose number has swapped octets, the number of the block, and the right
+    protocolId; None if there is none, or if any block has the right number.
+    """
+    width = bench.profile.types.protocol_id.width
+    order: Literal["big", "little"] = "little" if bench.profile.types.protocol_id.byte_order == "little" else "big"
+    turned = {
+        int.from_bytes(each.to_bytes(width, order)[::-1], order): each for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)
+    }
+    blocks = [(heard, place, number) for heard in bench.heard for place, (number, _) in enumerate(heard.blocks)]
+    if any(number in (BP_PROTID_SRP, BP_PROTID_VARDIS) for _, _, number in blocks):
+        return None
+    return next(((heard, place, turned[number]) for heard, place, number in blocks if number in turned), None)
 
 
 def _odd_answer(bench: Bench) -> str:

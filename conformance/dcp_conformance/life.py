@@ -111,8 +111,9 @@ class Life:
     def answers(self, bench: Bench) -> bool:
         """Whether the implementation takes part as it did before.
 
-        If it ever answered a summary of an unknown variable, it must answer one of several now. Otherwise, or where
-        no variable is left to ask about, a beacon or an answer of the upper tester is enough.
+        If it ever answered a summary of an unknown variable, it must answer one of several now, or send a VarDis
+        payload that cannot be read. Otherwise, or where no variable is left to ask about, a beacon or an answer of the
+        upper tester is enough.
         """
         strict = "answer" in self._shown and self._can_ask(bench)
         for _ in range(QUESTIONS):
@@ -125,7 +126,9 @@ class Life:
                 # The connection of notifications has ended; the implementation may live all the same.
                 self.hung_up = str(error)
                 continue
-            if answered or (not strict and len(bench.heard) > before):
+            # Whether a VarDis payload that cannot be read holds the answer, nobody knows: whoever sends it lives.
+            spoken = any(each.vardis_problems for each in bench.heard[before:])
+            if answered or spoken or (not strict and len(bench.heard) > before):
                 self.learn(bench, answered=answered and self._can_ask(bench))
                 return True
         return not strict and self.serves()

@@ -14,7 +14,9 @@ from dcp_spec.constants import ICType
 
 from .bench import Bench
 from .case import Case, Kind
+from .extraction import lost_container
 from .heard import Heard
+from .misreading import misread_fields
 from .session import FLOOR, Reaction, Session
 
 #: Questions that are asked one by one, and at once.
@@ -44,6 +46,9 @@ _CASE: Final = Case(
 def prepare(session: Session) -> Reaction | None:
     """Measure once in a session; what was measured now. The ``reaction_periods`` of the PIXIT override its periods.
 
+    If it answers, also find out whether it loses containers or misreads fields (``Session.lost_container``,
+    ``Session.misread``).
+
     Does nothing (None) if it is known already, or if there is no VarDis to ask. Raises ``LowerTesterError``.
     """
     if session.reaction is not None or session.pics.pics.vardis is False:
@@ -51,6 +56,8 @@ def prepare(session: Session) -> Reaction | None:
     found = measure(Bench(session, _CASE))
     if found.samples:
         session.reaction = found
+        session.lost_container = lost_container(Bench(session, _CASE))
+        session.misread = misread_fields(Bench(session, _CASE))
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import traceback
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -276,6 +276,17 @@ class Runner:
             told = self.session.pics.pixit.reaction_periods is not None
             if found is not None and not told and (found.periods > FLOOR or found.per_payload):
                 self.remarks.append(f"reactions are waited for {found}; pixit.reaction_periods overrides this")
+            self.remarks.extend(each for each in self._deviations() if each not in self.remarks)
+
+    def _deviations(self) -> Iterator[str]:
+        """What was found at the start and has consequences in many cases."""
+        if lost := self.session.lost_container:
+            yield (
+                f"it loses the {lost} of two containers in a payload (VD-RX-04): what is missing in cases about other "
+                "requirements that send such payloads is inconclusive"
+            )
+        for text in self.session.misread.values():
+            yield f"{text}: what follows from that in other cases is inconclusive"
 
     def _refuse(self, case: Case, trial: Trial) -> None:
         """End the run if the sanity case has found that there is nothing to test."""

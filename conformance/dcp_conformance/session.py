@@ -14,6 +14,7 @@ from dcp_codec.codec import Codec
 from .contact import Contact
 from .identifiers import Identifiers
 from .lower import LowerTester
+from .misreading import Field
 from .passive import PassiveTester
 from .pics import REACTION_FLOOR, Pics
 from .upper import UpperTester
@@ -102,6 +103,11 @@ class Session:
         """Time (ns) until which it is busy with what it was sent, if it takes one received payload at a time."""
         self.call_times: deque[int] = deque(maxlen=_CALLS)
         """ns that the last calls of the upper tester took which the implementation carried out."""
+        self.lost_container = ""
+        """Which of the two containers of a payload the implementation was found to lose, "first" or "second"; empty if
+        none (see :mod:`dcp_conformance.extraction`)."""
+        self.misread: dict[Field, str] = {}
+        """The fields that the implementation was found to misread (see :mod:`dcp_conformance.misreading`)."""
         self.pausing_fails = False
         """Whether deactivating BP, as a means to an end, was found to kill the implementation or to fail."""
         self.passive = PassiveTester(codec, pics, self.parameters)

@@ -245,6 +245,9 @@ class ControlServer:
         if call.method == "UT-Status":
             return self._status(times)
         result = perform(self.node, call.method, params, times)
+        if getattr(result, "status", None) is None:
+            # A client would take it for a mistake of the connection, not of the node.
+            raise TypeError(f"{call.method} was confirmed without a status")
         if isinstance(params, m.RegisterProtocol) and result.status.is_ok:  # type: ignore[attr-defined]
             self._owners[params.prot_id] = session
         elif call.method == "BP-DeregisterProtocol" and isinstance(params, m.ForProtocol):

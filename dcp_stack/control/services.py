@@ -43,8 +43,9 @@ def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
         raise RpcError(METHOD_NOT_FOUND, str(error)) from None
     except UnknownParameterError as error:
         raise RpcError(INVALID_PARAMS, str(error)) from None
-    except (ValueError, TypeError) as error:
-        # What the fields of a message cannot express: the cores raise before they change anything.
+    except ValueError as error:
+        # What the fields of a message cannot express: the cores raise before they change anything. A TypeError is a
+        # mistake of ours: the types of parameters were checked with the message.
         raise RpcError(INVALID_PARAMS, str(error)) from None
 
 

@@ -47,6 +47,7 @@ def header(profile: Profile, payloads: Any) -> Record:
         ),
         "networkId": Field(
             "networkId",
+            ##= BP-HDR-05
             integer(types.network_id),
             requirement="BP-HDR-04",
             role="network-id",
@@ -131,9 +132,11 @@ def beacon(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> Record:
         return Record("Beacon", Field("payloads", UntilEnd(block, nonempty=True), doc="payload blocks"))
     if "length" in profile.bp.header and profile.bp.length_means == "blocks":
         payloads: Any = UntilEnd(block, count="bp.numPayloads", requirement="BP-HDR-07")
+        ##= BP-RX-14
         region: Any = Sized("bp.length", payloads, reason="beacon-overrun", requirement="BP-RX-15")
     else:
         payloads = region = Counted("bp.numPayloads", block)
+    ##= UWB-04
     return Record(
         "Beacon",
         Field("bp", header(profile, payloads), doc="beacon header"),

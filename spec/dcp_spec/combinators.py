@@ -74,6 +74,7 @@ class Field(cs.Renamed):
         self.unit = unit
 
 
+##= DATA-02
 class Record(cs.Struct):
     """A packed record type of the specification; ``type_name`` is the name of its value class."""
 

@@ -16,9 +16,11 @@ _ORDER = {"big": ">", "little": "<"}
 
 def integer(of: IntType) -> Any:
     """The construct field for an integer of ``of.width`` octets."""
+    ##= DATA-03
     code = _CODES.get(of.width)
     if code is None:
         return cs.BytesInteger(of.width, signed=of.signed, swapped=of.byte_order == "little")
+    ##= DATA-01
     return cs.FormatField(_ORDER[of.byte_order], code if of.signed else code.upper())
 
 

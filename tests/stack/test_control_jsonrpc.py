@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dcp_stack.bp_services import StatusConfirm
 from dcp_stack.control import METHODS
 from dcp_stack.control import server as server_module
 from dcp_stack.control.jsonrpc import MAX_LINE, LineBuffer, RpcError
@@ -116,6 +117,20 @@ def test_wrong_methods_and_parameters(rig, method, params, code, text):
     assert text in message
     assert len(message) < 500
     assert rig.node.snapshot() == before
+
+
+@pytest.mark.parametrize("method", ["BP-ListRegisteredProtocols", "BP-GetParameters"])
+def test_a_type_error_in_a_core_is_not_blamed_on_the_parameters(rig, method):
+    """The types of parameters are checked with the message, so that a later TypeError is a mistake of the node."""
+    name = "list_registered" if method == "BP-ListRegisteredProtocols" else "parameters"
+    with patch.object(type(rig.node.bp), name, side_effect=TypeError("not iterable")):
+        assert rig.client().error(method)["code"] == -32603
+
+
+def test_a_confirm_without_a_status_is_a_mistake_of_the_node(rig):
+    with patch.object(type(rig.node.bp), "deregister", return_value=StatusConfirm(None)):
+        error = rig.client().error("BP-DeregisterProtocol", protId=9)
+    assert error == {"code": -32603, "message": "TypeError: BP-DeregisterProtocol was confirmed without a status"}
 
 
 def test_a_mistake_of_ours_is_an_internal_error_and_no_end(rig, caplog):

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dcp_spec.constants import QueueingMode, SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode, SpecVersion
 
 from dcp_conformance.bench import Bench
-from dcp_conformance.case import Needs, case
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.cases.srp_init import bring_back, no_way_back
 from dcp_conformance.clients import (
     CLIENT,
     DEREGISTER,
@@ -224,6 +225,31 @@ def larger_than_own(bench: Bench) -> None:
         )
         said = "indicated" if large in received else "not indicated"
         bench.info("Is a payload indicated that is larger than the receiver's own maxPayloadSize?", said)
+
+
+@case(
+    "TC_BP_RXP_BV_05",
+    "The identifier of {variant} belongs to the client that registers it after {variant} was deregistered",
+    requirements="BP-RXP-03 BP-DRG-05",
+    stimulus="BP-DeregisterProtocol of that identifier; the tester registers it; a beacon with a block of it",
+    expect="the tester's client is told of the payload",
+    window=6,
+    destructive=True,
+    variants={
+        "SRP": Variant(int(BP_PROTID_SRP), needs=Needs(entities=("srp",), ut=(REGISTER, DEREGISTER), when=no_way_back)),
+        "VarDis": Variant(int(BP_PROTID_VARDIS), needs=Needs(ut=(REGISTER, DEREGISTER), when=no_way_back)),
+    },
+)
+def taken_over(bench: Bench, prot_id: int) -> None:
+    bench.must(DEREGISTER, protId=prot_id)
+    try:
+        with BPClient(bench, ONCE, prot_id=prot_id) as client:
+            octets = pattern(9)
+            bench.peer().send(Block(prot_id, octets))
+            received = client.until_received()
+            bench.check(octets in received, "an indication of the payload", "there is none in time")
+    finally:
+        bring_back(bench)
 
 
 # -- BP-PayloadTransmitted.indication ----------------------------------------------------------------------------------

@@ -152,6 +152,52 @@ def switched_twice(bench: Bench) -> None:
         bench.check(client.until_sent(), "BP is active", "a payload is not sent", "BP-MGT-05")
 
 
+@case(
+    "TC_BP_MGT_BO_04",
+    "Activating an active BP again and again does not hold its beacons back",
+    requirements="BP-MGT-05 BP-TX-01",
+    stimulus="a client repeats a payload; BP-MGMT-Activate five times in each of eight periods",
+    expect="beacons with the payload as ever",
+    needs=_SWITCHES,
+    window=12,
+)
+def activated_again_and_again(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        payload = client.payload()
+        client.transmit(payload)
+        needed(bench, client.until_sent(), "beacons before")
+        since = bench.now()
+        # A slow upper tester asks less often, which leaves the beacons more time.
+        while bench.now() < since + 8 * bench.period:
+            bench.must(ACTIVATE)
+            bench.wait(0.2)
+        count = len(client.frames(after=since))
+        bench.check(count >= 4, "at least 4 beacons in 8 periods", f"{count}")
+
+
+@case(
+    "TC_BP_MGT_BV_04",
+    "BP serves its other clients while VarDis is inactive",
+    requirements="BP-TX-01 BP-RX-08",
+    stimulus="a client repeats a payload; VD-MGMT-Deactivate; five periods later a beacon with a block for the client",
+    expect="beacons with the payload all the time, and an indication of the block",
+    needs=Needs(since=V1_2, ut=(*CLIENT, "VD-MGMT-Activate", "VD-MGMT-Deactivate")),
+    window=12,
+)
+def without_vardis(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        needed(bench, client.until_sent(), "beacons before")
+        with bench.deactivated("VD"):
+            since = bench.now()
+            bench.wait(6)
+            count = len(client.frames(after=since))
+            bench.check(count >= 3, "at least 3 beacons in 6 periods", f"{count}", "BP-TX-01")
+            octets = bytes(range(9))
+            bench.peer().send(Block(client.prot_id, octets))
+            bench.check(octets in client.until_received(), "an indication", "there is none in time", "BP-RX-08")
+
+
 # -- initialization ----------------------------------------------------------------------------------------------------
 
 

@@ -38,7 +38,10 @@ _PARAMETERS = Needs(since=V1_1, entities=(), ut=(GET, SET))
 
 def values(bench: Bench) -> dict[str, Any]:
     """BP-GetParameters."""
-    found = bench.must(GET).result.get("parameters")
+    answer = bench.call(GET)
+    bench.require_asked(answer, f"{GET} is answered")
+    bench.require(answer.ok, f"{GET} is answered", str(answer), "BP-PAR-01")
+    found = answer.result.get("parameters")
     if not isinstance(found, dict):
         bench.fail(f"{GET} returns parameters", f"parameters: {found!r}", "BP-PAR-01", shown=True)
     return found

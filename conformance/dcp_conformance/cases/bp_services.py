@@ -156,6 +156,28 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
 
 
 @case(
+    "TC_BP_TXP_BI_04",
+    "In 1.0 an empty payload for a queue is refused and does not empty the queue",
+    requirements="BP-QM-03",
+    stimulus="a client with mode QUEUE and a payload that waits submits one of no octets",
+    expect="BP-STATUS-EMPTY-PAYLOAD, and the number of buffered payloads is as before",
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY), when=no_confirm),
+)
+def empty_payload_for_queue(bench: Bench) -> None:
+    with BPClient(bench, QueueingMode.QUEUE) as client:
+
+        def act() -> tuple[int | None, Answer, int | None]:
+            client.transmit(client.payload())
+            before = client.number()
+            answer = bench.call(TRANSMIT, protId=client.prot_id, payload="")
+            return before, answer, client.number()
+
+        before, answer, after = between_beacons(bench, "an empty payload is submitted", act, client.in_frame)
+        bench.check_status(answer, (EMPTY,), TRANSMIT)
+        bench.check(after == before, f"{before} payloads wait, as before", f"{after} do", shown=True)
+
+
+@case(
     "TC_BP_TXP_BI_03",
     "The first failing check of a submission decides: {variant}",
     requirements="BP-TXP-10 DATA-11",

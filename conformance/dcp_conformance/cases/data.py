@@ -113,7 +113,8 @@ def long_block(bench: Bench) -> None:
     "TC_DCP_DATA_BV_03",
     "Received creationTimes are compared as numbers, not octet by octet from the wrong end",
     requirements="DATA-01",
-    stimulus="a VarCreate, and another one whose creationTime is larger by one, but smaller with swapped octets",
+    stimulus="a VarCreate, and another one whose creationTime is larger, but smaller with swapped octets, signed "
+    "or not",
     expect="the second one replaces the first, and is passed on",
     window=10,
     needs=Needs(
@@ -121,15 +122,16 @@ def long_block(bench: Bench) -> None:
     ),
 )
 def order_of_creation_times(bench: Bench) -> None:
-    first = (bench.creation_time() >> 16 << 16) + 0x1FF
-    bench.session.creation_time = first + 1
+    first = (bench.creation_time() >> 16 << 16) + 0x17F
+    second = first + 0x82
+    bench.session.creation_time = second
     peer, var_id = bench.peer(), bench.var_id()
     bench.learn(peer, peer.create(var_id, creation_time=first, value=b"first"))
     start = bench.mark()
-    peer.send(peer.create(var_id, creation_time=first + 1, value=b"second"))
+    peer.send(peer.create(var_id, creation_time=second, value=b"second"))
     passed = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
-    expected = f"the variable created at {first + 1:#x} replaces that of {first:#x}"
+    expected = f"the variable created at {second:#x} replaces that of {first:#x}"
     bench.check(
         passed is not None and passed.upd.value == bench.value(b"second"),
         expected,

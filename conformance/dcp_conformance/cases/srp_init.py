@@ -154,6 +154,14 @@ def no_way_back(bench: Bench) -> str | None:
     return "there is neither UT-Reset nor a command to restart the implementation (--restart)"
 
 
+def bring_back(bench: Bench) -> None:
+    """Have a protocol registered again that the case has deregistered."""
+    if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
+        bench.call("UT-Reset")
+    else:
+        bench.restart()
+
+
 @case(
     "TC_SRP_SRV_BO_01",
     "SRP does not serve while it is not registered with BP",
@@ -188,7 +196,4 @@ def not_registered(bench: Bench) -> None:
         frames = [heard for heard in bench.heard[mark:] if srp_blocks(heard)]
         bench.check(not frames, "no state report is sent", f"{len(frames)} are", frames=frames, shown=True)
     finally:
-        if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
-            bench.call("UT-Reset")
-        else:
-            bench.restart()
+        bring_back(bench)

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from dcp_spec.constants import SpecVersion
+
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.peers import Peer
@@ -11,13 +17,19 @@ _TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
 
-def _lifetime(bench: Bench, peers: list[Peer], begun: int, timeout: int) -> None:
-    """Watch the entries that were made at ``begun`` until they are gone; all times in ns."""
+def _lifetime(
+    bench: Bench, peers: list[Peer], begun: int, timeout: int, meanwhile: Callable[[], None] = lambda: None
+) -> None:
+    """Watch the entries that were made at ``begun`` until they are gone; all times in ns.
+
+    ``meanwhile`` is called twenty times in each timeout.
+    """
     latest = timeout + timeout // 5 + round(bench.pixit.timer_tolerance_ms * MS)
     step, there = max(timeout // 20, 10 * MS), {peer.node_id for peer in peers}
     if missing := there - set(neighbours(bench)):
         bench.inconclusive("the neighbours are in the table", f"{len(missing)} are not")
     while there:
+        meanwhile()
         before = bench.now() - begun
         table = set(neighbours(bench))
         after = bench.now() - begun
@@ -33,6 +45,15 @@ def _lifetime(bench: Bench, peers: list[Peer], begun: int, timeout: int) -> None
             bench.fail(f"an entry is gone {latest / 1e6:.0f} ms after the reception of its record", observed)
         if there:
             bench.wait_ns(step)
+
+
+@contextmanager
+def _brief_timeout(bench: Bench) -> Iterator[int]:
+    """Half a second as the timeout if it can be set, else the timeout as it is; ms."""
+    settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
+    length = round(500 * bench.session.timing_scale) if settable else bench.bound(_TIMEOUT)
+    with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
+        yield length
 
 
 def _offsets(bench: Bench) -> dict[str, int]:
@@ -90,9 +111,7 @@ def short_timeout(bench: Bench) -> None:
     needs=_TABLE,
 )
 def refreshed(bench: Bench) -> None:
-    settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
-    length = round(500 * bench.session.timing_scale) if settable else bench.bound(_TIMEOUT)
-    with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
+    with _brief_timeout(bench) as length:
         peer = bench.peer()
         begun = bench.now()
         for number in range(5):
@@ -108,6 +127,75 @@ def refreshed(bench: Bench) -> None:
 
 
 @case(
+    "TC_SRP_NT_TI_04",
+    "An entry is dropped although another neighbour goes on reporting",
+    requirements="SRP-RUN-01 SRP-RUN-02",
+    stimulus="one record of a neighbour; many of another one, twenty in each timeout",
+    expect="the entry of the silent neighbour is dropped in time",
+    window=45,
+    needs=_TABLE,
+)
+def silent_among_others(bench: Bench) -> None:
+    with _brief_timeout(bench) as length:
+        silent, other = bench.peer(), bench.peer()
+        numbers = itertools.count()
+
+        def report() -> None:
+            other.send(bench.report(other.node_id, next(numbers)))
+
+        report()
+        begun = bench.now()
+        silent.send(bench.report(silent.node_id, 1))
+        until_neighbour(bench, silent.node_id)
+        _lifetime(bench, [silent], begun, length * MS, report)
+
+
+@case(
+    "TC_SRP_NT_TI_05",
+    "An entry is dropped also while BP and VarDis are inactive",
+    requirements="SRP-RUN-01 SRP-RUN-02",
+    stimulus="a record of a neighbour; VD-MGMT-Deactivate, BP-MGMT-Deactivate",
+    expect="the entry is dropped in time",
+    window=45,
+    needs=Needs(
+        since=SpecVersion.V1_2,
+        ut=(
+            "SRP-NeighbourTable",
+            "BP-MGMT-Activate",
+            "BP-MGMT-Deactivate",
+            "VD-MGMT-Activate",
+            "VD-MGMT-Deactivate",
+        ),
+        entities=("srp", "vardis"),
+    ),
+)
+def while_others_rest(bench: Bench) -> None:
+    with _brief_timeout(bench) as length:
+        peer = bench.peer()
+        begun = bench.now()
+        peer.send(bench.report(peer.node_id, 1))
+        until_neighbour(bench, peer.node_id)
+        with bench.deactivated("VD"), bench.deactivated("BP"):
+            _lifetime(bench, [peer], begun, length * MS)
+
+
+@case(
+    "TC_SRP_NT_BV_06",
+    "The neighbour table can be asked for, whatever is in it",
+    requirements="SRP-NT-02",
+    stimulus="SRP-NeighbourTable; a record of a neighbour; SRP-NeighbourTable",
+    expect="SRP-STATUS-OK both times",
+    needs=_TABLE,
+)
+def answers(bench: Bench) -> None:
+    bench.expect_status("SRP-STATUS-OK", "SRP-NeighbourTable", "SRP-NT-02")
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, 1))
+    bench.wait(1)
+    bench.expect_status("SRP-STATUS-OK", "SRP-NeighbourTable", "SRP-NT-02")
+
+
+@case(
     "TC_SRP_PAR_BV_01",
     "The neighbour table timeout is 3000 ms unless it was configured",
     requirements="SRP-PAR-01",
@@ -116,9 +204,36 @@ def refreshed(bench: Bench) -> None:
     needs=Needs(ut=("SRP-GetParameters",), entities=("srp",)),
 )
 def default_timeout(bench: Bench) -> None:
-    values = bench.must("SRP-GetParameters").result.get("parameters", {})
-    value = values.get(_TIMEOUT)
+    answer = bench.call("SRP-GetParameters")
+    bench.require_asked(answer, "SRP-GetParameters is answered")
+    bench.require(answer.ok, "SRP-GetParameters is answered", str(answer))
+    value = answer.result.get("parameters", {}).get(_TIMEOUT)
     if value == 3000 or value is None:
         bench.check(value is not None, f"{_TIMEOUT} is told in ms", "it is not there", shown=True)
     else:
         bench.info(f"{_TIMEOUT}, by default 3000 ms", f"{value} ms")
+
+
+@case(
+    "TC_SRP_PAR_BI_01",
+    "A neighbour table timeout that is refused is not used",
+    requirements="SRP-PAR-01",
+    stimulus="SRP-SetParameter with SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = -1, and with 0",
+    expect="if it is refused, SRP-GetParameters tells the timeout from before",
+    needs=Needs(ut=("SRP-GetParameters", "SRP-SetParameter"), entities=("srp",)),
+)
+def refused_timeout(bench: Bench) -> None:
+    before = configured = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
+    if configured is None:
+        bench.inconclusive(f"SRP-GetParameters tells {_TIMEOUT}, which this case needs", "it does not")
+    try:
+        for value in (-1, 0):
+            answer = bench.call("SRP-SetParameter", name=_TIMEOUT, value=value)
+            if answer.ok:
+                bench.info(f"Can {_TIMEOUT} be {value} ms?", "yes")
+                before = value
+                continue
+            after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
+            bench.check(after == before, f"{_TIMEOUT} stays {before}", f"it is {after}", shown=True)
+    finally:
+        bench.call("SRP-SetParameter", name=_TIMEOUT, value=configured)

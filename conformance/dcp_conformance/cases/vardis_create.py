@@ -100,6 +100,7 @@ def record_sender(bench: Bench) -> bytes:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
 def creation_time(bench: Bench) -> None:
+    bench.relies_on("creationTime")
     stamps, requests = [], []
     for _ in range(2):
         var_id = bench.own_var_id()

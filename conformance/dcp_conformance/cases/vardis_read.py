@@ -8,7 +8,7 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
-from dcp_conformance.cases.srp_init import no_way_back
+from dcp_conformance.cases.srp_init import bring_back, no_way_back
 from dcp_conformance.errors import NoAnswerError
 from dcp_conformance.services import (
     INACTIVE,
@@ -358,10 +358,7 @@ def not_registered(bench: Bench) -> None:
                 # Each further request would cost another time limit.
                 break
     finally:
-        if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
-            bench.call("UT-Reset")
-        else:
-            bench.restart()
+        bring_back(bench)
 
 
 def _answers(bench: Bench, method: str, params: dict[str, Any]) -> bool:

@@ -102,6 +102,7 @@ def own_anew(bench: Bench) -> None:
         bench.reading("X20", "by-steps" if answer.ok else "by-description")
     if not answer.ok:
         return
+    bench.relies_on("creationTime")
     _check_anew(bench, var_id, mark, first.spec.creation_time, bench.value(b"second"))
 
 
@@ -151,6 +152,7 @@ def ends_deletion(bench: Bench) -> None:
     done = bench.mark()
     if len(bench.frames_with(_DELETE, var_id)) > count - 2:
         bench.inconclusive("a deletion that is still to be repeated", "it was over when the variable was created anew")
+    bench.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
     deletions = bench.frames_with(_DELETE, var_id, done)
@@ -197,6 +199,7 @@ def ends_repetitions(bench: Bench) -> None:
         bench.reading("X20", "by-description")
         return
     bench.check_status(answer, (OK,), "RTDB-Create")
+    bench.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
     bench.check(

@@ -149,6 +149,7 @@ def _created(bench: Bench, where: Place, since: int) -> None:
     before = where.stored.spec.creation_time if where.stored is not None else None
     if spec.creation_time is not None and before is not None:
         later = f"{spec.creation_time} after {before}"
+        bench.relies_on("creationTime")
         bench.check(
             spec.creation_time > before,
             "its creationTime is later than the one before",

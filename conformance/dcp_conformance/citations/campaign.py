@@ -29,8 +29,8 @@ from .unit_tests import failing_test
 
 SCHEMA: Final = "dcp-conformance-citations/1"
 #: Changes of one place that are tried with the cases, and with the tests.
-_TRIED: Final = 8
-_TESTED: Final = 3
+_TRIED: Final = 16
+_TESTED: Final = 4
 #: Seconds by the clock that one change may take.
 _PATIENCE: Final = 600.0
 
@@ -133,7 +133,7 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
     """Citations over the same code."""
     changes = changes_under(group[0])[:_TRIED]
     found: dict[str, Verdict] = {}
-    breaks: dict[str, str] = {}
+    crippled: dict[str, Verdict] = {}
     for change in changes:
         names = [each.requirement for each in group if each.requirement not in found]
         if not names:
@@ -141,12 +141,17 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
         noticed = _in_process(context, change, names)
         for each in group:
             name = each.requirement
-            if noticed.broken:
-                breaks.setdefault(name, change.text)
-            elif name in noticed.by and name not in found:
-                found[name] = Verdict(each, "case", change.text, noticed.by[name])
+            if name not in noticed.by:
+                if noticed.crippled:
+                    crippled.setdefault(name, Verdict(each, "breaks", change.text))
+            elif not noticed.crippled:
+                found.setdefault(name, Verdict(each, "case", change.text, noticed.by[name]))
+            elif not crippled.get(name, Verdict(each, "none")).proved:
+                # Better than nothing: another change may show it without crippling the node.
+                crippled[name] = Verdict(each, "case", change.text, noticed.by[name])
+    found = {**{name: each for name, each in crippled.items() if each.proved}, **found}
     for each in group:
-        for change in changes[:_TESTED] if root is not None and each.requirement not in found else ():
+        for change in _one_of_each(group[0]) if root is not None and each.requirement not in found else ():
             assert root is not None
             failed = failing_test(root, each.requirement, change.module, ast.unparse(change.tree()))
             if failed:
@@ -155,10 +160,15 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
     verdicts = []
     for each in group:
         proved = found.get(each.requirement)
-        proof: Proof = "breaks" if each.requirement in breaks else "none" if changes else "no change"
-        verdict = Verdict(each, proof, breaks.get(each.requirement, "")) if proved is None else proved
+        other = crippled.get(each.requirement) or Verdict(each, "none" if changes else "no change")
+        verdict = other if proved is None else proved
         verdicts.append(msgspec.structs.replace(verdict, citation=each, reason=ledger().get(key(each), "")))
     return verdicts
+
+
+def _one_of_each(citation: Citation) -> list[CodeChange]:
+    """The first change of each kind: tests take longer than cases."""
+    return list({each.operator: each for each in reversed(changes_under(citation))}.values())[::-1][:_TESTED]
 
 
 def _in_process(context: ForkServerContext, change: CodeChange, names: list[str]) -> Noticed:
@@ -175,7 +185,7 @@ def _in_process(context: ForkServerContext, change: CodeChange, names: list[str]
         process.kill()
         process.join()
         ours.close()
-    return Noticed({}, broken=True)
+    return Noticed({}, crippled=True)
 
 
 def _child(to: Connection, change: CodeChange, names: list[str]) -> None:

@@ -25,8 +25,8 @@ class Noticed(msgspec.Struct, frozen=True):
 
     by: dict[str, str]
     """The case with a failed check that names the requirement, by requirement."""
-    broken: bool = False
-    """Whether the node does not start or does not even pass the sanity case: then every case fails."""
+    crippled: bool = False
+    """Whether the node does not start, dies, or does not even pass the sanity case: then many cases fail."""
 
 
 class _Importer(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -56,43 +56,48 @@ def try_change(change: CodeChange, names: Iterable[str]) -> Noticed:
     """Run the cases of requirements until each is noticed. For a new process that has not imported ``dcp_stack``."""
     sys.meta_path.insert(0, _Importer(change))
     noticed: dict[str, str] = {}
-    broken = False
+    crippled = False
     for profile, group in _profiles(names):
         open_names = [name for name in group if name not in noticed]
         if not open_names:
             continue
         try:
-            broken |= _run(profile, open_names, noticed)
+            crippled |= _run(profile, open_names, noticed)
         except ConformanceError:
-            broken = True
+            crippled = True
         except Exception:
             # The change makes the node raise where nobody expects it.
-            broken = True
-    return Noticed(noticed, broken)
+            crippled = True
+    return Noticed(noticed, crippled)
 
 
 def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
-    """Add what the cases notice on one profile; whether the sanity case failed."""
+    """Add what the cases notice on one profile; whether the sanity case failed, or the node died."""
     from dcp_conformance.case import SANITY, all_cases
     from dcp_conformance.selection import ordered
     from dcp_conformance.selftest import Suite, finding_of
 
+    crippled = False
     open_names = set(names)
     chosen: dict[str, None] = {}
     for name in names:
         deciding = [case.id for case in ordered(all_cases().values()) if name in case.requirements]
         chosen.update(dict.fromkeys(deciding[:_CASES]))
     for result in Suite(profile).run([all_cases()[each] for each in chosen]):
+        if result.killed:
+            # A death is no evidence of one requirement rather than another.
+            return True
         if result.verdict is not Verdict.FAIL:
             continue
         if result.id == SANITY and SANITY not in chosen:
-            return True
+            crippled = True
+            continue
         for name in open_names.intersection(finding_of(result).requirements):
             noticed[name] = f"{result.id} ({profile})"
             open_names.discard(name)
         if not open_names:
             break
-    return False
+    return crippled
 
 
 def _profiles(names: Iterable[str]) -> Iterator[tuple[str, list[str]]]:

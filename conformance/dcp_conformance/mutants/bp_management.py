@@ -13,6 +13,7 @@ from dcp_stack.bp_services import StatusConfirm
 
 from .air import Air
 from .mutant import mutant
+from .unseen import OTHERS_ACTIVE
 
 OK = StatusConfirm(BPStatus.OK)
 
@@ -68,6 +69,24 @@ class DeliversLater(BeaconingProtocol):
         for octets in kept:
             self._receiver.receive(octets, now)
         return confirm
+
+
+@mutant("starts-over", "BP-MGT-05 BP-TX-01", "begins a new interval whenever it is activated, also while it is active")
+class StartsOver(BeaconingProtocol):
+    def activate(self, now: int) -> StatusConfirm:
+        self._schedule.restart(now)
+        return super().activate(now)
+
+
+@mutant(
+    "on-the-side",
+    "BP-TX-01",
+    "has no timer of its own and sends when another protocol has something to do",
+    unseen=OTHERS_ACTIVE,
+)
+class OnTheSide(BeaconingProtocol):
+    def poll_timeout(self) -> int | None:
+        return None
 
 
 @mutant("refuses", "BP-MGT-04", "refuses payloads while it is inactive")

@@ -36,6 +36,12 @@ class Registrations(BeaconingProtocol):
         return status
 
 
+@mutant("signed", "BP-REG-01", "refuses protocol identifiers whose first bit is set")
+class SignedIdentifiers(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        return BPStatus.UNKNOWN_PROTOCOL if registration.protocol_id > 0x7FFF else status
+
+
 @mutant("replaces", "BP-REG-02", "lets a second registration replace the first")
 class Replaces(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
@@ -58,6 +64,18 @@ class Forgets(Registrations):
 class SizeOfNothing(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         return BPStatus.OK if not registration.max_payload_size else status
+
+
+@mutant(
+    "something",
+    "BP-REG-06",
+    "refuses a maximum payload size of 0, which 1.0 allows",
+    until=SpecVersion.V1_0,
+    unseen=RIGHT_SINCE_1_1,
+)
+class SizeOfSomething(Registrations):
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
+        return status if registration.max_payload_size else BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
 
 
 @mutant("no-bound", "BP-REG-04", "registers clients whose payloads fit into no beacon")
@@ -207,6 +225,24 @@ class OldQueue(ClientList):
         super().insert(client)
 
 
+@mutant(
+    "stays-ours", "BP-RXP-03 BP-DRG-05", "keeps payloads from a client that took over the identifier of SRP or VarDis"
+)
+class StaysOurs(ClientList):
+    def remove(self, protocol_id: int) -> None:
+        client = self._clients[protocol_id]
+        super().remove(protocol_id)
+        client.stands = True
+
+
+@mutant("fails", "BP-QM-06", "stumbles over a queueing mode that does not exist", since=SpecVersion.V1_1)
+class StumblesOverMode(BeaconingProtocol):
+    def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
+        if not known:
+            raise RuntimeError(f"no rule for {registration.queue_mode!r}")
+        return super()._registrable(registration, known=known)
+
+
 @mutant("one-missing", "BP-LST-01", "leaves the client that registered last out of the list")
 class OneMissing(BeaconingProtocol):
     def list_registered(self) -> ListConfirm:
@@ -293,6 +329,21 @@ class EmptyClears(Transmissions):
 class EmptyRefused(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         return BPStatus.EMPTY_PAYLOAD if client is not None and not payload else super()._submit(client, payload, now)
+
+
+@mutant(
+    "empty-clears",
+    "BP-QM-03",
+    "empties a queue when an empty payload is submitted, which in 1.0 empties buffers only",
+    until=SpecVersion.V1_0,
+    unseen={"1.1 1.2 1.3 2.0": "an empty payload is refused since 1.1"},
+)
+class EmptyClearsQueues(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        if client is not None and client.queue is not None and not payload:
+            client.queue.clear()
+            return BPStatus.OK
+        return super()._submit(client, payload, now)
 
 
 @mutant("status", "BP-TXP-04", "says that a payload was too large when a full DROPTAIL queue dropped it")

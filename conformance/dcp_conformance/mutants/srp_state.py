@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from dcp_spec.parameters import Violation
 from dcp_spec.status import SRPStatus
 
 from dcp_codec.values import ExtendedSafetyData, SafetyData
@@ -12,7 +13,7 @@ from dcp_stack.neighbours import NeighbourTable
 from dcp_stack.srp import StateReporting, UpdateSafetyDataConfirm
 
 from .mutant import mutant
-from .unseen import BP_ALWAYS_ACTIVE
+from .unseen import BP_ALWAYS_ACTIVE, OTHERS_ACTIVE
 
 
 @mutant("stamp-filter", "SRP-RX-03", "ignores a report whose tStamp is older than that of the entry")
@@ -45,3 +46,42 @@ class InactiveWithBP(StateReporting):
         if not port._bp.active:
             return UpdateSafetyDataConfirm(SRPStatus.INACTIVE)
         return super().update_safety_data(data, now=now, wall=wall)
+
+
+@mutant("postponed", "SRP-RUN-01 SRP-RUN-02", "begins a new interval between traversals with each report")
+class Postponed(StateReporting):
+    def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
+        super().handle_payload(payload, sender_id, now=now, wall=wall)
+        self._traversed = now
+
+
+@mutant(
+    "on-the-side",
+    "SRP-RUN-01 SRP-RUN-02",
+    "traverses the table only when another protocol has something to do",
+    unseen=OTHERS_ACTIVE,
+)
+class OnTheSide(StateReporting):
+    def poll_timeout(self) -> int | None:
+        return None
+
+    def handle_timeout(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+        self._table.expire(now, self._timeout)
+
+
+@mutant("stumbles", "SRP-NT-02", "cannot list a neighbour table that is empty")
+class StumblesOverNothing(StateReporting):
+    @property
+    def neighbours(self) -> NeighbourTable:
+        if not self._table:
+            raise RuntimeError("nothing to list")
+        return super().neighbours
+
+
+@mutant("takes-anyway", "SRP-PAR-01", "uses a timeout that it has refused")
+class TakesAnyway(StateReporting):
+    def set_parameter(self, name: str, value: object) -> Violation | None:
+        violation = super().set_parameter(name, value)
+        if violation is not None and isinstance(value, int):
+            self._timeout_ms = value
+        return violation

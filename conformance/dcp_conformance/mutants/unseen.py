@@ -7,6 +7,7 @@ from typing import Final
 BEFORE_2_0: Final = "1.0 1.1 1.2 1.3"
 
 ALWAYS_ACTIVE: Final = {"1.0 1.1": "no service deactivates VarDis before 1.2"}
+OTHERS_ACTIVE: Final = {"1.0 1.1": "no service keeps the other protocols from having something to do before 1.2"}
 NO_TIMES: Final = {BEFORE_2_0: "VarSpecT has neither creationTime nor timeout before 2.0"}
 NOT_ANEW: Final = {BEFORE_2_0: "a variable that exists cannot be created again before 2.0"}
 NOT_REPLACED: Final = {BEFORE_2_0: "a VarCreate of a known variable changes nothing before 2.0"}

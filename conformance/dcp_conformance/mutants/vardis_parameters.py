@@ -62,7 +62,7 @@ class DescriptionUnbound(Unbound):
     name = DESCRIPTION_LENGTH
 
 
-@mutant("zero", "VD-PAR-04", "takes 0 as the highest repetition count")
+@mutant("zero", "VD-PAR-04", "takes 0 as the highest repetition count", unseen={"1.1": "VD-PAR-10 says it there"})
 class RepetitionsZero(Unbound):
     name = REPETITIONS
     wrong = range(1)
