@@ -78,12 +78,12 @@ def between_beacons(
         bench.until_quiet(sent, flush)
         bench.beacons(1, 1.5)
     else:
-        bench.inconclusive(f"{what} between two beacons", f"a beacon came in between each time{_pace(bench)}")
+        bench.inconclusive(f"{what} between two beacons", f"a beacon came in between each time{pace(bench)}")
     return result
 
 
-def _pace(bench: Bench) -> str:
-    """How long calls take, if that may be the reason, as the end of a sentence."""
+def pace(bench: Bench) -> str:
+    """How long calls take, if they may be the reason that a beacon came in between, as the end of a sentence."""
     slow, period = bench.session.slow_call, bench.period
     return (
         f"; calls take up to {slow / MS:.0f} ms, with a beacon every {period / MS:.0f} ms" if slow > period / 4 else ""

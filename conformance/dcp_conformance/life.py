@@ -11,10 +11,13 @@ import time
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from dcp_spec.constants import ICType
+
 from .bench import Bench
 from .case import Case
 from .control import SutControl
 from .errors import LowerTesterError, StopCase, UpperTesterError
+from .heard import Heard
 from .session import Session
 
 #: Questions without an answer after which an implementation counts as silent: frames get lost.
@@ -23,6 +26,9 @@ QUESTIONS: Final = 4
 DEATH_PATIENCE: Final = 1.5
 #: Seconds that an implementation may take to answer after a start.
 START_PATIENCE: Final = 30.0
+#: Beacon periods that an implementation may take to send what comes before an answer.
+_BACKLOG: Final = 100
+_BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
 #: How the last lines of a process are quoted (``upper.channels.LastLines.shown``).
@@ -131,6 +137,7 @@ class Life:
             if answered or spoken or (not strict and len(bench.heard) > before):
                 self.learn(bench, answered=answered and self._can_ask(bench))
                 return True
+            self._await_backlog(bench, before)
         return not strict and self.serves()
 
     def _asked(self, bench: Bench) -> bool:
@@ -138,6 +145,16 @@ class Life:
             with contextlib.suppress(StopCase):
                 return bench.probe(max(5, bench.reaction))
         return bool(bench.beacons(1, 5))
+
+    @staticmethod
+    def _await_backlog(bench: Bench, since: int) -> None:
+        """Wait while records are sent that come before requests in a payload: with small payloads, for many periods."""
+
+        def leading(heard: Heard) -> bool:
+            return any(heard.instructions(kind) for kind in _BEFORE_REQUESTS)
+
+        if any(map(leading, bench.heard[since:])):
+            bench.until_quiet(leading, _BACKLOG)
 
     @staticmethod
     def _can_ask(bench: Bench) -> bool:

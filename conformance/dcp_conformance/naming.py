@@ -115,10 +115,14 @@ class Naming(Findings):
         value = known[name]
         return int(value or 0)
 
-    def bound(self, name: str) -> int:
-        """As :meth:`parameter`, where the verdict hangs on it: if nobody has told it, nobody fails for it."""
+    def bound(self, name: str, *, missing: bool = False) -> int:
+        """As :meth:`parameter`, where the verdict hangs on it: if nobody has told it, nobody fails for it.
+
+        ``missing``: with another value something that the case waits for would not come, and nothing wrong would:
+        what is received and wrong still fails.
+        """
         if untold := self._untold(name):
-            self.assumptions[name] = untold
+            (self.doubts if missing else self.assumptions)[name] = untold
         return self.parameter(name)
 
     def _untold(self, name: str) -> str:
@@ -210,6 +214,11 @@ class Naming(Findings):
             self._no_variables_left(f"{count} identifiers of variables that the implementation does not know")
         self.called_unknown.update(found)
         return found
+
+    def is_applications(self, var_id: int) -> bool:
+        """Whether the variable is none of the tester's: the PIXIT leaves its identifier to applications on the node."""
+        identifiers = self.session.identifiers
+        return not identifiers.first <= var_id < identifiers.first + identifiers.size
 
     def has_unknown_ids(self, count: int = 1) -> bool:
         """Whether so many identifiers are left that the implementation's database cannot hold."""

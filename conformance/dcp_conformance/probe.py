@@ -19,6 +19,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.guess import Guess
 from dcp_codec.values import Beacon, VarSumm
 
+from .envelopes import blocks_in, counted, nearest, sound
 from .forge import Forge
 from .header_faults import explanation
 from .header_rules import judge
@@ -109,17 +110,17 @@ def draft(
     seconds: float,
     *,
     ask: bool = True,
-    asked_for: str = DEFAULT_PROFILE,
+    asked_for: str | None = None,
     asking: Sequence[Codec] | None = None,
 ) -> tuple[Pics, list[str]]:
     """Listen for so many seconds, and ask the upper tester if there is one.
 
     ``codec_candidates`` are the profiles that the implementation may speak. ``asked_for`` is the one that is taken
-    where several explain equally well what is heard. If none does, the profile of the draft is
+    where several explain equally well what is heard (None: nobody has asked for one). If none explains it, the nearest
+    is proposed by headers and block lists alone; if none has these either, the profile of the draft is
     :data:`UNKNOWN_PROFILE`, which no run takes. ``asking``: the profiles of questions on the air, all candidates unless
-    given. ``ask``: if it is silent for the first
-    quarter of the time, it is asked for variables on the air (summaries of ones that nobody has), so that it has
-    something to say.
+    given. ``ask``: if no VarDis payload is heard in the first quarter of the time, it is asked for variables on the air
+    (summaries of ones that nobody has), so that it has something to say.
 
     Raises ``LowerTesterError`` and ``UpperTesterError``.
     """
@@ -198,11 +199,14 @@ def _listen(lower: LowerTester, codecs: Sequence[Codec], seconds: float, ask: bo
     quiet_until = begun + round(seconds * 1e9 / 4)
     while (arrival := lower.receive(quiet_until)) is not None:
         arrivals.append(arrival)
-    if arrivals or not ask:
+    if not ask or any(blocks_in(codec, each)[BP_PROTID_VARDIS] for codec in codecs for each in arrivals):
         while (arrival := lower.receive(end)) is not None:
             arrivals.append(arrival)
         return arrivals
-    found.remarks.append("it was silent, and has been asked for variables on the air to hear it at all")
+    what = "no VarDis payload was heard, and it" if arrivals else "it was silent, and"
+    found.remarks.append(f"{what} has been asked for variables on the air to hear {'one' if arrivals else 'it at all'}")
+    # Whoever is heard is not asked in layouts that are not its own.
+    codecs = [each for each in codecs if arrivals and 2 * sound(each, arrivals) > len(arrivals)] or codecs
     number = 0
     while lower.now() < end:
         for codec in codecs:
@@ -228,7 +232,7 @@ def question(codec: Codec, number: int) -> bytes:
 
 
 def _profile(
-    found: Draft, upper: UpperTester | None, codecs: Sequence[Codec], arrivals: Sequence[Arrival], asked_for: str
+    found: Draft, upper: UpperTester | None, codecs: Sequence[Codec], arrivals: Sequence[Arrival], asked_for: str | None
 ) -> Codec | None:
     """The profile: as the implementation says, else the likeliest; of several equally likely ones that asked for."""
     told = upper.about.get("profile") if upper is not None else None
@@ -249,7 +253,7 @@ def _profile(
     text = f"a guess from {len(arrivals)} frames: {likely[name].counts}"
     if others:
         text += f"; {', '.join(others)} would explain them as well: is {name} right?"
-    if name != asked_for and asked_for in by_name:
+    if asked_for is not None and name != asked_for and asked_for in by_name:
         score = score_of(ranked, asked_for)
         text += f"; {asked_for} explains them less well ({score:.2f}, and {ranked.best.score:.2f} for {name})"
     found.set("pixit", "profile", name, text)
@@ -257,17 +261,32 @@ def _profile(
 
 
 def _unexplained(
-    found: Draft, ranked: Guess, by_name: Mapping[str, Codec], arrivals: Sequence[Arrival], asked_for: str
+    found: Draft, ranked: Guess, by_name: Mapping[str, Codec], arrivals: Sequence[Arrival], asked_for: str | None
 ) -> Codec | None:
-    """Nothing decodes: the profile asked for if one known fault explains the frames, else none."""
-    codec = by_name.get(asked_for)
+    """Nothing decodes: the profile that has headers and block lists of most frames, else the one asked for (or the
+    usual one) if a known fault in its headers explains the frames, else none.
+    """
     frames = arrivals[:_LOOKED_AT]
+    fitting = {each.profile.name: sound(by_name[each.profile.name], frames) for each in ranked.candidates}
+    most = max(fitting.values(), default=0)
+    if 2 * most > len(frames):
+        likely = [name for name, count in fitting.items() if count == most]
+        name = asked_for if asked_for in likely else nearest(likely, by_name, frames)
+        others = [each for each in likely if each != name]
+        text = f"a guess: headers and block lists of {most} of {len(frames)} frames are those of {name}, but of the "
+        text += f"blocks {counted(by_name[name], frames)}"
+        if others:
+            text += f"; the headers are also those of {', '.join(others)}: which one is it?"
+        found.set("pixit", "profile", name, text)
+        return by_name[name]
+    codec = by_name.get(asked_for or DEFAULT_PROFILE)
     if codec is not None:
         faults = [explanation(each.octets, codec, codec.profile.bp.network_id, each.source) for each in frames]
         known = [each for each in faults if each is not None]
         if 2 * len(known) > len(frames):
             text = f"its headers break {known[0].requirements}: {known[0].observed} (expected {known[0].expected})"
-            found.set("pixit", "profile", asked_for, f"asked for; {text}")
+            why = "asked for" if asked_for is not None else f"assumed, since nearly all of it is {codec.profile.name}"
+            found.set("pixit", "profile", codec.profile.name, f"{why}; {text}")
             return codec
     text = f"none of the profiles explains what was heard; the best of them is {ranked}"
     found.set("pixit", "profile", UNKNOWN_PROFILE, f"{text}. Which wire profile is it? A run takes no unknown one")
@@ -295,6 +314,8 @@ def _look_at(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: b
         )
         listed = "; ".join(f"{text} ({count} times)" for text, count in rules.most_common(5))
         found.remarks.append(f"{len(broken)} of {len(arrivals)} frames cannot be read to their end: {listed}")
+        if sound(codec, arrivals):
+            found.remarks.append(f"of the blocks {counted(codec, arrivals)}")
     if not senders:
         found.remarks.append(f"none of {len(arrivals)} frames is a beacon of {codec.profile.name}")
         return

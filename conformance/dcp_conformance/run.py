@@ -323,7 +323,7 @@ class ConformanceRun:
         notes = [*self._notes, *([self.trouble] if self.trouble else [])]
         if self.expected.entries:
             notes += self.complaints()
-        found = [each for each in self.passive if each.verdict in (Verdict.FAIL, Verdict.INFO)]
+        found = [each for each in self.passive if each.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]
         run = assemble(
             self.codec.profile,
             self.pics,

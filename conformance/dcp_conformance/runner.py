@@ -219,6 +219,8 @@ class Runner:
     def _trial(self, case: Case, *, fresh: bool = False) -> Trial:
         """Run a case once, and look after the implementation. ``fresh``: it is in its initial state already."""
         bench = Bench(self.session, case)
+        # What it takes for the case to apply may itself be an assumption, which the bench then knows.
+        why_not(bench, case)
         trial = Trial(case, bench, self.session.lower.now(), bench.checks)
         try:
             if not fresh:

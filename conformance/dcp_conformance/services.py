@@ -15,7 +15,7 @@ from dcp_spec.constants import BP_PROTID_SRP, ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VarDelete
 
-from .bench import MS, Bench
+from .bench import Bench
 from .errors import UpperTesterError
 from .heard import Heard, var_id_of
 from .node_id import node_id_octets
@@ -103,26 +103,6 @@ def timed(bench: Bench, method: str, /, **params: Any) -> Moment:
     return Moment(before, bench.lower.wall())
 
 
-def check_apart(bench: Bench, what: str, apart: int, first: Moment, second: Moment) -> None:
-    """Check that two stamps of the implementation are as far apart, in ns, as the requests that caused them.
-
-    However its clock differs from ours, this can be known to the time that the requests took.
-    """
-    slack = bench.period + nanoseconds(bench, 1)
-    low, high = second.before - first.after - slack, second.after - first.before + slack
-    expected = f"the second {what} is {low / MS:.0f} to {high / MS:.0f} ms after the first"
-    bench.check(low <= apart <= high, expected, f"{apart / MS:.0f} ms", shown=True)
-
-
-def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
-    """Check that a stamp, in ns since 1970, is the time of the request, as far as the two clocks agree (PIXIT)."""
-    slack = round(bench.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
-    near = request.before - slack <= stamp <= request.after + slack
-    off = (stamp - request.before) / MS
-    expected = f"{what} is the time of the request, give or take {slack / MS:.0f} ms"
-    bench.check(near, expected, f"{off:.0f} ms off", shown=True)
-
-
 # -- VarDis ------------------------------------------------------------------------------------------------------------
 
 
@@ -156,8 +136,8 @@ def create_request(
 def longest_description(bench: Bench) -> int:
     """The octets that a description may have; in 1.0 the limit counts the NUL at its end (VD-CRE-04)."""
     name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
-    told = name in bench.session.parameters and bench.features.string_format == "nul-terminated"
-    return bench.bound(name) - (1 if told else 0)
+    told = name in bench.session.parameters or bench.pixit.max_description_length is not None
+    return bench.bound(name) - (1 if told and bench.features.string_format == "nul-terminated" else 0)
 
 
 def produced(bench: Bench, **request: Any) -> int:

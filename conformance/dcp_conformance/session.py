@@ -13,7 +13,7 @@ from dcp_codec.codec import Codec
 
 from .contact import Contact
 from .identifiers import Identifiers
-from .lower import LowerTester
+from .lower import LowerTester, OnThisMachine
 from .misreading import Field
 from .passive import PassiveTester
 from .pics import REACTION_FLOOR, Pics
@@ -110,7 +110,8 @@ class Session:
         """The fields that the implementation was found to misread (see :mod:`dcp_conformance.misreading`)."""
         self.pausing_fails = False
         """Whether deactivating BP, as a means to an end, was found to kill the implementation or to fail."""
-        self.passive = PassiveTester(codec, pics, self.parameters)
+        overload = lower.overload if isinstance(lower, OnThisMachine) else None
+        self.passive = PassiveTester(codec, pics, self.parameters, overload)
         """Judges every beacon of the implementation, whatever the case is about."""
 
     @property

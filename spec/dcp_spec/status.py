@@ -7,7 +7,7 @@ of the C++ implementation in its command sockets; the specification assigns none
 from collections.abc import Mapping
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Final, Self
+from typing import Final, Self, cast
 
 from dcp_spec.constants import SpecVersion
 
@@ -57,11 +57,10 @@ class StatusCode(StrEnum):
     @classmethod
     def parse(cls, text: str) -> Self:
         """The code with this spelling, hyphens and underscores being equal. Raises ValueError for others."""
-        spelling = text.replace("_", "-")
-        for member in cls:
-            if member.value == spelling:
-                return member
-        raise ValueError(f"{cls.__name__} has no code {text!r}")
+        member = cls._value2member_map_.get(text.replace("_", "-"))
+        if member is None:
+            raise ValueError(f"{cls.__name__} has no code {text!r}")
+        return cast("Self", member)
 
     @classmethod
     def from_cpp(cls, number: int, version: SpecVersion | str = SpecVersion.V2_0) -> Self:

@@ -41,6 +41,25 @@ def test_beacons_with_a_bad_block_are_beacons() -> None:
     assert told["octets"] == sum((16 + 4 + 4) + (44 if number % 10 != 9 else 0) for number in range(30))
 
 
+#: A bearer payload of release 1.2.0, as recorded: SRP's test pattern, then two summaries.
+RECORDED = bytes.fromhex(
+    "01497e020000000001003602 0000000d 00010028 202122232425262728292a2b2c2d2e2f303132333435363738393a3b3c3d3e3f"
+    "4041424344454647 00020006 010201000200"
+)
+
+
+def test_a_recorded_beacon_of_the_release() -> None:
+    found = CODEC.salvage(RECORDED)
+    assert found.clear
+    assert found.beacon is not None
+    assert found.beacon.bp is not None
+    assert (found.beacon.bp.sender_id, found.beacon.bp.seqno) == (SENDER, 13)
+    assert found.beacon.payloads[1].vardis == (Container(1, (VarSumm(1, 0), VarSumm(2, 0))),)
+    assert found.octets_of(0) == PATTERN
+    (problem,) = found.problems
+    assert (problem.reason, problem.needed, problem.available) == ("wrong-length", 42, 40)
+
+
 def test_profiles_with_the_layout_of_the_other_blocks_are_tied() -> None:
     found = guess(recording())
     names = {found.best.profile.name, *(each.profile.name for each in found.tied)}

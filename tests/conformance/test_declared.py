@@ -108,6 +108,8 @@ def test_each_departure_is_declared_under_its_requirement(name: str, tmp_path: P
     "text",
     [
         '[types]\nnode_id = { width = 8, representation = "hex" }\nvar_id = { width = 2 }\nvar_seqno = { width = 4 }',
+        # VarLenT (X13)
+        "[types]\nvalue = { lengths = [{ width = 2 }] }",
         '[types]\ntimestamp = { width = 4, unit = "ms" }\nnetwork_id = { width = 4 }',
         '[srp]\nsafety_data = [{ name = "height", type = "f32", byte_order = "little" }]',
         "[link]\nether_type = 0x88b5",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import random
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -40,12 +41,12 @@ Feed = Callable[[Script, PassiveTester], None]
 class Ear:
     """A passive tester with a script of beacons, which all come from the implementation."""
 
-    def __init__(self, profile: str = "dcp-2.0", pics: Pics | None = None) -> None:
+    def __init__(self, profile: str = "dcp-2.0", pics: Pics | None = None, *, overload: str = "") -> None:
         self.air = Script(profile)
         self.parameters: dict[str, int] = {}
         """What the implementation has told of its own."""
         self.air.step = 100 * MS
-        self.tester = PassiveTester(self.air.codec, pics or Pics(), self.parameters)
+        self.tester = PassiveTester(self.air.codec, pics or Pics(), self.parameters, lambda: overload)
         self.tester.begin(-1, self)
         self._heard = 0
 
@@ -261,6 +262,16 @@ def test_a_period_that_is_not_the_stated_one():
     assert "the period is 150 ms" in found.reason
 
 
+@pytest.mark.parametrize(("stated", "verdict"), [(90.0, Verdict.INCONCLUSIVE), (150.0, Verdict.FAIL)])
+def test_an_overloaded_machine_lengthens_periods_and_shortens_none(stated: float, verdict: Verdict):
+    ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=stated)), overload="the machine was overloaded")
+    for number in range(200):
+        ear.air.say(SUT, VarSumm(1, number % 256))
+    found = ear.failed()["CK_BP_PERIOD"]
+    assert found.verdict is verdict
+    assert ("but the machine was overloaded" in found.reason) is (verdict is Verdict.INCONCLUSIVE)
+
+
 def test_a_finding_about_all_beacons_is_repeated_by_the_cases_in_which_most_of_them_were_heard():
     ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=150.0)))
     for case, beacons in {"TC_A": 20, "TC_B": 200, "TC_C": 60, "TC_D": 50, "TC_E": 5}.items():
@@ -300,11 +311,12 @@ def test_more_summaries_than_the_implementation_tells(told: int, wrong: bool):
     assert not wrong or named(found["CK_VD_SUMMARIES"]) == {"VD-CMP-02"}
 
 
-@pytest.mark.parametrize(("told", "wrong"), [(44, False), (43, True)])
+@pytest.mark.parametrize(("told", "wrong"), [(44, False), (43, False), (26, False), (25, True)])
 def test_beacons_that_are_longer_than_the_implementation_tells(told: int, wrong: bool):
     ear = Ear()
     ear.parameters["BPPAR_MAXIMUM_PACKET_SIZE"] = told
     ear.air.say(SUT, *(VarSumm(number, 0) for number in range(10)))
+    # Whether the 18 octets of the header count is open (X04).
     assert len(ear.air.frames[0].data) - 14 == 44
     assert ("CK_BP_SIZE" in ear.failed()) is wrong
 
@@ -443,3 +455,25 @@ def test_each_rule_is_documented():
     section = document.partition("## Passive testing")[2].partition("\n## ")[0]
     listed = re.findall(r"^\| `(CK_\w+)` \|", section, re.MULTILINE)
     assert sorted(listed) == sorted(rule.id for rule in passive.RULES)
+
+
+@pytest.mark.parametrize(("true_ms", "wrong"), [(100, False), (130, True), (220, True)])
+def test_pauses_are_no_long_period(true_ms: int, wrong: bool):
+    ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=100.0)))
+    rng = random.Random(1)
+    for number in range(600):
+        # Seven times in ten there is nothing to send for a period or two.
+        steps = rng.choice((1, 1, 1, 2, 2, 2, 2, 3, 3, 3))
+        ear.air.step = round(steps * true_ms * rng.uniform(0.95, 1.05) * MS)
+        ear.air.say(SUT, VarSumm(1, number % 256))
+    assert ("CK_BP_PERIOD" in ear.failed()) is wrong
+
+
+@pytest.mark.parametrize(("true_ms", "wrong"), [(100, False), (140, True), (200, True)])
+def test_much_jitter_is_no_other_period(true_ms: int, wrong: bool):
+    ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=100.0)))
+    rng = random.Random(1)
+    for number in range(3000):
+        ear.air.step = round(true_ms * rng.uniform(0.05, 1.95) * MS)
+        ear.air.say(SUT, VarSumm(1, number % 256))
+    assert ("CK_BP_PERIOD" in ear.failed()) is wrong

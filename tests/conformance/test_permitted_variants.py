@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fnmatch import fnmatchcase
 
 import pytest
 from dcp_conformance.case import all_cases
 from dcp_conformance.mutants import node_with
-from dcp_conformance.variants import all_variants
+from dcp_conformance.pics import Testing
+from dcp_conformance.variants import Variant, all_variants
 from dcp_conformance.variants.campaign import judge
+from dcp_conformance.variants.variant import setup
 from dcp_conformance.verdict import Verdict
 
 from dcp_stack.bp_clients import Chosen, ClientList
@@ -122,3 +125,58 @@ def test_freedoms_of_bp_do_not_fail(variant: str, profile: str):
 
 def test_whole_records_may_be_listed_in_1_0():
     assert not judged("V-UT-whole-records", "dcp-1.0", "bp_deregistration")
+
+
+@pytest.mark.parametrize(
+    ("variant", "profile", "cases"),
+    [
+        # An application's variable is summarised, and its VarCreate takes room.
+        ("V-APP-variable", "dcp-1.1", ["TC_VD_SUM_BV_04", "TC_VD_PAY_BV_05", "TC_VD_ROOM_BV_0*"]),
+        # The limit that decides whether a case applies is itself an assumption.
+        ("V-PAR-summaries-0-unknown", "dcp-2.0", ["TC_VD_SUM_*", "TC_VD_PAY_BV_01", "TC_NET_JOIN_BV_06"]),
+        ("V-PAR-repetitions-1-unknown", "cpp-1.2", ["TC_VD_FWD_BV_0*", "TC_VD_PAR_BV_0[45]*"]),
+        ("V-PAR-value-16-unknown", "dcp-1.0", ["TC_VD_PAR_BV_03"]),
+        ("V-PAR-description-17-pixit", "dcp-1.0", ["TC_VD_CRE_BI_01", "TC_VD_PAR_BV_02"]),
+        # Before 1.2 BP cannot be deactivated while payloads are submitted.
+        ("V-UT-slow-250", "dcp-1.1", ["TC_BP_TX_BV_0*", "TC_BP_QM_BV_0*", "TC_VD_CRE_BV_08", "TC_VD_UPD_BV_05"]),
+        ("V-BP-TX-triggered", "dcp-1.1", ["TC_BP_TXP_BI_02*"]),
+        ("V-TYPE-node-id-2", "dcp-1.1", ["TC_BP_RX_BI_2*"]),
+        ("V-TYPE-var-len-2", "dcp-2.0", ["TC_DCP_PROF_BV_01"]),
+        ("V-X04-blocks-only", "cpp-1.2", ["TC_BP_TX_BV_0*"]),
+        # So many VarCreates come before the answer that shows that it lives.
+        ("V-PAR-payload-120-unknown", "dcp-1.0", ["TC_VD_CMP_BV_04*"]),
+        ("V-UT-no-get", "cpp-1.2", ["TC_VD_INI_BV_02", "TC_VD_ROOM_*"]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_suite_is_fair(variant: str, profile: str, cases: list[str]):
+    picked = [case for case in all_cases().values() if any(fnmatchcase(case.id, each) for each in cases)]
+    result = judge(all_variants()[variant], profile, picked)
+    assert picked
+    assert [str(each) for each in (*result.fails, *result.inconclusive, *result.errors)] == []
+
+
+#: Cases that compare time stamps of the node's clock.
+_STAMPS = [
+    "TC_SRP_REC_BV_03",
+    "TC_SRP_REC_TI_01",
+    "TC_SRP_RX_BV_02",
+    "TC_VD_CRE_BV_02",
+    "TC_VD_UPD_BV_07",
+    "TC_VD_REA_BV_01",
+    "TC_VD_REA_BV_02",
+    "TC_VD_DB_BV_07-own",
+    "TC_VD_DB_BV_07-received",
+]
+
+
+@pytest.mark.parametrize("offset_ms", range(0, 2000, 250))
+def test_a_clock_that_is_set_between_two_stamps_is_no_fault(offset_ms: int):
+    def steps(now: int) -> int:
+        """Set back by 1.5 s each 4 s, the first time after ``offset_ms``."""
+        return -1_500_000_000 if (now // 1_000_000 + offset_ms) // 2000 % 2 else 0
+
+    pixit = Testing(clock_tolerance_ms=3000.0)
+    variant = Variant("V-STEPS", "has a clock that is set", "-", lambda name: setup(name, clock=steps, pixit=pixit))
+    result = judge(variant, "dcp-2.0", [all_cases()[each] for each in _STAMPS])
+    assert result.passed == len(_STAMPS)

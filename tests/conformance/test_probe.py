@@ -419,3 +419,44 @@ def test_how_fast_it_reacts_is_measured(check_ms: int, periods: str):
     assert any(each.startswith(f"reactions are waited for {periods} beacon periods (slowest of 5") for each in remarks)
     # Each run measures it: a number in the file would be taken for what somebody knows.
     assert pics.pixit.reaction_periods is None
+
+
+def silent_but_for_a_pattern(**options):
+    """A node that sends a test pattern in place of state reports in every beacon, and has no variables."""
+    sut = with_mutant("M-SRP-FMT-01-test-pattern", "cpp-1.2")
+    for number in range(40):
+        assert sut.upper_tester().call("SRP-UpdateSafetyData", {"sData": {"x": number, "y": 2, "z": 3}}).ok
+        sut.elapse(100_000_000)
+    return draft(sut.lower_tester(), None, CANDIDATES, 10, **options)
+
+
+@pytest.mark.parametrize("asked_for", [None, "cpp-1.2", "dcp-2.0"])
+def test_a_node_with_only_unreadable_blocks_is_told_by_its_headers(asked_for):
+    pics, remarks = silent_but_for_a_pattern(ask=False, asked_for=asked_for)
+    assert pics.pixit.profile in ("cpp-1.2", "dcp-1.2", "dcp-1.3")
+    assert asked_for != "cpp-1.2" or pics.pixit.profile == asked_for
+    assert (pics.pixit.node_id, pics.pixit.beacon_period_ms) == ("02:00:00:00:00:01", 100)
+    assert pics.pics.srp is True
+    (profile,) = [each for each in remarks if each.startswith("pixit.profile: ")]
+    assert "headers and block lists of" in profile
+    assert "0 of" in profile
+    assert "for SRP can be read" in profile
+    assert "none is for VarDis" in profile
+    assert "which one is it?" in profile
+    assert "asked for" not in profile
+
+
+def test_who_sends_no_variables_is_asked_for_some():
+    pics, remarks = silent_but_for_a_pattern()
+    assert pics.pixit.profile in ("cpp-1.2", "cpp-1.3", "dcp-1.2", "dcp-1.3")
+    assert pics.pics.vardis is True
+    assert any("no VarDis payload was heard, and it has been asked" in each for each in remarks)
+    assert any("0 of" in each and "for SRP can be read" in each for each in remarks)
+
+
+def test_nobody_has_asked_for_the_usual_profile():
+    sut = with_mutant("M-BP-HDR-02-swapped")
+    busy(sut)
+    _, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10)
+    (profile,) = [each for each in remarks if each.startswith("pixit.profile: ")]
+    assert "asked for" not in profile

@@ -159,22 +159,43 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
     "TC_BP_TXP_BI_04",
     "In 1.0 an empty payload for a queue is refused and does not empty the queue",
     requirements="BP-QM-03",
-    stimulus="a client with mode QUEUE and a payload that waits submits one of no octets",
-    expect="BP-STATUS-EMPTY-PAYLOAD, and the number of buffered payloads is as before",
-    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY), when=no_confirm),
+    stimulus="a client with mode QUEUE submits four payloads, then one of no octets",
+    expect="BP-STATUS-EMPTY-PAYLOAD, and all four payloads are sent",
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=CLIENT, when=no_confirm),
+    window=12,
 )
 def empty_payload_for_queue(bench: Bench) -> None:
     with BPClient(bench, QueueingMode.QUEUE) as client:
+        start = bench.mark()
+        payloads = client.submit(4, at_once=False)
+        bench.expect_status(EMPTY, TRANSMIT, protId=client.prot_id, payload="")
+        bench.until_quiet(client.in_frame, since=start)
+        sent = client.sent(start)
+        missing = [payload.hex() for payload in payloads if payload not in sent]
+        bench.check(not missing, "all four payloads are sent", f"{len(missing)} are not")
 
-        def act() -> tuple[int | None, Answer, int | None]:
-            client.transmit(client.payload())
-            before = client.number()
-            answer = bench.call(TRANSMIT, protId=client.prot_id, payload="")
-            return before, answer, client.number()
 
-        before, answer, after = between_beacons(bench, "an empty payload is submitted", act, client.in_frame)
-        bench.check_status(answer, (EMPTY,), TRANSMIT)
-        bench.check(after == before, f"{before} payloads wait, as before", f"{after} do", shown=True)
+@case(
+    "TC_BP_QM_BV_20",
+    "In 1.0 a queue has no bound",
+    requirements="BP-QM-03",
+    stimulus="a client with mode QUEUE, and maxEntries 1 where its upper tester has that, submits eight payloads",
+    expect="BP-STATUS-OK each time, and all are sent, in order",
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=CLIENT, when=no_confirm),
+    window=20,
+)
+def unbounded_queue(bench: Bench) -> None:
+    with BPClient(bench, QueueingMode.QUEUE, entries=1) as client:
+        start = bench.mark()
+        payloads = [client.payload() for _ in range(8)]
+        for payload in payloads:
+            bench.expect_status(OK, TRANSMIT, protId=client.prot_id, payload=payload.hex())
+        bench.until_quiet(client.in_frame, since=start)
+        sent = client.sent(start)
+        places = [payloads.index(each) for each in sent if each in payloads]
+        bench.check(
+            places == list(range(8)), "payloads 0 to 7, in order", f"payloads {places}", shown=places != sorted(places)
+        )
 
 
 @case(

@@ -14,17 +14,16 @@ from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.gaps import between_beacons
 from dcp_conformance.heard import Heard
-from dcp_conformance.reports import Reporter
+from dcp_conformance.reports import Reporter, Sent
 from dcp_conformance.services import (
     Moment,
-    check_apart,
-    check_now,
     nanoseconds,
     report_octets,
     srp_blocks,
     told,
     until_report,
 )
+from dcp_conformance.stamps import Stamps, check_apart, check_now
 
 #: Attempts to hand safety data down that an application does not replace before the next beacon.
 _ATTEMPTS = 12
@@ -138,13 +137,22 @@ def values_arrive(bench: Bench) -> None:
 )
 def time_stamp(bench: Bench) -> None:
     reporter = Reporter(bench)
-    first = reporter.sent()
-    bench.wait(2)
-    second = reporter.sent()
-    stamps = [nanoseconds(bench, each.report.t_stamp) for each in (first, second)]
-    check_apart(bench, "tStamp", stamps[1] - stamps[0], first.moment, second.moment)
+
+    def measure() -> Stamps:
+        first = reporter.sent()
+        bench.wait(2)
+        second = reporter.sent()
+        return _stamps(bench, first, second)
+
+    found = check_apart(bench, "tStamp", measure)
     if bench.profile.types.timestamp.epoch == "unix":
-        check_now(bench, "tStamp", stamps[0], first.moment)
+        check_now(bench, "tStamp", found.first, found.requests[0])
+
+
+def _stamps(bench: Bench, first: Sent, second: Sent) -> Stamps:
+    """The time stamps of two records."""
+    one, two = (nanoseconds(bench, each.report.t_stamp) for each in (first, second))
+    return Stamps(one, two, (first.moment, second.moment))
 
 
 @case(
@@ -162,13 +170,16 @@ def time_stamp(bench: Bench) -> None:
 )
 def time_stamp_of_late_record(bench: Bench) -> None:
     reporter = Reporter(bench)
-    first = reporter.sent("SRP-TYP-05")
-    with bench.deactivated("BP"):
-        values = reporter.hand_down()
-        bench.wait(8)
-    late = reporter.awaited(values, "SRP-TYP-05", what="the record is sent once BP is active again", insist=False)
-    apart = nanoseconds(bench, late.report.t_stamp - first.report.t_stamp)
-    check_apart(bench, "tStamp", apart, first.moment, late.moment)
+
+    def measure() -> Stamps:
+        first = reporter.sent("SRP-TYP-05")
+        with bench.deactivated("BP"):
+            values = reporter.hand_down()
+            bench.wait(8)
+        what = "the record is sent once BP is active again"
+        return _stamps(bench, first, reporter.awaited(values, "SRP-TYP-05", what=what, insist=False))
+
+    check_apart(bench, "tStamp", measure)
 
 
 @case(

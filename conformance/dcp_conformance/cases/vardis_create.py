@@ -17,8 +17,7 @@ from dcp_conformance.services import (
     OK,
     UNKNOWN,
     VALUE_TOO_LONG,
-    check_apart,
-    check_now,
+    Moment,
     count_of,
     create_request,
     empty_status,
@@ -31,6 +30,7 @@ from dcp_conformance.services import (
     taught,
     timed,
 )
+from dcp_conformance.stamps import Stamps, check_apart, check_now
 
 _CREATE = Needs(ut=("RTDB-Create",))
 _CREATE_READ = Needs(ut=("RTDB-Create", "RTDB-Read"))
@@ -101,18 +101,23 @@ def record_sender(bench: Bench) -> bytes:
 )
 def creation_time(bench: Bench) -> None:
     bench.relies_on("creationTime")
-    stamps, requests = [], []
-    for _ in range(2):
+
+    def created() -> tuple[int, Moment]:
         var_id = bench.own_var_id()
-        requests.append(timed(bench, "RTDB-Create", **create_request(bench, var_id)))
+        request = timed(bench, "RTDB-Create", **create_request(bench, var_id))
         record = bench.until_instruction(_V, var_id)
         if record is None:
             bench.fail("a VarCreate of the variable is sent", "none is", "VD-CRE-09")
-        stamps.append(nanoseconds(bench, record.spec.creation_time))
         bench.wait(3)
-    check_apart(bench, "creationTime", stamps[1] - stamps[0], *requests)
+        return nanoseconds(bench, record.spec.creation_time), request
+
+    def measure() -> Stamps:
+        (first, earlier), (second, later) = created(), created()
+        return Stamps(first, second, (earlier, later))
+
+    found = check_apart(bench, "creationTime", measure)
     if bench.profile.types.timestamp.epoch == "unix":
-        check_now(bench, "creationTime", stamps[0], requests[0])
+        check_now(bench, "creationTime", found.first, found.requests[0])
 
 
 @case(

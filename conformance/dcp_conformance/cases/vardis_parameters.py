@@ -326,7 +326,7 @@ def description_effect(bench: Bench) -> None:
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update", "RTDB-Read"), when=lambda bench: _is_least(bench, _VALUE)),
 )
 def value_effect(bench: Bench) -> None:
-    longest = bench.parameter(_VALUE)
+    longest = bench.bound(_VALUE)
     var_id = produced(bench, value=b"v" * longest)
     with parameters_set(bench, "VD", **{_VALUE: longest - 1}):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
@@ -346,7 +346,7 @@ def value_effect(bench: Bench) -> None:
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update"), when=several_repetitions),
 )
 def repetitions_effect(bench: Bench) -> None:
-    old = produced(bench, rep_cnt=3)
+    old = produced(bench, rep_cnt=bench.rep_cnt(3))
     settled(bench, old)
     with parameters_set(bench, "VD", **{_REPETITIONS: 2}):
         bench.expect_status(ILLEGAL_REPCOUNT, "RTDB-Create", **create_request(bench, bench.unknown_id(), rep_cnt=3))
@@ -381,7 +381,7 @@ def summaries_effect(bench: Bench, most: int) -> None:
     with parameters_set(bench, "VD", **{_SUMMARIES: most}):
         # The new variables keep beacons coming for a while; then only summaries do.
         for _ in range(2):
-            produced(bench, rep_cnt=min(3, bench.parameter(_REPETITIONS)))
+            produced(bench, rep_cnt=bench.rep_cnt(3))
         bench.mark()
         bench.beacons(1)
         mark = bench.mark()

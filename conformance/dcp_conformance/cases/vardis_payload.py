@@ -317,7 +317,15 @@ def _room_for_256(bench: Bench) -> str | None:
     needed = 2 * bench.forge.container_header_size + (IC_MAX_RECORDS + 1) * width
     if bench.parameter(PAYLOAD_SIZE) < needed:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
+    if bench.session.identifiers.size <= IC_MAX_RECORDS:
+        return f"the tester may use {bench.session.identifiers.size} identifiers (pixit.var_ids)"
     return bench.lacks_room(IC_MAX_RECORDS + 1) or None
+
+
+def _names(bench: Bench) -> set[int]:
+    """One variable more than a container can have records, of those that the tester may use."""
+    first = bench.session.identifiers.first
+    return set(range(first, first + IC_MAX_RECORDS + 1))
 
 
 @case(
@@ -331,7 +339,7 @@ def _room_for_256(bench: Bench) -> str | None:
 )
 def more_than_255(bench: Bench) -> None:
     peer = bench.peer()
-    wanted = set(range(IC_MAX_RECORDS + 1))
+    wanted = _names(bench)
     peer.send_all([peer.summary(each, 1) for each in sorted(wanted)])
     requested: set[int] = set()
     for _ in range(8):
@@ -379,7 +387,7 @@ def no_overtaking(bench: Bench, kind: ICType) -> None:
 )
 def several_containers(bench: Bench) -> None:
     peer = bench.peer()
-    peer.send_all([peer.summary(each, 1) for each in range(IC_MAX_RECORDS + 1)])
+    peer.send_all([peer.summary(each, 1) for each in sorted(_names(bench))])
     bench.until_quiet(lambda heard: heard.instructions(ICType.REQUEST_VARCREATES), 12)
     several = [each for each in bench.heard if _repeats_a_type(each)]
     text = f"{len(several)} payloads with more"

@@ -8,7 +8,8 @@ from dcp_spec.constants import ICType, seqno_modulus
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
-from dcp_conformance.gaps import in_a_gap, pausable
+from dcp_conformance.errors import StopCase
+from dcp_conformance.gaps import in_a_gap, pace, pausable
 from dcp_conformance.heard import Heard
 from dcp_conformance.services import (
     NOT_EXPRESSIBLE,
@@ -16,7 +17,6 @@ from dcp_conformance.services import (
     OK,
     UNKNOWN,
     VALUE_TOO_LONG,
-    check_apart,
     count_of,
     create_request,
     empty_status,
@@ -33,6 +33,7 @@ from dcp_conformance.services import (
     timed,
     untaught,
 )
+from dcp_conformance.stamps import Stamps, check_apart
 
 _U = ICType.UPDATES
 _C = ICType.CREATE_VARIABLES
@@ -228,7 +229,7 @@ def quick(bench: Bench) -> None:
         if in_a_gap(bench, update, updated, paused=(attempt == 2 or slow) and pausable(bench))[1]:
             _check_newest(bench, var_id, mark, count)
             return
-    bench.inconclusive("two updates between two beacons", "a beacon came in between each time")
+    bench.inconclusive("two updates between two beacons", f"a beacon came in between each time{pace(bench)}")
 
 
 @case(
@@ -393,17 +394,24 @@ def _check_unchanged(bench: Bench, var_id: int, value: bytes) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-DescribeVariable")),
 )
 def entry(bench: Bench) -> None:
-    count, var_id = max_repetitions(bench), bench.own_var_id()
-    created = timed(bench, "RTDB-Create", **create_request(bench, var_id, rep_cnt=count))
-    before = entry_of(bench, var_id) or {}
-    bench.wait(3)
-    start = bench.mark()
-    request = timed(bench, "RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
-    after = entry_of(bench, var_id) or {}
-    least = least_left(bench, count, start)
-    bench.check(after.get("value") == bench.value(b"newer").hex(), "the new value", f"{after.get('value')}", shown=True)
-    bench.check(after.get("seqno", 1) == 1, "seqno 1", f"{after.get('seqno')}", shown=True)
-    left = after.get("countUpdate", count)
-    bench.check(least <= left <= count, f"countUpdate from {least} to {count}", f"{left}", shown=True)
-    if "tStamp" in before and "tStamp" in after:
-        check_apart(bench, "tStamp", after["tStamp"] - before["tStamp"], created, request)
+    count, newer = max_repetitions(bench), bench.value(b"newer").hex()
+
+    def measure() -> Stamps:
+        var_id = bench.own_var_id()
+        created = timed(bench, "RTDB-Create", **create_request(bench, var_id, rep_cnt=count))
+        before = entry_of(bench, var_id) or {}
+        bench.wait(3)
+        start = bench.mark()
+        updated = timed(bench, "RTDB-Update", varId=var_id, value=newer)
+        after = entry_of(bench, var_id) or {}
+        least = least_left(bench, count, start)
+        bench.check(after.get("value") == newer, "the new value", f"{after.get('value')}", shown=True)
+        bench.check(after.get("seqno", 1) == 1, "seqno 1", f"{after.get('seqno')}", shown=True)
+        left = after.get("countUpdate", count)
+        bench.check(least <= left <= count, f"countUpdate from {least} to {count}", f"{left}", shown=True)
+        if "tStamp" not in before or "tStamp" not in after:
+            # Both are optional members: there is nothing more to check.
+            raise StopCase
+        return Stamps(before["tStamp"], after["tStamp"], (created, updated))
+
+    check_apart(bench, "tStamp", measure)

@@ -131,6 +131,8 @@ class Context:
         """What the implementation itself has told of its parameters."""
         self.cite: Callable[[str, Mark], Mark | None] = lambda _rule, mark: mark
         """What a finding of a rule shows for a place in a frame; None: the frame cannot be shown."""
+        self.overload: Callable[[], str] = lambda: ""
+        """Why the machine may have slowed down what it runs, in words; empty if it had time for everything."""
         self.senders = Senders(MOST_SENDERS)
         self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
 

@@ -105,7 +105,7 @@ class Broadcast(Invariant):
 
 
 class PacketSize(Invariant):
-    """The limit on beacons."""
+    """The limit on beacons. Whether the header of BP counts is open (X04), as long as the link carries it."""
 
     id = "CK_BP_SIZE"
     section = "dcp-bp.md: Packet Format"
@@ -121,10 +121,17 @@ class PacketSize(Invariant):
         """Compare, without padding."""
         self.exercised()
         size = len(seen.heard.octets)
-        if size > self._limit:
-            size -= len(seen.dissection.padding)
-        if size > self._limit:
-            text = f"{name(seen.sender)} sends {size} octets, and the limit is {self._limit}"
+        if size <= self._limit:
+            return
+        size -= len(seen.dissection.padding)
+        if size <= self._limit:
+            return
+        text = f"{name(seen.sender)} sends {size} octets, and the limit is {self._limit}"
+        header = seen.dissection.root.find("bp")
+        blocks = size - (0 if header is None else header.length)
+        if blocks <= self._limit and size <= self.context.profile.limits.uwb_max_packet:
+            self.violated(f"{text} (X04: blocks-only)", [seen], verdict=Verdict.INFO, once=(seen.sender, "header"))
+        else:
             self.violated(text, [seen], once=(seen.sender, "size"))
 
 

@@ -45,14 +45,14 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
         raise UsageError("which implementation? --interface IF for Ethernet, --link udp[:GROUP:PORT] for UDP")
     codec, _ = describe(target)
     chosen = target.profile is not None or target.pics is not None
-    asked_for = codec.profile.name
-    candidates = [codec, *(Codec(name) for name in BUILTIN_PROFILES if name != asked_for)]
+    candidates = [codec, *(Codec(name) for name in BUILTIN_PROFILES if name != codec.profile.name)]
     # An implementation is not sent frames of other layouts if its user says which one it speaks.
     asking = [codec] if chosen else None
     lower = open_lower(target, codec)
     try:
         upper = open_upper(target.ut, starting=False) if target.ut is not None else None
         try:
+            asked_for = codec.profile.name if chosen else None
             pics, remarks = draft(
                 lower, upper, candidates, seconds, ask=not passive, asked_for=asked_for, asking=asking
             )

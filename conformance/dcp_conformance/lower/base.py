@@ -75,6 +75,15 @@ class LowerTester(Protocol):
 
 
 @runtime_checkable
+class OnThisMachine(Protocol):
+    """A lower tester in real time."""
+
+    def overload(self) -> str:
+        """Why this machine may have slowed down what it runs in the last minutes, in words; empty if it has not."""
+        ...
+
+
+@runtime_checkable
 class HearsEveryType(Protocol):
     """A lower tester whose frames have a type, and that can listen to all types for a moment."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import select
 import socket
 import time
@@ -20,6 +21,8 @@ _PATIENCE = 1_000_000_000
 _MOST_HELD = 100_000
 #: ms until a full queue of an interface, which nothing tells to have room again, is tried anew.
 _PAUSE = 5
+#: Load for each processor from which what runs must wait for its turn for milliseconds.
+_OVERLOAD = 3
 
 
 class SocketLowerTester:
@@ -39,6 +42,13 @@ class SocketLowerTester:
         self._dropped = 0
         self._last = 0
         self._socket = self._open()
+
+    def overload(self) -> str:
+        """Whether more wanted to run on this machine in the last five minutes than it has processors for, in words."""
+        load, processors = os.getloadavg()[1], len(os.sched_getaffinity(0))
+        if load <= _OVERLOAD * processors:
+            return ""
+        return f"the machine was overloaded (load {load:.0f} on {processors} processors)"
 
     # -- what subclasses say -----------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from dcp_spec.status import BPStatus
 
 from dcp_stack.bp import BeaconingProtocol
 from dcp_stack.bp_clients import Chosen, ClientList
-from dcp_stack.bp_queue import QUEUEING, Client, ModeRule, PayloadQueue, Submission
+from dcp_stack.bp_queue import QUEUEING, Client, ModeRule, PayloadQueue, Places, Submission
 from dcp_stack.bp_services import NumberConfirm, RegisterConfirm
 from dcp_stack.bp_timing import BeaconSchedule
 
@@ -61,6 +61,17 @@ class QueueBounded(BeaconingProtocol):
 )
 class OldQueueRepeats(BeaconingProtocol):
     queueing = rule(QueueingMode.QUEUE, when_sent="keep")
+
+
+@mutant(
+    "bounded-by-entries",
+    "BP-QM-03",
+    "drops what exceeds maxEntries, unknown to 1.0",
+    until=SpecVersion.V1_0,
+    unseen=NO_QUEUE,
+)
+class QueueBoundedByEntries(BeaconingProtocol):
+    queueing = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
 
 
 @mutant("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent")

@@ -140,7 +140,10 @@ _NO_PAUSE = r"^TC_BP_HDR_BV_09: a pause in which it has nothing to send"
 #: What waits while BP is inactive is what the application has handed down last.
 _REPLACED = r"^TC_SRP_REC_(TI_01|BV_04): .*: an application on the node replaces"
 #: A variable of the node's own is summarised in every payload for as long as it exists.
-_SUMMARISED = r"^TC_VD_RUN_TI_0.*: variables from elsewhere are being summarised"
+_SUMMARISED = (
+    r"^TC_VD_RUN_TI_0.*: variables from elsewhere are being summarised"
+    r"|^TC_VD_SUM_BV_04: .*: an application on the node has a variable"
+)
 
 VARIANTS = (
     Variant(

@@ -10,14 +10,11 @@ from dcp_spec.constants import SpecVersion
 from dcp_conformance.pics import Testing
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 
-from .services import GETTERS
+from .services import GETTERS, NOBODY_TOLD
 from .surroundings import without
 from .variant import Setup, Variant, anywhere, has_srp, setup
 
 _V = SpecVersion
-
-#: Where nobody has told a limit, cases end as inconclusive and name the entry of the PIXIT that would help.
-_NOBODY_TOLD: Final = (r"was taken to be .*\(pixit\.",)
 
 
 class _Corner(NamedTuple):
@@ -170,7 +167,10 @@ def _variants() -> Iterator[Variant]:
                     corner.requirement,
                     _build(corner, value, knowledge),
                     since=corner.since,
-                    explains=_EXPLAINS.get(f"{corner.name}-{value}", ()) + (() if knowledge == "get" else _NOBODY_TOLD),
+                    explains=(
+                        *_EXPLAINS.get(f"{corner.name}-{value}", ()),
+                        *(() if knowledge == "get" else (NOBODY_TOLD,)),
+                    ),
                     where=has_srp if corner.name == "neighbours" else anywhere,
                 )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 from dcp_spec.constants import SpecVersion
@@ -36,7 +36,8 @@ def _without_each() -> Iterator[Variant]:
         if name == "UT-Hello":
             continue
         why = _CONTRACT if name in OPTIONAL else _NEEDED_ONLY
-        yield Variant(f"V-UT-no-{name}", f"has an upper tester without {name}", why, _lacking(name))
+        explains = {"VD-GetParameters": (NOBODY_TOLD,), "UT-Reset": (_STILL_TALKING,)}.get(name, ())
+        yield Variant(f"V-UT-no-{name}", f"has an upper tester without {name}", why, _lacking(name), explains=explains)
 
 
 def _slow() -> Iterator[Variant]:
@@ -46,7 +47,11 @@ def _slow() -> Iterator[Variant]:
             f"has an upper tester that takes {delay} ms for each call",
             "the contract has no time limit for answers",
             lambda profile, delay=delay: setup(profile, upper=slow(delay)),  # type: ignore[misc]
-            explains=(_TOO_SLOW,) if delay == 500 else (),
+            explains=(
+                TOO_SLOW_FOR_A_GAP,
+                *((_TOO_SLOW_TO_COUNT,) if delay >= 250 else ()),
+                *((_TOO_SLOW,) if delay == 500 else ()),
+            ),
         )
 
 
@@ -203,29 +208,51 @@ def _deny_all(profile: str) -> Setup:
 
 #: Without a reset the identifiers of variables run out; the message says how to have them back.
 _USED_UP = r"identifiers used up: .* A reset frees them"
+#: Where nobody has told a limit, cases end as inconclusive and name the entry of the PIXIT that would help.
+NOBODY_TOLD: Final = r"was taken to be .*\(pixit\."
+#: Up to 1.2 state reports of earlier cases are repeated until a reset.
+_STILL_TALKING = r"^TC_BP_HDR_BV_09: a pause in which it has nothing to send"
 #: A call takes a sixth of the time after which a neighbour is forgotten.
 _TOO_SLOW = r"^TC_SRP_NT_TI_02: the neighbours are in the table"
+#: Up to 1.1 BP cannot be deactivated while payloads are submitted.
+TOO_SLOW_FOR_A_GAP = r"between two beacons: a beacon came in between each time; calls take up to \d+ ms"
+#: A call takes longer than the first beacons after it.
+_TOO_SLOW_TO_COUNT = r"^TC_VD_CRE_BV_08: .*: calls take so long that it may come before them"
 
 VARIANTS = (
     *_without_each(),
     *_slow(),
     Variant("V-UT-no-optional", "has no optional method", _CONTRACT, _lacking(*OPTIONAL)),
-    Variant("V-UT-no-get", "cannot be asked for any parameter", _NEEDED_ONLY, _lacking(*GETTERS)),
+    Variant(
+        "V-UT-no-get",
+        "cannot be asked for any parameter",
+        _NEEDED_ONLY,
+        _lacking(*GETTERS),
+        explains=(NOBODY_TOLD,),
+    ),
     Variant("V-UT-no-set", "has no parameter that can be set at run time", "BP-PAR-01", _lacking(*SETTERS)),
     Variant(
-        "V-UT-no-get-no-set", "has parameters that nobody can ask for or set", "BP-PAR-01", _lacking(*GETTERS, *SETTERS)
+        "V-UT-no-get-no-set",
+        "has parameters that nobody can ask for or set",
+        "BP-PAR-01",
+        _lacking(*GETTERS, *SETTERS),
+        explains=(NOBODY_TOLD,),
     ),
     Variant(
-        "V-UT-no-reset", "has neither UT-Reset nor a restart", "PIXIT reset = none", _no_reset, explains=(_USED_UP,)
+        "V-UT-no-reset",
+        "has neither UT-Reset nor a restart",
+        "PIXIT reset = none",
+        _no_reset,
+        explains=(_USED_UP, _STILL_TALKING),
     ),
     Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart", _only_restart),
-    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper, explains=(_USED_UP,)),
+    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper, explains=(_USED_UP, NOBODY_TOLD)),
     Variant(
         "V-UT-none-no-restart",
         "has no upper tester and no restart",
         "docs/dcp-conformance.md",
         _no_upper_no_restart,
-        explains=(_USED_UP,),
+        explains=(_USED_UP, NOBODY_TOLD),
     ),
     Variant("V-UT-one-connection", "can be asked over one connection at a time", "a command has one", _one_connection),
     Variant(

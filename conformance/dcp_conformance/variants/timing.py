@@ -15,10 +15,14 @@ from dcp_stack.config import MS, BPConfig, NodeConfig, VardisConfig
 from dcp_stack.node import Node
 from dcp_stack.vardis import Vardis
 
+from .services import TOO_SLOW_FOR_A_GAP
 from .surroundings import slow
 from .variant import Setup, Variant, setup
 
 _V = SpecVersion
+
+#: Two payloads of one beacon are taken apart, so that what the second takes back may have left.
+_ONE_BY_ONE = r"^TC_VD_PEND_BV_0[123]: .*; but it takes received payloads one at a time, and may answer between"
 
 
 def polling(interval_ms: int, room: int | None = None) -> MakeNode:
@@ -96,12 +100,14 @@ def _variants() -> Iterator[Variant]:
             f"takes one received payload every {interval} ms",
             "no time is promised for the processing of what was received",
             lambda profile, interval=interval: setup(profile, make=polling(interval)),  # type: ignore[misc]
+            explains=(_ONE_BY_ONE,),
         )
     yield Variant(
         "V-TIME-all-slow",
         "looks at the buffer every 400 ms and has an upper tester that takes 100 ms for each call",
         "VD-PAR-08",
         _all_slow,
+        explains=(TOO_SLOW_FOR_A_GAP,),
     )
 
 
