@@ -7,7 +7,7 @@ implementation was dying is not held against the requirements of the case: only 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -20,6 +20,7 @@ from .bench import Bench
 from .case import Case, Kind
 from .life import Loss
 from .results import Check, Table
+from .service_requirements import concerns, violated_by_death
 from .traffic import Event, Traffic
 from .verdict import Verdict, worst
 
@@ -40,7 +41,7 @@ class Trial:
     checks: list[Check] = field(default_factory=list)
     loss: Loss | None = None
     stimulus: Event | None = None
-    """The last stimulus of the case, without the questions that follow its end."""
+    """The stimulus that probably ended the implementation; None if there was none."""
     paused: bool = False
     """BP was deactivated in the case."""
     used_up: bool = False
@@ -52,6 +53,12 @@ class Trial:
     def verdict(self) -> Verdict:
         """The worst verdict of the checks."""
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether nothing but the tester's own trouble has left the case, or parts of it, undecided."""
+        undecided = self.verdict in (Verdict.INCONCLUSIVE, Verdict.FAIL)
+        return undecided and self.loss is None and not self.used_up and bool(self.bench.disturbed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +104,8 @@ def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attr
             return _unconfirmed(trial, earlier, recent)
         if earlier.loss is not None:
             note = f"{case.id} found the implementation dead; {suspect.id}, before it, ends it when it is run alone"
-            return Attribution(alone, tuple(alone.checks), killed=False, earlier=earlier, note=note)
+            checks = with_failures_of(alone.checks, trial.checks)
+            return Attribution(alone, checks, killed=False, earlier=earlier, note=note)
     if recent:
         row = again([*recent, case])
         if isinstance(row, Trial) and row.loss is not None:
@@ -124,13 +132,39 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     what = "the implementation survives" + (f" {service}" if service else "")
     violated = survival(trial)
     death = Check(verdict, violated, what, loss.observed + text, table=table)
-    if service in trial.case.needs.ut and not violated:
+    if service and not violated:
+        # No requirement is about the service: the checks of the case keep their verdicts.
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
 
 
+def came_back(trial: Trial, seconds: float) -> tuple[Check, ...]:
+    """The checks of a case after which the implementation was silent, and answered again after this time.
+
+    A busy machine can do that, as well as what was sent.
+    """
+    assert trial.loss is not None
+    text = f"{trial.loss.observed}; it answered again after {seconds:.1f} s"
+    check = Check(Verdict.INCONCLUSIVE, survival(trial), "the implementation goes on answering", text)
+    return (check, *_withheld(trial, "the implementation did not answer for a while"))
+
+
+def with_failures_of(checks: Sequence[Check], earlier: Sequence[Check]) -> tuple[Check, ...]:
+    """Checks of an execution, with the failures of an earlier one that were proved there and not seen again.
+
+    The frames of those are in the recording of the earlier execution, which is not kept.
+    """
+    seen = {(check.expected, check.requirements) for check in checks if check.verdict is Verdict.FAIL}
+    kept = [
+        msgspec.structs.replace(check, observed=f"{check.observed} (in the first execution)", frames=())
+        for check in earlier
+        if check.verdict is Verdict.FAIL and check.shown and (check.expected, check.requirements) not in seen
+    ]
+    return (*checks, *kept)
+
+
 def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
-    """The checks of a trial, without blame for what a dead implementation did not do; what it did stays."""
+    """The checks of a trial; failures about something missing become inconclusive, proved ones stay."""
     return tuple(
         msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; but {why}")
         if check.verdict is Verdict.FAIL and not check.shown
@@ -157,7 +191,7 @@ def _unconfirmed(trial: Trial, why: str, recent: Sequence[Case]) -> Attribution:
 
 
 def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attribution:
-    """The death was seen once: a fact of the run, and no verdict about any case."""
+    """Report a death that was seen only once; it decides no case."""
     loss = trial.loss
     assert loss is not None
     tried = f"{trial.case.id} alone"
@@ -166,32 +200,27 @@ def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attri
     text = f"{loss.observed}; not reproduced from a fresh start ({tried})"
     check = Check(Verdict.INCONCLUSIVE, survival(trial), "the implementation survives", text)
     note = f"the implementation {loss.how} once, in or before {trial.case.id}; it was not reproduced: {tried}"
-    return Attribution(alone, (*alone.checks, check), killed=False, note=note)
+    return Attribution(alone, with_failures_of([*alone.checks, check], trial.checks), killed=False, note=note)
 
 
 def survival(trial: Trial) -> tuple[str, ...]:
     """The requirements that a death in this case violates.
 
-    Those of the case that ask for survival; after a frame, the one that asks for surviving what was sent. No
-    requirement asks for surviving a service call. If the case is about that service, and nothing else failed in it, its
-    first requirement that was not shown before fails: the call does not do what the case is about. A service that the
-    case only uses, such as deactivating BP between two beacons, violates none.
+    Those of the case that ask for survival. Otherwise, after a frame, the one that asks for surviving what was sent;
+    after a service call, the one that says what this service does (:mod:`.service_requirements`).
     """
     case = trial.case
     if case.needs.link:
-        # The link was taken from it: no octets have done that.
+        # The death follows from taking the link down, not from any frame or call.
         return case.requirements
     named = tuple(each for each in case.requirements if each in _SURVIVAL)
     deadly = trial.stimulus
     if named or deadly is None:
         return named
+    codec, events = trial.bench.codec, trial.bench.traffic.events
     if deadly.direction == "call":
-        if deadly.text not in case.needs.ut or any(check.verdict is Verdict.FAIL for check in trial.checks):
-            return ()
         shown = {each for check in trial.checks if check.verdict is Verdict.PASS for each in check.requirements}
-        # A pass by silence shows nothing if the implementation was dead: fail the last, most specific requirement.
-        return tuple(each for each in case.requirements if each not in shown)[:1] or case.requirements[-1:]
-    codec = trial.bench.codec
+        return violated_by_death(case, deadly, events, shown, codec.profile.spec_version)
     try:
         envelope, _ = codec.decode_envelope(deadly.frame[deadly.start :])
     except DecodeError:
@@ -203,22 +232,48 @@ def survival(trial: Trial) -> tuple[str, ...]:
 def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
     """Find the stimulus that probably ended the implementation, without calls that only tidy up.
 
-    In a case about services that is a call, as its frames are honest; otherwise a frame since the last beacon.
+    In a case about services that is the last call, as its frames are honest, unless the implementation was heard after
+    the call and before another frame, or the case only uses that service. Otherwise it is a frame since the last
+    beacon.
     """
+    events = traffic.events
+    tidying = set(_tidying(case, events))
     if case.needs.ut and case.kind is not Kind.INVALID:
-        calls = [event for event in traffic.events if event.direction == "call" and not _tidies(event.text)]
-        if calls:
-            return calls[-1]
+        calls = [place for place, each in enumerate(events) if each.direction == "call" and place not in tidying]
+        if calls and not _outlived(case, events[calls[-1] :]):
+            return events[calls[-1]]
     recent: Event | None = None
-    for event in reversed(traffic.events):
+    for place in reversed(range(len(events))):
+        event = events[place]
         if event.direction == "heard" and recent is not None:
             break
         if event.direction == "sent":
             return event
-        if event.direction == "call" and recent is None and not _tidies(event.text):
+        if event.direction == "call" and recent is None and place not in tidying:
             recent = event
     return recent
 
 
-def _tidies(method: str) -> bool:
-    return method.startswith("UT-") or method == "BP-DeregisterProtocol"
+def _outlived(case: Case, events: Sequence[Event]) -> bool:
+    """Whether the first of these events, a call, is a less likely cause of death than a frame after it."""
+    frame = next((place for place, each in enumerate(events) if each.direction == "sent"), None)
+    if frame is None or not any(each.direction == "answer" for each in events[:frame]):
+        return False
+    if any(each.direction == "heard" for each in events[:frame]):
+        return True
+    # An inactive entity must discard frames unread: they are not the cause.
+    return not (events[0].text.endswith("-MGMT-Deactivate") or concerns(case, events[0].text))
+
+
+def _tidying(case: Case, events: Sequence[Event]) -> Iterator[int]:
+    """Places of calls that only prepare or end a case, or undo something, unless the case is about that service.
+
+    An activation counts only if it was not answered: it undoes a deactivation that may have been deadly.
+    """
+    for place, event in enumerate(events):
+        if event.direction != "call":
+            continue
+        answered = any(each.direction == "answer" for each in events[place + 1 : place + 2])
+        undoes = event.text == "BP-DeregisterProtocol" or (event.text.endswith("-MGMT-Activate") and not answered)
+        if event.text.startswith("UT-") or (undoes and not concerns(case, event.text)):
+            yield place

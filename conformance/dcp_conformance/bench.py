@@ -292,6 +292,16 @@ class Bench(Listening):
         left = (params.get("protId") for method, params in self.changes.due() if method == "BP-DeregisterProtocol")
         self.session.held_protocols.update(each for each in left if isinstance(each, int))
 
+    @property
+    def spoilt(self) -> str:
+        """Why a change is still in force after :meth:`restore` that later cases can suffer from; empty if none is.
+
+        They do not suffer from registrations and subscriptions that are left over.
+        """
+        harmless = ("BP-DeregisterProtocol", "UT-Subscribe")
+        lasting = any(method not in harmless for method, _ in self.changes.due())
+        return self.not_restored if lasting else ""
+
     def _restore(self) -> None:
         self.not_restored, failures = "", 0
         # The bounds of some parameters depend on others: what is refused first may be accepted later.

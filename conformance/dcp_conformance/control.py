@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
 class SutControl(Protocol):
@@ -24,4 +24,16 @@ class SutControl(Protocol):
 
     def close(self) -> None:
         """End what was started here; may be called twice."""
+        ...
+
+
+@runtime_checkable
+class SeesSockets(Protocol):
+    """Control of an implementation whose sockets can be looked at: it runs on the tester's machine."""
+
+    def on_link(self) -> bool:
+        """Whether one of its processes has a socket open for the link: it is ready to receive.
+
+        False also if that cannot be seen.
+        """
         ...

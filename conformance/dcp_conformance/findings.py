@@ -1,4 +1,4 @@
-"""The checks of a case, and what the tester holds against itself before it believes a failure.
+"""The checks of a case, and when a failure is excused by a problem of the tester itself.
 
 A failed check is one of two kinds, and each call says which it is:
 
@@ -41,13 +41,13 @@ MS = 1_000_000
 
 
 def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:
-    """Whether ``found`` is ``whole`` in its order, with some left out or none: what losses can make of it."""
+    """Whether ``found`` is a subsequence of ``whole``: what remains of it after losses."""
     rest = iter(whole)
     return all(any(each == other for other in rest) for each in found)
 
 
 class Findings:
-    """The checks of one case, and what they are held against."""
+    """The checks of one case, with the excuses for failed ones."""
 
     def __init__(self, session: Session, case: Case) -> None:
         self.session = session
@@ -63,15 +63,17 @@ class Findings:
         self.readings: dict[str, str] = {}
         self.dropped = 0
         self.late_ns = 0
-        """The longest that the tester itself was idle in this case when it had to act; see :meth:`acts`."""
+        """The longest delay of the tester before one of its steps in this case, ns; see :meth:`acts`."""
         self._relied: set[Misread] = set()
-        """The fields on whose values this case hangs, see :meth:`relies_on`."""
+        """The fields on whose values this case depends, see :meth:`relies_on`."""
         self._excused = False
         """Whether a failure of this case had an excuse."""
+        self._disturbed: set[int] = set()
+        """Places in ``checks`` of those that only the tester's own trouble has left undecided."""
         self._acted: int | None = None
         """When (ns) the last step of the case ended (a wait, call or transmission); None before the first."""
         self.assumptions: dict[str, str] = {}
-        """What this case hangs on and nobody has told, by parameter; in words for who can tell."""
+        """Assumed values that this case depends on, by parameter, in words for the user who can state them."""
         self.doubts: dict[str, str] = {}
         """As ``assumptions``, where only something missing can follow from them: a stimulus that was not accepted."""
 
@@ -82,7 +84,7 @@ class Findings:
 
     @property
     def features(self) -> Features:
-        """What the profile's version of the specification has."""
+        """Features of the profile's version of the specification."""
         return features(self.profile.spec_version)
 
     @property
@@ -124,21 +126,22 @@ class Findings:
         A failure that :meth:`excuse` explains is recorded as inconclusive. From then on failures of both kinds are, in
         this case: they may follow from the same loss.
         """
-        verdict = Verdict.PASS if holds else Verdict.FAIL
+        verdict, disturbed = Verdict.PASS if holds else Verdict.FAIL, False
         if not holds and (why := self.misread(*requirements, shown=bool(shown), field=field)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but this follows from another fault: {why}"
         elif (
             not holds and not shown and not numbers and (why := self.unreadable(requirements or self.case.requirements))
         ):
-            # Nothing of the tester's is lost: what was received and is wrong stays a failure, in this case too.
+            # The tester has lost nothing: later failures that are proved by received octets still count.
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {why}"
         elif not holds and (excuse := self.excuse(shown=bool(shown) and not self._excused, numbers=numbers)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
             self._excused = True
+            disturbed = self._only_disturbed(numbers=numbers)
         elif not holds and not shown and (excuse := self.out_of_reach(*requirements)):
             verdict, observed = Verdict.INCONCLUSIVE, f"{observed}; but {excuse}"
         proved = bool(shown) and verdict is Verdict.FAIL
-        self._add(verdict, expected, "" if holds else observed, requirements, frames, shown=proved)
+        self._add(verdict, expected, "" if holds else observed, requirements, frames, shown=proved, disturbed=disturbed)
         return bool(holds)
 
     def require(
@@ -174,7 +177,7 @@ class Findings:
         """The case cannot be decided: stops it."""
         if untold := "; ".join({**self.doubts, **self.assumptions}.values()):
             observed = f"{observed}; {untold}"
-        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, ())
+        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbed=self._only_disturbed())
         raise StopCase
 
     def not_applicable(self, reason: str) -> NoReturn:
@@ -185,7 +188,7 @@ class Findings:
     def info(
         self, question: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
     ) -> None:
-        """The specification leaves it open: say what the implementation does."""
+        """Report a behaviour that the specification leaves open."""
         self._add(Verdict.INFO, question, observed, requirements, frames)
 
     def reading(self, identifier: str, observed: str) -> None:
@@ -199,7 +202,7 @@ class Findings:
         return not any(each.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) for each in self.checks)
 
     def verdict(self) -> Verdict:
-        """What the checks come to; ``inconclusive`` for a case that has checked nothing."""
+        """The verdict of all checks; ``inconclusive`` for a case without checks."""
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
 
     def _add(
@@ -211,11 +214,14 @@ class Findings:
         frames: Iterable[Heard | Instruction | Mark],
         *,
         shown: bool = False,
+        disturbed: bool = False,
     ) -> None:
         table: Table = "robustness" if self.case.robustness else "conformance"
         marks = tuple(self._mark(each) for each in frames)
         decided = in_force(requirements or self.case.requirements, self.profile.spec_version)
         checked = Check(verdict, decided, expected, observed, marks, table, shown)
+        if disturbed:
+            self._disturbed.add(len(self.checks))
         self.checks.append(checked)
         self.traffic.note("note", self.lower.wall(), f"{verdict}: {expected}" + (f": {observed}" if observed else ""))
 
@@ -240,7 +246,7 @@ class Findings:
         return Mark(what.heard.number, event.start + field.offset, field.length, path)
 
     def assumed(self) -> str:
-        """What the case hangs on and nobody has told, in words; empty if there is nothing."""
+        """The assumptions of the case in words; empty if there are none."""
         return "; ".join(self.assumptions.values())
 
     # -- what the tester has missed ------------------------------------------------------------------------------------
@@ -257,7 +263,7 @@ class Findings:
         return self.assumed() or ("" if shown else "; ".join(self.doubts.values()))
 
     def unreadable(self, requirements: Iterable[str]) -> str:
-        """Why something may have been sent and not be seen: beacons of this case that cannot be read to their end.
+        """Why something that was sent may not be seen: beacons of this case that cannot be read to their end.
 
         Empty if all can be read that matter for ``requirements``: a bad state report hides nothing but itself. What is
         wrong with such a beacon is for the cases about formats to say.
@@ -301,7 +307,7 @@ class Findings:
         return found["report"] if "report" in found and sent_report(self.codec, events) else ""
 
     def out_of_reach(self, *requirements: str) -> str:
-        """Why something missing is no news, in words; empty if it counts.
+        """Why something missing follows from what the sanity case found, in words; empty if it counts.
 
         The start of the run has shown that the implementation does not answer what this case has sent, or that it
         loses a container of the payloads that this case has sent, and other cases fail it for that. ``requirements``:
@@ -323,17 +329,38 @@ class Findings:
         """The variables that the case has created, or is about to."""
         return ()
 
+    @property
+    def disturbed(self) -> str:
+        """What the tester did wrong, in words, if that alone has left checks of this case undecided; otherwise empty.
+
+        Such a case is worth another execution.
+        """
+        undecided = {place for place, each in enumerate(self.checks) if each.verdict is Verdict.INCONCLUSIVE}
+        return ", ".join(self._own_trouble()) if undecided and undecided <= self._disturbed else ""
+
+    def _only_disturbed(self, *, numbers: bool = False) -> bool:
+        """Whether nothing but the tester's own trouble keeps a check from being decided at this moment."""
+        if self.assumptions or self.doubts or not self._own_trouble(numbers=numbers):
+            return False
+        # Frames that the kernel dropped explain a gap; lateness does not.
+        return bool(self.dropped) or not self.gaps()
+
+    def _own_trouble(self, *, numbers: bool = False) -> list[str]:
+        """What the tester did wrong in this case, in words."""
+        self.dropped += self.lower.health().dropped
+        trouble = []
+        if self.dropped:
+            trouble.append(f"the kernel dropped {self.dropped} frames")
+        if not numbers and self.late_ns > self.period:
+            trouble.append(f"it acted late by {self.late_ns / MS:.0f} ms")
+        return trouble
+
     def own_losses(self, *, numbers: bool = False) -> str:
         """What the tester has missed in this case, in words; empty if nothing is known.
 
         ``numbers``: only what can explain a gap between the sequence numbers of beacons.
         """
-        self.dropped += self.lower.health().dropped
-        lost = []
-        if self.dropped:
-            lost.append(f"the kernel dropped {self.dropped} frames")
-        if not numbers and self.late_ns > self.period:
-            lost.append(f"it acted late by {self.late_ns / MS:.0f} ms")
+        lost = self._own_trouble(numbers=numbers)
         if not numbers and (gaps := self.gaps()):
             lost.append(f"beacons were not heard ({gaps})")
         return ", ".join(lost)
@@ -358,7 +385,7 @@ class Findings:
         for heard in self.heard:
             after = heard.seqno
             if after is None:
-                # It was heard; that it is no beacon is the implementation's doing.
+                # Received, but without a readable number: not a loss.
                 unreadable += 1
                 continue
             if before is not None:

@@ -23,7 +23,7 @@ _GUARD: Final = 20
 
 
 def pausable(bench: Bench) -> bool:
-    """Whether BP can be deactivated: as long as it is, no beacon comes in between.
+    """Whether BP can be deactivated to keep beacons from coming in between.
 
     Not where this was found to go wrong: that is a fault of its own, which cases about other things must not meet.
     """
@@ -41,7 +41,7 @@ def in_a_gap(
     guard = bench.period // _GUARD
     with bench.deactivated("BP") if paused else contextlib.nullcontext():
         if paused:
-            # What has left the node already may still be on its way to the tester.
+            # A beacon that was sent before may still be in transit.
             bench.wait_ns(guard)
         start = bench.mark()
         try:
@@ -74,7 +74,7 @@ def between_beacons(
         result, good = in_a_gap(bench, act, sent, paused=can_pause and attempt == _ATTEMPTS - 1)
         if good:
             break
-        # What is still waiting must not be mistaken for the next attempt's, which begins right after a beacon.
+        # Flush what still waits, so that it is not mistaken for the next attempt, and begin right after a beacon.
         bench.until_quiet(sent, flush)
         bench.beacons(1, 1.5)
     else:
@@ -83,7 +83,7 @@ def between_beacons(
 
 
 def pace(bench: Bench) -> str:
-    """How long calls take, if they may be the reason that a beacon came in between, as the end of a sentence."""
+    """The end of a sentence: how long calls take, if they may be the reason that a beacon came in between."""
     slow, period = bench.session.slow_call, bench.period
     return (
         f"; calls take up to {slow / MS:.0f} ms, with a beacon every {period / MS:.0f} ms" if slow > period / 4 else ""

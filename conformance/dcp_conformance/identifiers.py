@@ -57,7 +57,7 @@ class Identifiers:
     # -- what happens --------------------------------------------------------------------------------------------------
 
     def offered(self, var_id: int, creation_time: int | None = None, *, by_peer: bool = True) -> None:
-        """Something may have created the variable: a VarCreate with this creationTime, or RTDB-Create.
+        """Note that the variable may have been created: by a VarCreate with this creationTime, or by RTDB-Create.
 
         ``by_peer``: a station of the tester's, and nobody else.
         """
@@ -68,13 +68,13 @@ class Identifiers:
         use.leaves, use.confirmed = None, False
 
     def deleted(self, var_id: int, leaves: int) -> None:
-        """The tester has asked for the deletion; ``leaves``: when the last VarDelete is over if it was heard."""
+        """Note that the tester has asked for the deletion; ``leaves``: when the last VarDelete, if heard, is over."""
         use = self._uses.get(var_id)
         if use is not None and not use.confirmed:
             use.leaves, use.beacons = leaves, 0
 
     def heard(self, alive: Iterable[int], deleted: Iterable[int], leaves: int) -> None:
-        """A beacon of the implementation, by the variables that its database must hold to send it.
+        """Note a beacon of the implementation; ``alive``: variables that its database must hold to send it.
 
         ``deleted``: those with a VarDelete; ``leaves``: when the last repetition is over if this was not the last.
         """

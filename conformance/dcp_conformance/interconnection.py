@@ -39,7 +39,11 @@ def make_contact(bench: Bench) -> Contact:
 
     Raises ``LowerTesterError``.
     """
-    return _Test(bench).run()
+    test = _Test(bench)
+    contact = test.run()
+    explained = contact.good or contact.mistaken or contact.inactive
+    # What began to speak during the test may not have been there when the first questions were asked.
+    return _Test(bench).run() if test.began_late and not explained else contact
 
 
 class _Test:
@@ -48,6 +52,13 @@ class _Test:
         self._tried: set[Stimulus] = set()
         self._answered: set[Stimulus] = set()
         self._trouble = ""
+        self._silent = False
+        """Nothing at all was heard until the first question had failed."""
+
+    @property
+    def began_late(self) -> bool:
+        """Whether the first frame came after the first question had been given up."""
+        return self._silent and bool(self._bench.heard or self._bench.others)
 
     def run(self) -> Contact:
         """The whole test."""
@@ -57,6 +68,7 @@ class _Test:
                 return self._contact()
         elif self._ask("summary", _ATTEMPTS):
             return self._contact()
+        self._silent = not (bench.heard or bench.others)
         suspicion = _suspect(bench)
         if not suspicion:
             self._try_other_stimuli()
@@ -184,6 +196,8 @@ class _Test:
         """Nothing was heard, and no usual mistake explains it."""
         bench = self._bench
         where = "is it running, on this link, with this EtherType or port?"
+        if bench.session.can_restart:
+            where += " (if it needs longer to start: --start-timeout)"
         upper = bench.session.upper
         if self._trouble:
             return f"nothing was heard, and the upper tester does not answer ({self._trouble}): {where}"

@@ -27,7 +27,7 @@ from .target import TargetOptions
 
 
 class LaneEnd(NamedTuple):
-    """What a lane has to say when it is done."""
+    """The last message of a lane."""
 
     sut: Sut | None
     notes: tuple[str, ...]
@@ -37,7 +37,7 @@ class LaneEnd(NamedTuple):
 
 
 class Revised(NamedTuple):
-    """A lane replaces one of its results: JSON of a ``CaseResult``."""
+    """Replaces a result of a lane; JSON of a ``CaseResult``."""
 
     result: bytes
 
@@ -53,13 +53,13 @@ def lanes_of(run: ConformanceRun, jobs: int | None = None) -> int:
 
 
 def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
-    """Run the selected cases of ``run`` in so many processes; results come to ``run`` as they are there."""
+    """Run the selected cases of ``run`` in this many processes, and pass each result to ``run`` as it comes."""
     # Every lane begins with the sanity case, and runs only that if nothing else is wanted.
     cases = [case.id for case in run.selected if case.base != SANITY] or [SANITY]
     lanes = max(1, min(lanes, len(cases)))
-    # Neighbours are of a kind and take alike long: dealt out one by one, the lanes are done together.
+    # Neighbouring cases take about the same time: dealing them out one by one balances the lanes.
     shares = [cases[number::lanes] for number in range(lanes)]
-    # Importing is most of what it takes to start a lane: it is done once, where the lanes are forked from.
+    # Imports take most of the time to start a lane: they are done once, in the server that forks the lanes.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([f"{__package__}.preload"])
     if run.on_start is not None:
@@ -76,7 +76,7 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             connections[ours] = process
         ends: list[LaneEnd] = []
         try:
-            for message in _messages(connections):
+            for message in messages(connections):
                 if isinstance(message, LaneEnd):
                     ends.append(message)
                     continue
@@ -91,15 +91,19 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             run.interrupt(len({result.id for result in run.results} - {SANITY}), len(cases))
         with deferred():
             stack.close()
-    run.close_lanes(ends, lanes, [run.cases[name] for name in cases])
+    run.close_lanes(ends, lanes, [run.cases[name] for name in cases] * run.repeat)
 
 
 def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
-    """What one lane runs."""
+    """The selection of one lane."""
     return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,))
 
 
-def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
+def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
+    """Yield the messages of all lanes until all have ended; ``connections``: one for each lane, with its process.
+
+    For a lane that ends without a :class:`LaneEnd`, yields one with the reason.
+    """
     open_ones = dict(connections)
     done: set[Connection] = set()
     while open_ones:
@@ -107,11 +111,12 @@ def _messages(connections: dict[Connection, Any]) -> Iterator[Any]:
             assert isinstance(ready, Connection)
             try:
                 message = ready.recv()
-            except EOFError:
+            except (EOFError, OSError):
+                # OSError: the lane was killed in the middle of a message.
                 process = open_ones.pop(ready)
                 process.join(5)
                 if process.exitcode or ready not in done:
-                    # It was ended before it could say that it was done.
+                    # It ended without its last message.
                     text = (
                         f"a lane of the tester has ended with status {process.exitcode}, before all its cases were run"
                     )
@@ -130,10 +135,10 @@ def _lane(
     until_fail: bool,
     artefacts: Path | None,
 ) -> None:
-    """What a lane's process does."""
+    """The main function of a lane's process."""
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # The parent's way to end it: everything is closed, then.
+    # The parent ends a lane with SIGTERM; everything is closed then.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
     sent: set[tuple[str, int]] = set()
@@ -157,7 +162,7 @@ def _lane(
         about = run.result()
         to.send(LaneEnd(about.sut, about.notes, run.trouble, run.usage, tuple(run.passive)))
     except (BrokenPipeError, KeyboardInterrupt):
-        # Nobody listens any more.
+        # The parent has gone, or has ended the lane.
         return
     finally:
         to.close()

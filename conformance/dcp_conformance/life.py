@@ -1,4 +1,4 @@
-"""Signs of life: whether the implementation still takes part, and what is known of its end.
+"""Signs of life: whether the implementation still takes part, and how it ended.
 
 The runner asks after every case that leaves a doubt, after every start, and before it believes in a death.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import re
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -15,7 +16,7 @@ from dcp_spec.constants import ICType
 
 from .bench import Bench
 from .case import Case
-from .control import SutControl
+from .control import SeesSockets, SutControl
 from .errors import LowerTesterError, StopCase, UpperTesterError
 from .heard import Heard
 from .session import Session
@@ -26,6 +27,11 @@ QUESTIONS: Final = 4
 DEATH_PATIENCE: Final = 1.5
 #: Seconds that an implementation may take to answer after a start.
 START_PATIENCE: Final = 30.0
+#: Seconds from opening the link to the first answer, after the first start: of several processes the one that opens the
+#: link may be the first to start.
+READY_PATIENCE: Final = 8.0
+#: Seconds of waiting after which the user gets a message.
+SILENT: Final = 3.0
 #: Beacon periods that an implementation may take to send what comes before an answer.
 _BACKLOG: Final = 100
 _BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
@@ -39,12 +45,12 @@ _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """The implementation does not take part any more."""
+    """How the implementation stopped taking part."""
 
     died: bool
     """Its process has ended; otherwise it runs, as far as is known, and does not answer."""
     observed: str
-    """What was seen, for the failed check."""
+    """What was observed, for the failed check."""
     cause: str = ""
     """How the process ended, and its last words; empty if that is not known."""
     doubtful: bool = False
@@ -74,25 +80,28 @@ class Loss:
 
 
 class Life:
-    """What is known of the life of one implementation."""
+    """Checks whether one implementation lives."""
 
-    def __init__(self, session: Session, control: SutControl | None) -> None:
+    def __init__(self, session: Session, control: SutControl | None, start_timeout: float | None = None) -> None:
+        """``start_timeout``: seconds that it may take to answer after a start; None: ``START_PATIENCE``."""
         self._session = session
         self._control = control
+        self._told = start_timeout is not None
+        self._start_timeout = START_PATIENCE if start_timeout is None else start_timeout
         self._shown: set[Sign] = set()
-        """The signs of life that there were: what an implementation never did it cannot have stopped doing."""
+        """Kinds of signs of life that were observed; only the absence of these shows a death."""
         self.hung_up = ""
-        """Why the upper tester had no connection any more, since the last look; empty if it had one."""
+        """Why the upper tester lost its connection since the last check; empty if it did not."""
 
     def ended(self) -> bool:
         """Whether the process is known to have ended."""
         return self._control is not None and self._control.alive() is False
 
     def await_end(self, bench: Bench) -> bool:
-        """Wait for an implementation that may be ending; whether its process is known to have ended."""
+        """Wait up to ``DEATH_PATIENCE`` for the process to end. Returns whether it is known to have ended."""
         deadline = bench.now() + round(DEATH_PATIENCE * 1e9)
         real = time.monotonic() + DEATH_PATIENCE
-        # Both clocks: time passes on the lower tester's only while the link can be read.
+        # Two clocks: that of the lower tester stands still while the link cannot be read.
         while not self.ended() and bench.now() < deadline and time.monotonic() < real:
             try:
                 bench.wait_ns(_POLL_NS)
@@ -114,7 +123,7 @@ class Life:
         if answered:
             self._shown.add("answer")
 
-    def answers(self, bench: Bench) -> bool:
+    def answers(self, bench: Bench, questions: int = QUESTIONS) -> bool:
         """Whether the implementation takes part as it did before.
 
         If it ever answered a summary of an unknown variable, it must answer one of several now, or send a VarDis
@@ -122,7 +131,7 @@ class Life:
         upper tester is enough.
         """
         strict = "answer" in self._shown and self._can_ask(bench)
-        for _ in range(QUESTIONS):
+        for _ in range(questions):
             before = len(bench.heard)
             try:
                 answered = self._asked(bench)
@@ -181,7 +190,7 @@ class Life:
         self.learn(bench)
         if not self.ended():
             if self.hung_up:
-                # It may be the first sign of an end.
+                # A lost connection is often the first sign of an end.
                 self.await_end(bench)
                 ask = True
             if not self.ended() and (not ask or self.answers(bench)):
@@ -215,21 +224,64 @@ class Life:
         return "it does not answer any more" + (", though its process runs" if runs else "")
 
     def await_answer(self, case: Case) -> str:
-        """Wait until an implementation that was started answers: what is sent before that, it cannot hear.
+        """Wait until an implementation that was started answers; it misses what is sent before that.
 
         ``case``: the next one, or the last. Returns why waiting is in vain, empty if it answers.
         """
         if not self._shown and self._control is None:
             return ""
+        return self._await(case, lambda _: "")
+
+    def await_start(self, case: Case, say: Callable[[str], None]) -> str:
+        """Wait until the implementation answers after its first start, as :meth:`await_answer` does.
+
+        Nothing is known of it yet: it may never answer. Unless the user has said how long it may take, waiting ends
+        ``READY_PATIENCE`` s after it has opened the link. ``say`` is told what is waited for, once that has taken
+        ``SILENT`` s.
+        """
+        begun = self._session.lower.now()
+        said, ready = False, 0
+
+        def given_up(bench: Bench) -> str:
+            nonlocal said, ready
+            now = bench.now()
+            on_link = isinstance(self._control, SeesSockets) and self._control.on_link()
+            if not said and now - begun >= SILENT * 1e9:
+                said = True
+                say(self._waiting(bench, (now - begun) / 1e9, on_link=on_link))
+            if on_link and not ready:
+                ready = now
+            if self._told or not ready or now - ready < READY_PATIENCE * 1e9:
+                return ""
+            return f"does not answer, though it opened the link {(now - ready) / 1e9:.0f} s ago"
+
+        return self._await(case, given_up, questions=1)
+
+    def _waiting(self, bench: Bench, passed: float, *, on_link: bool) -> str:
+        """Describe an implementation that does not answer after its start, and how long it is still waited for."""
+        runs = self._control is not None and self._control.alive()
+        known = "its process runs" if runs else "it is not known whether its process runs"
+        if on_link:
+            known = "it has opened the link"
+        frames = f"{len(bench.others)} frames of other nodes" if bench.others else "nothing"
+        left = max(0.0, self._start_timeout - passed)
+        return (
+            f"waiting for the implementation to start: {known}, {frames} heard on {bench.lower.name}; "
+            f"at most {left:.0f} s more (--start-timeout)"
+        )
+
+    def _await(self, case: Case, given_up: Callable[[Bench], str], questions: int = QUESTIONS) -> str:
+        """Wait for an answer. After each attempt ``given_up`` returns why to stop waiting, or an empty string."""
         # Traffic while waiting is not evidence of the case.
         bench, control = Bench(self._session, case), self._control
-        deadline = bench.now() + round(START_PATIENCE * 1e9)
-        while not self.answers(bench):
+        deadline = bench.now() + round(self._start_timeout * 1e9)
+        while not self.answers(bench, questions):
+            why = given_up(bench)
             bench.take_newcomer()
             if control is not None and control.alive() is False:
                 return f"is dead again: {control.why_dead()}"
-            if bench.now() >= deadline:
-                return f"does not answer within {START_PATIENCE:g} s"
+            if why or bench.now() >= deadline:
+                return why or f"does not answer within {self._start_timeout:g} s"
             try:
                 bench.wait(1)
             except LowerTesterError as error:
@@ -241,7 +293,7 @@ class Life:
 
 
 def _last_sign(bench: Bench) -> str:
-    """After which of its beacons an implementation died, as the end of a sentence; empty if that says nothing."""
+    """The end of a sentence: before which sent frame its last beacon came; empty if no frame came after it."""
     frames = [event for event in bench.traffic.events if event.number and event.direction in ("sent", "heard")]
     last = max((place for place, event in enumerate(frames) if event.direction == "heard"), default=len(frames))
     after = frames[last + 1 :]

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import IO
@@ -29,7 +29,7 @@ END_PATIENCE = 3.0
 #: Octets of output that are kept on disk; when there is more, it begins anew.
 _MOST_OUTPUT = 1024 * 1024
 _KEPT_OUTPUT = 64 * 1024
-#: What ``st_blocks`` counts, in octets.
+#: Unit of ``st_blocks``, in octets.
 _BLOCK = 512
 _PR_SET_PDEATHSIG = 1
 #: ``FALLOC_FL_KEEP_SIZE`` and ``FALLOC_FL_PUNCH_HOLE`` of <linux/falloc.h>.
@@ -37,11 +37,12 @@ _PUNCH_HOLE = 0x01 | 0x02
 
 
 class ProcessControl:
-    """Handles the implementation with what was given; all of it is optional.
+    """Controls the implementation by the given commands and processes, all of them optional.
 
     * ``start``: a command that is the implementation, or launches it and ends with status 0: within ``SETTLE`` s, or
       later, if something that it has started still runs.
-    * ``stop``: a command that stops it; without one the process of ``start`` gets SIGTERM, and SIGKILL after 3 s.
+    * ``stop``: a command that stops it; without one the process of ``start`` and all that it has started get SIGTERM,
+      and SIGKILL after 3 s.
     * ``restart``: a command that restarts it and ends; without one it is stopped and started.
     * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a number used again is no mistake; the
       file is read again after a restart.
@@ -61,8 +62,11 @@ class ProcessControl:
         around: Callable[[], AbstractContextManager[object]] = contextlib.nullcontext,
         ends_with_tester: bool = False,
         settle: float = SETTLE,
+        udp_port: int | None = None,
     ) -> None:
         """``around`` is entered while a process is made; ``ends_with_tester``: not even SIGKILL leaves it behind.
+
+        ``udp_port``: that of the link; None for Ethernet.
 
         Raises ``UsageError`` for commands that cannot be read and for a process that is not there.
         """
@@ -73,16 +77,17 @@ class ProcessControl:
         self._around = around
         self._ends_with_tester = ends_with_tester
         self._settle = settle
+        self._udp_port = udp_port
         self.can_restart = self._restart is not None or self._start is not None
         self.after_restart: list[Callable[[], None]] = []
-        """What is called after each restart: reconnecting of upper testers."""
+        """Called after each restart, to reconnect upper testers."""
         self._process: subprocess.Popen[bytes] | None = None
         self._launched = False
         self._output: IO[bytes] | None = None
         self._watched: tuple[int, int] | None = None
         self._why = ""
         self._mark = secrets.token_hex(8)
-        """Is in the environment of all that the start command starts, also of what leaves its session."""
+        """Marks the environment of all processes that the start command starts, also if they leave its session."""
         if pid is not None:
             started = started_at(pid)
             if started is None:
@@ -96,7 +101,7 @@ class ProcessControl:
     # -- SutControl --------------------------------------------------------------------------------------------
 
     def alive(self) -> bool | None:
-        """Whether the process runs; None if there is none to look at."""
+        """Whether the process runs; None if no process is known."""
         if self._watched is not None:
             pid, started = self._watched
             if started_at(pid) != started:
@@ -110,14 +115,14 @@ class ProcessControl:
             self._trim()
             return True
         if status == 0 and self._settle and not self._why and self._runs_on():
-            # It has launched the implementation, on a machine that was too busy to end it within the settling time.
+            # The launcher has ended only now, since the machine is busy; the implementation runs.
             self._launched = True
             return None
         self._why = self._why or f"it ended with {ending(status)}{self._last_words()}"
         return False
 
     def why_dead(self) -> str:
-        """How the process ended, and the last lines that it said."""
+        """How the process ended, and the last lines of its output."""
         return "" if self.alive() is not False else self._why
 
     def restart(self) -> None:
@@ -156,7 +161,7 @@ class ProcessControl:
         if self._output is None:
             self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         self._output.truncate(0)
-        # At its end, wherever that is after it was cut.
+        # O_APPEND: the process writes at the end, also after the file was truncated.
         appending = os.open(f"/proc/self/fd/{self._output.fileno()}", os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
         try:
             with self._around():
@@ -189,7 +194,20 @@ class ProcessControl:
         if self._process is not None:
             end_group(self._process, patience=END_PATIENCE)
             self._process = None
+            if self._stop is None:
+                self._end_detached()
         self._watched = None
+
+    def _end_detached(self) -> None:
+        """End what the start command has started in other sessions: two nodes of one name spoil every verdict."""
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            left = [int(process.name) for process in self._processes()]
+            for pid in left:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, number)
+            deadline = time.monotonic() + END_PATIENCE
+            while left and any(True for _ in self._processes()) and time.monotonic() < deadline:
+                time.sleep(0.02)
 
     def _run(self, name: str, words: list[str]) -> None:
         """Run a command to its end. Raises ``ConformanceError`` if it fails or hangs."""
@@ -206,7 +224,7 @@ class ProcessControl:
             except subprocess.TimeoutExpired:
                 raise ConformanceError(f"{name}: the command did not end within {PATIENCE:g} s") from None
             finally:
-                # What it has started goes on; the command itself does not.
+                # End the command itself; processes that it started go on.
                 if process.poll() is None:
                     process.kill()
                     process.wait()
@@ -235,30 +253,37 @@ class ProcessControl:
                 return
             time.sleep(0.02)
 
+    def on_link(self) -> bool:
+        """Whether a process of the implementation has a socket open for the link; False if that cannot be seen."""
+        return any(has_link_socket(process, self._udp_port) for process in self._processes())
+
     def _runs_on(self) -> bool:
         """Whether something that the start command has started runs."""
+        return any(True for _ in self._processes())
+
+    def _processes(self) -> Iterator[Path]:
+        """Folders in /proc of the processes that the start command has started, and of those that they have."""
         wanted = os.fsencode(f"{_MARK}={self._mark}")
         for path in Path("/proc").glob("[0-9]*/environ"):
             # Gone, or of another user.
             with contextlib.suppress(OSError):
                 if wanted in path.read_bytes().split(b"\0") and started_at(int(path.parent.name)) is not None:
-                    return True
-        return False
+                    yield path.parent
 
     def _last_words(self) -> str:
         return "" if self._output is None else _end_of(self._output)
 
     def _trim(self) -> None:
-        """Give back the room of what was said long ago."""
+        """Free the disk space of old output."""
         if self._output is None:
             return
         status = os.fstat(self._output.fileno())
         if status.st_blocks * _BLOCK > _MOST_OUTPUT:
-            # A hole at the beginning: what is being written behind it, at this moment too, is not touched.
+            # Punch a hole at the beginning; concurrent writes at the end are not affected.
             libc = ctypes.CDLL(None)
             size = ctypes.c_int64(max(0, status.st_size - _KEPT_OUTPUT))
             if libc.fallocate64(self._output.fileno(), _PUNCH_HOLE, ctypes.c_int64(0), size):
-                # A file system without holes; words that come between looking and cutting are lost.
+                # No holes in this file system: output between fstat and truncate is lost.
                 self._output.truncate(0)
 
 
@@ -271,6 +296,29 @@ def started_at(pid: int) -> int | None:
     # The name of the program, in parentheses, may hold anything.
     fields = re.split(r"\s+", stat.rpartition(")")[2].strip())
     return None if fields[0] in ("Z", "X") else int(fields[19])
+
+
+def has_link_socket(process: Path, udp_port: int | None) -> bool:
+    """Whether a process, a folder in /proc, has a packet socket open, or with ``udp_port`` a socket bound to it."""
+    owned: set[str] = set()
+    try:
+        for link in (process / "fd").iterdir():
+            # Closed meanwhile.
+            with contextlib.suppress(OSError):
+                owned.add(str(link.readlink()))
+        if udp_port is None:
+            rows = [line.split() for line in _lines(process / "net" / "packet")]
+            return any(f"socket:[{row[8]}]" in owned for row in rows if len(row) > 8)
+        rows = [line.split() for name in ("udp", "udp6") for line in _lines(process / "net" / name)]
+        port = f"{udp_port:04X}"
+        return any(row[1].endswith(f":{port}") and f"socket:[{row[9]}]" in owned for row in rows if len(row) > 9)
+    except OSError:
+        return False
+
+
+def _lines(path: Path) -> list[str]:
+    """The lines of a table in /proc without its heading; none where there is no such table."""
+    return path.read_text().splitlines()[1:] if path.exists() else []
 
 
 def _end_of(output: IO[bytes]) -> str:

@@ -1,4 +1,4 @@
-"""How fast an implementation reacts: measured at the start of a run, so that slow but legal ones are waited for.
+"""Measure how fast an implementation reacts at the start of a run, so that slow but legal ones are waited for.
 
 An implementation may look at its buffer every few hundred milliseconds only, compose a payload well before it is sent,
 or take one received payload each time it polls. The specification sets no bound, so the tester measures: it asks a few
@@ -19,16 +19,16 @@ from .heard import Heard
 from .misreading import misread_fields
 from .session import FLOOR, Reaction, Session
 
-#: Questions that are asked one by one, and at once.
+#: Number of questions asked one by one, and number of questions asked at once.
 _SINGLE, _BURST = 5, 10
-#: How long to wait for an answer that may never come: the greater of beacon periods and ns.
+#: The longest wait for an answer: beacon periods or ns, whichever is longer.
 _PATIENCE = (25, 5_000_000_000)
-#: What the worst sample is multiplied by and what is added to it, in periods.
+#: Factor for the slowest sample, and margin added to it, in beacon periods.
 _FACTOR, _MARGIN = 1.5, 1.0
 #: Answers to a burst within so many periods came together: a payload was composed while the burst was arriving.
 _TOGETHER = 1.5
 _CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
-#: Not a case of the suite: a bench needs one.
+#: A bench needs a case; this one is not part of the suite.
 _CASE: Final = Case(
     "measurement",
     "How fast the implementation reacts",
@@ -73,7 +73,7 @@ def measure(bench: Bench) -> Reaction:
         if not times:
             break
         samples += times
-        # Different phases of its timers; the first two questions follow an answer at once.
+        # Hit different phases of its timers; the second question follows the first answer at once.
         bench.wait(0.2 * number)
     if not samples:
         return Reaction()
@@ -85,7 +85,7 @@ def measure(bench: Bench) -> Reaction:
 
 
 def _told(bench: Bench) -> float:
-    """The period in which it looks at its buffer, if that is known, and the beacon after it.
+    """The buffer check period, if it is known, plus the beacon after it, in beacon periods.
 
     With something to say in every beacon it does not look, and answers faster than it will when it is idle.
     """
@@ -94,7 +94,7 @@ def _told(bench: Bench) -> float:
 
 
 def _ask(bench: Bench, count: int) -> list[float]:
-    """Send so many questions at once, each in a beacon; the times until the first request for each, in periods.
+    """Send ``count`` questions at once, each in a beacon. Returns the times to the answers, in beacon periods.
 
     Fewer questions where fewer identifiers are left.
     """
@@ -113,7 +113,7 @@ def _ask(bench: Bench, count: int) -> list[float]:
         return bool(new)
 
     patience = max(_PATIENCE[0], _PATIENCE[1] / bench.period)
-    # Each answer may take that long, not all of them together.
+    # The limit is for each answer.
     while waiting:
         if not bench.until(answered, patience):
             break

@@ -84,6 +84,9 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     counted: bool = True
     """Whether it counts as a case: repetitions of the sanity case do not."""
     attempt: int = 1
+    executions: int = 1
+    """How often the case was executed for this result, which is that of the last time. More than once if the tester
+    itself was late, or lost frames, and could not decide the case for that reason alone."""
     error_detail: str = ""
     """For a fault of the tester: where it happened."""
 

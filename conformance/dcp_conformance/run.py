@@ -1,4 +1,4 @@
-"""One run of the suite: what was asked for, cases one after the other, what came of them.
+"""One run of the suite: the selected cases in their order, and their results.
 
 Knows nothing of terminals and files; ``dcp-conformance run`` and the pytest plugin both drive it.
 """
@@ -10,6 +10,7 @@ import dataclasses
 import datetime
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -35,14 +36,14 @@ if TYPE_CHECKING:
 
 
 class _Key(NamedTuple):
-    """What tells results of a run apart."""
+    """Identifies a result within a run."""
 
     id: str
     attempt: int
 
 
 class ConformanceRun:
-    """One run: what was asked for, and what came of it."""
+    """One run: the selection, the cases in their order, and their results."""
 
     def __init__(
         self,
@@ -86,16 +87,20 @@ class ConformanceRun:
         self.until_fail = until_fail
         self.command = command
         self.results: list[CaseResult] = []
-        """Of the cases, in the order in which they were run."""
+        """Results of the cases, in the order of their executions."""
         self.passive: list[CaseResult] = []
-        """Of the invariants that were watched meanwhile."""
+        """Results of the invariants that were checked on all beacons of the run."""
         self.trouble = ""
-        """Why nothing could be run, or not to the end: the tester's own fault."""
+        """Why the run could not begin or not be completed: a problem of the tester, not of the implementation."""
+        self._stopped = False
+        """Whether ``until_fail`` has ended the run."""
         self.usage = False
-        """Whether the trouble is a mistake of the user."""
+        """Whether the user has caused the trouble (exit status 2)."""
         self.interrupted = False
         """Whether a signal ended the run."""
         self.on_start = on_start
+        self.on_wait: Callable[[str], None] = lambda _: None
+        """Called with a message while the run waits for the implementation to start."""
         self._on_result = on_result
         self.on_revised: Callable[[CaseResult], None] | None = None
         self._runner: Runner | None = None
@@ -162,10 +167,19 @@ class ConformanceRun:
             self.finish()
         except KeyboardInterrupt:
             self.interrupt(done, len(planned))
+        except ConformanceError as error:
+            self.trouble = str(error)
+        except Exception as error:
+            self._faulty(error)
         finally:
             with deferred():
                 self.close()
         self.account(planned)
+
+    def _faulty(self, error: Exception) -> None:
+        """Record a fault of the tester. The results up to now are still reported."""
+        self.trouble = self.trouble or f"a fault of the tester: {type(error).__name__}: {error}"
+        self._notes.append("".join(traceback.format_exception(error)))
 
     def open(self) -> bool:
         """Open the way to the implementation; False if there is none, see :attr:`trouble`."""
@@ -176,14 +190,13 @@ class ConformanceRun:
                 runner.rerun += f" -x {SANITY}"
             runner.prepare()
             if self.options.foreign and self.options.start:
-                runner.life.await_answer(self.cases[SANITY])
+                runner.life.await_start(self.cases[SANITY], self.on_wait)
         except ConformanceError as error:
             self.trouble = str(error)
             self.usage = isinstance(error, UsageError)
             return False
         except Exception as error:
-            self.trouble = f"a fault of the tester: {type(error).__name__}: {error}"
-            self._notes.append("".join(traceback.format_exception(error)))
+            self._faulty(error)
             return False
         return True
 
@@ -191,15 +204,18 @@ class ConformanceRun:
         """Close everything, and end the implementation if it was started here."""
         runner, self._runner = self._runner, None
         if runner is not None:
-            self._sut = runner.about()
-            self._notes += runner.notes
-            options = {case.id: case.options for case in self.found_by_fuzzer.values()}
-            self.take_passive(runner.session.passive.results(runner.rerun, options))
+            try:
+                self._sut = runner.about()
+                self._notes += runner.notes
+                options = {case.id: case.options for case in self.found_by_fuzzer.values()}
+                self.take_passive(runner.session.passive.results(runner.rerun, options))
+            except Exception as error:
+                self._faulty(error)
         with contextlib.suppress(LowerTesterError, UpperTesterError):
             self._stack.close()
 
     def run_case(self, case: Case) -> tuple[CaseResult, str]:
-        """Run one; its result and what is unexpected in it."""
+        """Run one case. Returns its result, and in words what is unexpected in it."""
         assert self._runner is not None
         attempt = self._attempts[case.id] = self._attempts.get(case.id, 0) + 1
         result = self._runner.run(case, attempt)
@@ -208,17 +224,19 @@ class ConformanceRun:
         return result, self.take(case, result)
 
     def finish(self) -> None:
-        """All cases have been run: look whether the implementation outlives them."""
+        """Check, after the last case, that the implementation has survived."""
         assert self._runner is not None
-        self._runner.finish()
+        try:
+            self._runner.finish()
+        except Exception as error:
+            self._faulty(error)
         for revised in self._runner.take_revised():
             self.revise(revised)
 
     def take(self, case: Case, result: CaseResult) -> str:
-        """Take a result, of this process or of a lane; what is unexpected in it."""
+        """Add a result, from this process or from a lane. Returns what is unexpected in it."""
         if case.id == SANITY and any(each.id == SANITY for each in self.results):
-            # It is repeated to see whether the implementation is still there, not as one more case.
-            # A failure is a finding all the same.
+            # The repetition only checks that the implementation is still there. A failure is a finding, though.
             counted = result.verdict in (Verdict.FAIL, Verdict.ERROR)
             result = msgspec.structs.replace(result, counted=counted)
         surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
@@ -228,7 +246,7 @@ class ConformanceRun:
         return surprise
 
     def take_passive(self, results: Iterable[CaseResult]) -> None:
-        """Take what the invariants say, of this process or of all lanes."""
+        """Add the results of the invariants, from this process or from all lanes."""
         self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._unheard]
         for each in self.passive:
             self._surprises[_Key(each.id, 1)] = self.expected.judge(self._invariants[each.id], each)
@@ -252,23 +270,25 @@ class ConformanceRun:
 
     def stops(self, result: CaseResult) -> bool:
         """Whether the user wants the run to end after this result."""
-        return self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR)
+        self._stopped = self._stopped or (self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR))
+        return self._stopped
 
     def interrupt(self, done: int, planned: int) -> None:
-        """A signal has ended the run."""
+        """Note that a signal has ended the run, after ``done`` of ``planned`` executions."""
         self.interrupted = True
         self._notes.append(f"interrupted after {done} of {planned} cases")
 
     def account(self, planned: Sequence[Case]) -> None:
-        """Count planned cases against results: one without a result is an error of the tester, and says so."""
-        if self.interrupted or self.until_fail:
+        """Compare planned executions with results: each one without a result becomes an ``error`` of the tester."""
+        if self.interrupted or self._stopped:
             return
-        there = {result.id for result in self.results}
+        there = Counter(result.id for result in self.results)
+        wanted = Counter(case.id for case in planned)
         for case in dict.fromkeys(planned):
-            if case.id not in there:
-                self._add_lost(case)
+            for attempt in range(there[case.id] + 1, wanted[case.id] + 1):
+                self._add_lost(case, attempt)
 
-    def _add_lost(self, case: Case) -> None:
+    def _add_lost(self, case: Case, attempt: int) -> None:
         expected, observed = "the case has a result", self.trouble or "the tester has lost it"
         lost = CaseResult(
             id=case.id,
@@ -280,13 +300,14 @@ class ConformanceRun:
             reason=f"{expected}: {observed}",
             table="robustness" if case.robustness else "conformance",
             checks=(Check(Verdict.ERROR, case.requirements, expected, observed),),
+            attempt=attempt,
         )
         self.take(case, lost)
 
     # -- lanes ---------------------------------------------------------------------------------------------------------
 
     def close_lanes(self, ends: Sequence[LaneEnd], lanes: int, planned: Sequence[Case]) -> None:
-        """All lanes are done: take what they say of the implementation, account for each case, order the results."""
+        """Merge what the lanes report when all have ended, account for each case, and sort the results."""
         self._sut = next((end.sut for end in ends if end.sut is not None), None)
         self._notes += [note for end in ends for note in end.notes]
         if lanes > 1:
@@ -302,7 +323,7 @@ class ConformanceRun:
     # -- results -------------------------------------------------------------------------------------------------------
 
     def complaints(self) -> list[str]:
-        """What is unexpected: results, and entries of the file of expected results."""
+        """Unexpected results, and faults in the file of expected results."""
         today = datetime.datetime.now(datetime.UTC).date()
         ran = {result.id for result in self.results}
         selected = [case for case in self.selected if case.id in ran]
@@ -311,7 +332,7 @@ class ConformanceRun:
         return [*dict.fromkeys(unexpected), *self.expected.complaints(selected, today)]
 
     def exit_status(self) -> int:
-        """As documented: a signal, then the tester's own trouble, then unexpected results, then doubts."""
+        """The documented exit status; signals first, then trouble, then unexpected results, then inconclusive ones."""
         if self.interrupted:
             return INTERRUPTED
         if self.trouble:
@@ -319,7 +340,7 @@ class ConformanceRun:
         return exit_status([*self.results, *self.passive], unexpected=bool(self.complaints()))
 
     def result(self) -> RunResult:
-        """Everything that is known of the run, also of one that could not begin."""
+        """All results and notes of the run, also if it could not begin."""
         notes = [*self._notes, *([self.trouble] if self.trouble else [])]
         if self.expected.entries:
             notes += self.complaints()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import traceback
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,27 +10,30 @@ from typing import NamedTuple
 import msgspec
 from dcp_spec.parameters import parameters
 
-from .applicability import in_force, why_not
-from .attribution import Trial, attribute, blamed, likely_stimulus
+from .applicability import why_not
+from .attribution import Trial, attribute, blamed, came_back, likely_stimulus, with_failures_of
 from .bench import Bench, Session
 from .case import SANITY, Case
+from .case_results import result_of
 from .control import SutControl
-from .errors import CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
+from .errors import ConformanceError, CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
 from .life import Life
 from .link import link_switch
 from .node_id import node_id_octets
 from .reaction import prepare
-from .results import CaseResult, Check, EventRecord, Sut
+from .remarks import deaths_alike, executed_again, left_changed
+from .results import CaseResult, Check, Sut
 from .session import FLOOR
-from .traffic import Event
-from .verdict import Verdict, worst
+from .verdict import Verdict
 
-#: Cases that a note names of those that ended the life of the implementation in the same way.
-_NAMED = 6
 #: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
 DEACTIVATE = "BP-MGMT-Deactivate"
+#: The expectation that fails where no case can be executed any more.
+_ALIVE = "a living implementation"
+#: Executions of a case that only the tester's own lateness, or frames that it lost, leave undecided.
+MOST_EXECUTIONS = 3
 #: The code of JSON-RPC for a fault of the implementation.
 _INTERNAL_ERROR = -32603
 
@@ -52,37 +54,53 @@ class Runner:
     """
 
     def __init__(
-        self, session: Session, control: SutControl | None = None, *, rerun: str = "dcp-conformance run"
+        self,
+        session: Session,
+        control: SutControl | None = None,
+        *,
+        rerun: str = "dcp-conformance run",
+        start_timeout: float | None = None,
     ) -> None:
+        """``rerun``: the command of the run, without cases. ``start_timeout``: see :class:`.life.Life`."""
         self.session = session
         self.control = control
         self.rerun = rerun
-        self.life = Life(session, control)
+        self.life = Life(session, control, start_timeout)
         self.remarks: list[str] = []
-        """What the reader of the results should know, beside deaths."""
+        """Notes for the reader of the results, without those about deaths."""
         self.dead = ""
-        """Why nothing can be run any more; empty while the implementation lives."""
+        """Why no further case can be executed; empty while the implementation lives."""
         self._deaths: dict[str, list[str]] = {}
-        """Cases by how the implementation ended."""
+        """Cases in which the implementation ended, by :attr:`.life.Loss.group`."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases in this life of the implementation."""
         self._revised: list[CaseResult] = []
         self._measured = 0
         """How often the reaction time was measured."""
         self._unsettled = False
-        """The upper tester has reported an internal error in the last case."""
+        """The last case has left the implementation in a state that can spoil later ones, or its upper tester has
+        reported an internal error."""
+        self._spoilt: dict[str, str] = {}
+        """Cases whose changes could not be undone, with the reason."""
         self._renewals = 0
         """Restarts because identifiers were used up."""
+        self._disturbed: dict[str, str] = {}
+        """Cases that were executed again because the tester was late, with what it did wrong."""
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
         session.switch_link = link_switch(control, session.pics.pixit)
 
     @property
     def notes(self) -> list[str]:
-        """What the reader of the results should know of the run as a whole."""
-        renewed = [f"restarted {self._renewals} times, when all identifiers of variables had been used"]
-        deaths = [_told(how, cases) for how, cases in self._deaths.items()]
-        return [*self.remarks, *(renewed if self._renewals else ()), *deaths]
+        """Notes for the reader of the results about the run as a whole."""
+        found = list(self.remarks)
+        if self._spoilt and not self._restartable:
+            found.append(left_changed(self._spoilt))
+        if self._renewals:
+            found.append(f"restarted {self._renewals} times, when all identifiers of variables had been used")
+        if self._disturbed:
+            found.append(executed_again(self._disturbed))
+        return found + [deaths_alike(how, cases) for how, cases in self._deaths.items()]
 
     def prepare(self) -> None:
         """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
@@ -108,7 +126,7 @@ class Runner:
                     session.parameters.update({name: value for name, value in told.items() if name in known})
 
     def about(self) -> Sut:
-        """The implementation, for the results."""
+        """Describe the implementation for the results."""
         session, upper = self.session, self.session.upper
         about = upper.about if upper is not None else {}
         target = session.pics.sut
@@ -125,7 +143,7 @@ class Runner:
     # -- one case ------------------------------------------------------------------------------------------------------
 
     def run(self, case: Case, attempt: int = 1) -> CaseResult:
-        """Run one case. Whatever happens, there is a result; only ``KeyboardInterrupt`` and the like get through.
+        """Run one case and return its result. No exception but ``KeyboardInterrupt`` and the like gets through.
 
         The result of the case before may have changed: see :meth:`take_revised`.
         """
@@ -134,7 +152,7 @@ class Runner:
         if reason:
             return self._without_trial(case, bench, attempt, Verdict.NOT_APPLICABLE, reason)
         if self.dead:
-            return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, "a living implementation", self.dead)
+            return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, _ALIVE, self.dead)
         try:
             result = self._run(case, attempt)
         except Exception as error:
@@ -152,9 +170,14 @@ class Runner:
 
     def _run(self, case: Case, attempt: int) -> CaseResult:
         if self._unsettled and self._restartable:
-            # What its upper tester reported may spoil every case from now on.
+            # The state that the last case has left may spoil this one.
             self._recent.clear()
-            self._start_afresh(case)
+            if why := self._start_afresh(case):
+                # A failed restart is not the fault of this case.
+                self.dead = f"the implementation was restarted after the case before {case.id}; {why}"
+                self.remarks.append(self.dead)
+                bench = Bench(self.session, case)
+                return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, _ALIVE, self.dead)
         self._unsettled = False
         self.session.renewable = (
             self._restartable and self._reset_mode() == "none" and self.session.pics.pixit.reset != "none"
@@ -162,15 +185,46 @@ class Runner:
         trial = self._trial(case)
         if trial.used_up and self.session.renewable:
             trial = self._trial_after_restart(trial)
+        trial, executions = self._undisturbed(trial)
+        if trial.loss is not None and not self._restartable:
+            self._wait_for(trial)
         if trial.loss is None:
-            result = self._result(trial, attempt, trial.checks)
+            result = self._result(trial, attempt, trial.checks, executions=executions)
             if self._reset_mode() != "restart":
                 self._recent.append(_Done(trial, result, self.session.lower.now()))
             self._refuse(case, trial)
             return result
-        result = self._judge_loss(trial, attempt)
+        result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
         self._revive(case, trial)
         return result
+
+    def _wait_for(self, trial: Trial) -> None:
+        """Without a way to restart a silent implementation, wait for it: its loss would be the end of the run."""
+        loss = trial.loss
+        if loss is None or loss.died or loss.upper_only:
+            return
+        begun = self.session.lower.now()
+        if not self.life.await_answer(trial.case):
+            trial.checks = list(came_back(trial, (self.session.lower.now() - begun) / 1e9))
+            trial.loss = None
+
+    def _undisturbed(self, trial: Trial) -> tuple[Trial, int]:
+        """Run a case again, from the same start, as long as only the tester's own trouble leaves it undecided.
+
+        Returns the execution that counts, and how many there were. The last one counts, but a failure is never lost to
+        a later execution without one.
+        """
+        executions = 1
+        while executions < MOST_EXECUTIONS and trial.disturbed:
+            self._disturbed.setdefault(trial.case.id, trial.bench.disturbed)
+            again = self._trial(trial.case)
+            executions += 1
+            if again.used_up:
+                break
+            if trial.verdict is Verdict.FAIL and again.verdict is not Verdict.FAIL and again.loss is None:
+                break
+            trial = again
+        return trial, executions
 
     def _trial_after_restart(self, trial: Trial) -> Trial:
         """Run a case again that found all identifiers used up, in the initial state of the implementation."""
@@ -195,9 +249,12 @@ class Runner:
         bench = Bench(self.session, trial.case)
         self.life.await_end(bench)
         trial.loss = self.life.loss(bench, ask=True)
+        if trial.loss is not None and not self._restartable:
+            self._wait_for(trial)
         if trial.loss is None:
             return
-        self._revised.append(self._judge_loss(trial, last.result.attempt))
+        result = self._judge_loss(trial, last.result.attempt)
+        self._revised.append(msgspec.structs.replace(result, executions=last.result.executions))
 
     def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
         """The result of a case after which the implementation was found dead."""
@@ -226,7 +283,7 @@ class Runner:
             if not fresh:
                 self._reset()
             if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
-                # Whatever keeps it away is not what the case is about; the next one restarts it again.
+                # A failed restart is not the fault of this case; the next case restarts again.
                 bench.checks.append(
                     Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
                 )
@@ -234,12 +291,14 @@ class Runner:
             self._measure()
             bench.mark()
             bench.heard.clear()
-            self.session.passive.begin(self.session.lower.now(), bench.traffic)
-            # What was lost, or looked at late, before the case is no excuse in it.
+            self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
+            # Losses from before the case are no excuse in it.
             self.session.lower.health()
             try:
                 case.run(bench)
             finally:
+                # Found before restore(): calls that undo changes are not the cause of a death.
+                trial.stimulus = likely_stimulus(case, bench.traffic)
                 bench.restore()
         except NamesUsedUp:
             trial.used_up = True
@@ -253,25 +312,30 @@ class Runner:
             bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, "the upper tester answers", str(error)))
         except LowerTesterError as error:
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the link can be used", str(error)))
+        except ConformanceError as error:
+            what = "the implementation is in its initial state"
+            bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, str(error)))
         except Exception as error:
             trial.detail = "".join(traceback.format_exception(error))
             what = f"{type(error).__name__}: {error}"
             bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
-        trial.stimulus = likely_stimulus(case, bench.traffic)
-        # Silence after the last stimulus is no sign of life, whatever the verdict.
+        # Silence since the last stimulus is a doubt, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
         if not self.life.ended() and not self.life.hung_up:
-            doubt = not self._clean(bench) or doubt
-        # The sanity case has asked already.
+            doubt = not self._clean(trial) or doubt
+        # The sanity case itself has asked for an answer.
         doubt = doubt and not trial.used_up
         self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
+        if trial.loss is None and bench.spoilt and self._reset_mode() == "none":
+            self._unsettled = True
+            self._spoilt.setdefault(case.id, bench.spoilt)
         return trial
 
     def _measure(self) -> None:
-        """Find out how fast the implementation reacts; once more if it only began to answer later."""
+        """Measure the reaction time of the implementation; again if it did not answer the first time, but later."""
         if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
             self._measured += 1
             found = prepare(self.session)
@@ -297,7 +361,7 @@ class Runner:
         passed = trial.verdict is Verdict.PASS
         self.life.learn(trial.bench, answered=passed and trial.bench.pics.vardis is not False)
         contact = self.session.contact
-        # Of what is heard through wrong settings nothing can be judged.
+        # With wrong settings of the tester nothing that is heard can be judged.
         heard = trial.bench.heard and not (contact is not None and contact.mistaken)
         if passed or heard or self.life.serves():
             return
@@ -323,19 +387,20 @@ class Runner:
         return trial
 
     def _start_afresh(self, case: Case) -> str:
-        """Restart the implementation and wait until it answers; why it cannot be had back, empty if it is there."""
+        """Restart the implementation and wait until it answers. Returns why it does not, empty if it does."""
         assert self.control is not None
         try:
             self.control.restart()
         except Exception as error:
             return f"it could not be restarted: {error}"
         self._forget()
+        self._unsettled = False
         if why := self.life.await_answer(case):
             return f"after a restart it {why}"
         return ""
 
     def _revive(self, case: Case, trial: Trial) -> None:
-        """Have the implementation back for the next case."""
+        """Restart the implementation for the next case, or note why no further case can be executed."""
         assert trial.loss is not None
         if not self._restartable:
             lost = f"the implementation {trial.loss.how} in {case.id}"
@@ -348,7 +413,7 @@ class Runner:
     def _count_death(self, trial: Trial) -> None:
         assert trial.loss is not None
         if trial.paused:
-            # Cases about other things have another way than deactivating BP.
+            # From now on only cases about deactivation deactivate BP.
             self.session.pausing_fails = True
         if self._restartable and not trial.loss.upper_only:
             self._deaths.setdefault(trial.loss.group, []).append(trial.case.id)
@@ -358,24 +423,39 @@ class Runner:
         assert trial.loss is not None
         self._count_death(trial)
         old = next(each.result for each in suspects if each.trial.case is trial.case)
-        revised = self._result(trial, old.attempt, (blamed(trial)[0], *old.checks), killed=True)
+        checks = with_failures_of(blamed(trial), old.checks)
+        revised = self._result(trial, old.attempt, checks, killed=True, executions=old.executions)
         self._revised.append(msgspec.structs.replace(revised, death=trial.loss.group))
 
     # -- before and after a case ---------------------------------------------------------------------------------------
 
-    def _clean(self, bench: Bench) -> bool:
+    def _delete(self, trial: Trial) -> None:
+        """Delete the variables of the implementation's application; the last call is the stimulus if it goes wrong."""
+        bench = trial.bench
+        for var_id in sorted(bench.produced):
+            try:
+                bench.call("RTDB-Delete", varId=var_id)
+            except UpperTesterError:
+                calls = (event for event in reversed(bench.traffic.events) if event.direction == "call")
+                trial.stimulus = next(calls, None)
+                raise
+
+    def _clean(self, trial: Trial) -> bool:
         """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up.
 
         Returns whether nothing went wrong.
         """
+        bench = trial.bench
         made = bench.created | bench.produced
         if self._reset_mode() != "none" or not made or not (bench.traffic.frames or bench.produced):
             return True
         upper = self.session.upper
         try:
-            if upper is not None and "RTDB-Delete" in upper.methods:
-                for var_id in sorted(bench.produced):
-                    upper.call("RTDB-Delete", {"varId": var_id})
+            if upper is not None and "RTDB-Delete" in upper.methods and bench.produced:
+                if "UT-Hello" in upper.methods and not self.life.serves():
+                    # It was gone before: the deletions are not the cause.
+                    return False
+                self._delete(trial)
             peer = bench.peer()
             peer.send_all(peer.delete(var_id) for var_id in sorted(made))
             bench.wait(1)
@@ -405,7 +485,7 @@ class Runner:
             self._forget()
 
     def _forget(self) -> None:
-        """The implementation is in its initial state again."""
+        """Forget what the implementation knew: it is in its initial state again."""
         self.session.forget()
 
     # -- the result ----------------------------------------------------------------------------------------------------
@@ -416,65 +496,14 @@ class Runner:
         trial = Trial(case, bench, self.session.lower.now())
         return self._result(trial, attempt, [Check(verdict, case.requirements, expected, observed)])
 
-    def _result(self, trial: Trial, attempt: int, checks: Iterable[Check], *, killed: bool = False) -> CaseResult:
-        case, bench, checks = trial.case, trial.bench, tuple(checks)
-        verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
-        decisive = next((check for check in checks if check.verdict is verdict), None)
-        reason = ""
-        if decisive is None:
-            reason = "the case has looked at nothing"
-        elif verdict is Verdict.NOT_APPLICABLE:
-            reason = decisive.expected
-        elif verdict is not Verdict.PASS:
-            reason = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
-        return CaseResult(
-            id=case.id,
-            purpose=case.purpose,
-            section=case.section,
-            kind=str(case.kind),
-            requirements=in_force(case.requirements, bench.profile.spec_version),
-            verdict=verdict,
-            reason=reason,
-            stimulus=case.stimulus,
-            expectation=case.expect,
-            window=case.window,
-            duration=(self.session.lower.now() - trial.begun) / 1e9,
-            table="robustness" if case.robustness else "conformance",
-            checks=checks,
-            readings=bench.readings,
-            evidence=tuple(_event_record(event) for event in bench.traffic.events),
-            left_out=bench.traffic.left_out,
-            rerun=f"{self.rerun} {shlex.join([*case.options, case.id])}",
-            killed=killed,
-            attempt=attempt,
-            error_detail=trial.detail,
-        )
-
-
-def _told(how: str, cases: Sequence[str]) -> str:
-    """Deaths that look alike, in one sentence."""
-    kind, _, cause = how.partition(": ")
-    if len(cases) == 1:
-        return f"the implementation {kind} in {cases[0]} and was restarted"
-    listed = ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
-    return f"the implementation {kind} in {len(cases)} cases in the same way ({cause}): {listed}; restarted each time"
+    def _result(
+        self, trial: Trial, attempt: int, checks: Iterable[Check], *, killed: bool = False, executions: int = 1
+    ) -> CaseResult:
+        ended = self.session.lower.now()
+        return result_of(trial, checks, ended, self.rerun, attempt=attempt, killed=killed, executions=executions)
 
 
 def _reports_internal_error(bench: Bench) -> bool:
     """Whether a service of the implementation failed for a reason of its own, which may last."""
     answers = (event.data for event in bench.traffic.events if event.direction == "answer")
     return any(isinstance(data, dict) and data.get("code") == _INTERNAL_ERROR for data in answers)
-
-
-def _event_record(event: Event) -> EventRecord:
-    text = event.text
-    if event.data is not None:
-        text = f"{text} {_short(event.data)}"
-    return EventRecord(event.wall, event.direction, event.who, event.number, text, event.frame.hex(), event.start)
-
-
-def _short(data: object) -> str:
-    import msgspec
-
-    text = msgspec.json.encode(data).decode()
-    return text if len(text) <= 400 else f"{text[:400]}..."

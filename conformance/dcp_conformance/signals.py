@@ -34,22 +34,22 @@ def ending_like_interrupts() -> Iterator[None]:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[None]:
-    """Signals that end the process wait until the ``with`` block is done, then take effect; for closing and reporting.
+    """Signals that would end the process have no effect while the ``with`` block runs; for closing and reporting.
 
-    A second Ctrl-C while a report is written does not lose the report.
+    What they ask for is under way already: a second Ctrl-C while a report is written does not lose the report.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    waiting: list[int] = []
 
-    def remember(number: int, _frame: Any) -> None:
-        waiting.append(number)
+    def ignore(_number: int, _frame: Any) -> None:
+        # A handler, unlike SIG_IGN, is not inherited by processes that are started meanwhile.
+        return
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, *_ENDING)}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
-            signal.signal(number, remember)
+            signal.signal(number, ignore)
     try:
         yield
     finally:

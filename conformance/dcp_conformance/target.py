@@ -1,4 +1,4 @@
-"""From what a user said to an implementation that can be tested: link, upper tester, control, all opened."""
+"""Open what the user's options name: link, upper tester and control of the implementation under test."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ UPPER_PATIENCE = 5.0
 
 @dataclass(frozen=True, slots=True)
 class TargetOptions:
-    """Which implementation, and how it is reached. Without ``interface``, ``link`` or ``in_process``: our own node."""
+    """The implementation under test, and how to reach it. Default: our own node."""
 
     profile: str | None = None
     interface: str | None = None
@@ -47,21 +47,23 @@ class TargetOptions:
     stop: str | None = None
     restart: str | None = None
     pid: int | None = None
+    start_timeout: float | None = None
+    """Seconds from a start to the first answer; None: 30, and less if it is ready sooner and does not answer."""
     beacon_period_ms: float | None = None
     timing_scale: float = 1.0
     seed: int = 1
     node_id: bytes | None = None
-    """For our own node: what it is called."""
+    """Node identifier of our own node."""
     node_options: tuple[str, ...] = field(default=())
     """For our own node as a process: further arguments of ``dcp-node run``."""
 
     @property
     def foreign(self) -> bool:
-        """Whether the implementation is somebody else's."""
+        """Whether this is not our own node."""
         return self.interface is not None or self.link is not None
 
     def command_line(self) -> str:
-        """The options again, for the command that runs one case."""
+        """The options as a command line, for running a case again."""
         import shlex
 
         words = ["dcp-conformance", "run"]
@@ -71,6 +73,8 @@ class TargetOptions:
             value = getattr(self, name)
             if value is not None:
                 words += [f"--{name}", str(value)]
+        if self.start_timeout is not None:
+            words += ["--start-timeout", exact(self.start_timeout)]
         if self.ether_type is not None:
             words += ["--ether-type", f"{self.ether_type:#06x}"]
         if self.beacon_period_ms is not None:
@@ -83,7 +87,7 @@ class TargetOptions:
 
 
 def exact(number: float) -> str:
-    """A number for a command line, short where that says the same."""
+    """A number as text, as short as possible without changing its value."""
     short = f"{number:g}"
     return short if float(short) == number else repr(number)
 
@@ -122,10 +126,10 @@ def describe(options: TargetOptions) -> tuple[Codec, Pics]:
 
 
 def _check_node_id(options: TargetOptions, pics: Pics, codec: Codec) -> None:
-    """Nobody is called what the profile cannot express."""
+    """Reject node identifiers that do not fit the profile."""
     profile = codec.profile
     text, width = pics.pixit.node_id, profile.types.node_id.width
-    # A width of 0: identifiers have a length of their own.
+    # A width of 0: identifiers of variable length.
     if text is not None and width and (octets := len(node_id_octets(text))) != width:
         wrong = f"it has {octets} octets, in the profile {profile.name} it has {width}"
         raise UsageError(f"{options.pics}: pixit.node_id: {text!r}: {wrong}")
@@ -158,7 +162,7 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
             stack.callback(session.upper.close)
         if options.foreign and options.profile is None and pics.pixit.profile is None:
             notes.append(f"neither --profile nor pixit.profile says which wire profile: {DEFAULT_PROFILE} is assumed")
-        runner = Runner(session, control, rerun=options.command_line())
+        runner = Runner(session, control, rerun=options.command_line(), start_timeout=options.start_timeout)
         runner.remarks += notes
         yield Target(codec, pics, runner, notes)
 
@@ -212,7 +216,13 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     control: SutControl | None = None
     process: ProcessControl | None = None
     if any((options.start, options.stop, options.restart, options.pid)):
-        process = ProcessControl(start=options.start, stop=options.stop, restart=options.restart, pid=options.pid)
+        process = ProcessControl(
+            start=options.start,
+            stop=options.stop,
+            restart=options.restart,
+            pid=options.pid,
+            udp_port=None if options.interface is not None else _udp_port(options, codec),
+        )
         control = process
         stack.callback(process.close)
     lower = open_lower(options, codec)
@@ -233,7 +243,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
             upper = open_upper(options.ut, _patience(pics), starting=process is not None)
         except UpperTesterError as error:
             if process is not None and process.alive() is False:
-                # That is why nobody listens.
+                # The process is dead: that is why the upper tester cannot be reached.
                 raise ConformanceError(f"--start: {process.why_dead()}") from error
             raise
         if process is not None:
@@ -242,7 +252,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
 
 
 def _somebody_there(session: Session) -> str:
-    """Who answers before the implementation is started, empty if nobody does.
+    """The node that answers before the implementation is started; empty if none does.
 
     Two of one implementation speak under one name and are blamed for each other, whatever is tested then.
     """
@@ -254,6 +264,14 @@ def _somebody_there(session: Session) -> str:
     bench = Bench(session, next(cases_of(sanity)))
     there = bench.beacons(1, 5) if bench.pics.vardis is False else bench.probe()
     return session.sut_id.hex(":") if there and session.sut_id is not None else ""
+
+
+def _udp_port(options: TargetOptions, codec: Codec) -> int:
+    """The port of the link. Raises :class:`UsageError`."""
+    from .lower.udp import DEFAULT_PORT, parse_udp
+
+    _, port, _, link = parse_udp(options.link or "udp", codec.profile.link)
+    return port if port is not None else link.udp_port or DEFAULT_PORT
 
 
 def open_lower(options: TargetOptions, codec: Codec) -> LowerTester:

@@ -9,12 +9,14 @@ from typing import Any
 import pytest
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind, Needs
+from dcp_conformance.cli.display import print_summary
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.gaps import pausable
 from dcp_conformance.life import Loss
 from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.results import CaseResult
+from dcp_conformance.reporting.overview import headline, undecided_deaths
+from dcp_conformance.results import CaseResult, RunResult
 from dcp_conformance.runner import Runner
 from dcp_conformance.upper import Answer, Notification
 from dcp_conformance.verdict import Verdict
@@ -352,22 +354,60 @@ def test_an_internal_error_does_not_spoil_later_cases():
     assert found["TC_DCP_X_BV_11"].verdict is Verdict.PASS
 
 
-def test_a_service_that_kills_fails_what_the_case_is_about():
+def failed_in(result: CaseResult) -> set[str]:
+    """The requirements that failed checks name."""
+    return {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+
+
+@pytest.mark.parametrize(
+    ("calls", "requirements", "violated"),
+    [
+        ("RTDB-DescribeDatabase", "VD-RX-03 VD-RX-04", "VD-DDB-02"),
+        ("RTDB-DescribeDatabase", "VD-RX-03 VD-DDB-03 VD-DDB-02", "VD-DDB-03"),
+        # What a dead implementation does not send shows nothing.
+        ("BP-RegisterProtocol BP-ClearBuffer", "BP-QM-05 VD-RX-03 BP-CLR-03", "BP-CLR-03"),
+        ("BP-RegisterProtocol BP-ClearBuffer", "BP-QM-05", "BP-CLR-02"),
+        ("BP-ClearBuffer", "BP-QM-05", "BP-CLR-03"),
+        ("BP-RegisterProtocol BP-TransmitPayload", "BP-QM-05", "BP-TXP-09"),
+        # The client of a case is deregistered after it.
+        ("BP-TransmitPayload BP-DeregisterProtocol", "BP-QM-05", "BP-TXP-09"),
+        ("BP-TransmitPayload BP-DeregisterProtocol", "BP-DRG-03", "BP-DRG-03"),
+        ("RTDB-Update", "VD-RX-03", "VD-UPD-08"),
+        ("BP-MGMT-Deactivate", "VD-RX-03", "BP-MGT-01"),
+        ("UT-Hello", "VD-RX-03", ""),
+    ],
+)
+def test_a_service_that_kills_fails_its_own_requirement(calls: str, requirements: str, violated: str):
     sut = Frail()
 
     def body(bench: Bench) -> None:
-        bench.check(True, "something else", "", "VD-RX-03")
-        bench.call("RTDB-DescribeDatabase")
+        bench.check(True, "something else", "", "VD-RX-03", "BP-CLR-03")
+        for method in calls.split():
+            bench.call(method, protId=300, queueingMode="BP_QMODE_QUEUE_DROPTAIL")
         sut.died = "RuntimeError: a service"
 
-    case = dataclasses.replace(
-        case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"), needs=Needs(ut=("RTDB-DescribeDatabase",))
-    )
-    result = runner_of(sut, upper=True).run(case)
+    case = case_of("TC_DCP_X_BV_05", body, *requirements.split())
+    result = runner_of(sut, upper=True).run(dataclasses.replace(case, needs=Needs(ut=tuple(calls.split()))))
     assert result.killed
-    assert result.reason.startswith("the implementation survives RTDB-DescribeDatabase: it is dead after this case")
-    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
-    assert failed == {"VD-RX-04"}
+    assert failed_in(result) == set(filter(None, [violated]))
+    assert result.reason.startswith("the implementation survives")
+
+
+@pytest.mark.parametrize(("heard", "about"), [(False, False), (True, True)])
+def test_a_frame_after_a_service_kills(heard: bool, about: bool):
+    """The case only uses the service, or the implementation was heard after the call."""
+    sut = Frail()
+
+    def body(bench: Bench) -> None:
+        bench.call("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="d", value="01")
+        if heard:
+            bench.beacons(1)
+        says(A, expect=False)(bench)
+
+    case = case_of("TC_DCP_X_BV_05", body, "VD-CRE-09" if about else "VD-RX-03")
+    result = runner_of(sut, upper=True).run(dataclasses.replace(case, needs=Needs(ut=("RTDB-Create",))))
+    assert result.killed
+    assert failed_in(result) == {"VD-ROB-01"}
 
 
 class Detached(Frail):
@@ -455,8 +495,8 @@ def test_no_identifier_is_used_twice_where_a_restart_frees_them():
     assert all(len(names) == len(set(names)) for names in given)
 
 
-def test_a_service_that_the_case_only_uses_fails_nothing_of_it():
-    """Deactivating BP between two beacons is a means of the tester."""
+def test_a_service_that_the_case_only_uses_fails_nothing_of_the_case():
+    """Deactivating BP between two beacons is a means of the tester: what it kills fails the deactivation."""
     sut = Frail()
 
     def body(bench: Bench) -> None:
@@ -468,7 +508,7 @@ def test_a_service_that_the_case_only_uses_fails_nothing_of_it():
     runner = runner_of(sut, upper=True)
     result = runner.run(case)
     assert result.killed
-    assert not [check.requirements for check in result.checks if check.verdict is Verdict.FAIL and check.requirements]
+    assert failed_in(result) == {"BP-MGT-01"}
     # From now on cases do without it.
     assert not pausable(Bench(runner.session, SECOND))
 
@@ -478,3 +518,58 @@ def test_one_call_that_hangs_is_no_slow_upper_tester():
     assert (session.typical_call, session.slow_call) == (0, 0)
     session.call_times.extend([1_000_000] * 20 + [1_000_000_000])
     assert session.typical_call == session.slow_call == 1_000_000
+
+
+def test_a_death_that_no_requirement_decides_is_a_line_of_its_own(capsys: pytest.CaptureFixture[str]):
+    sut = Frail()
+
+    def body(bench: Bench) -> None:
+        bench.call("UT-Hello")
+        sut.died = "RuntimeError: a service"
+
+    dead = runner_of(sut, upper=True).run(
+        dataclasses.replace(case_of("TC_DCP_X_BV_05", body), needs=Needs(ut=("UT-Hello",)))
+    )
+    died_of_a_frame = runner_of(Frail()).run(FIRST)
+    assert undecided_deaths(RunResult(cases=(died_of_a_frame,))) == ""
+    run = RunResult(cases=(dead, died_of_a_frame))
+    line = "the implementation did not survive 1 case, which no requirement decides: TC_DCP_X_BV_05"
+    assert headline(run).endswith(line)
+    print_summary(run)
+    assert f"died: {line}\n" in capsys.readouterr().out
+
+
+class Stalled(Frail):
+    """Hears nothing for some seconds after the word."""
+
+    seconds = 8.0
+    deaf_until = 0
+
+    def deliver(self, octets: bytes) -> None:
+        if WORD in octets:
+            self.deaf_until = self.now + round(self.seconds * 1e9)
+        elif self.now >= self.deaf_until:
+            InProcess.deliver(self, octets)
+
+
+@pytest.mark.parametrize("seconds", [8.0, 100.0])
+def test_without_a_restart_a_silent_implementation_is_waited_for(seconds: float):
+    """Silence for seconds may be the machine's; the run goes on when it is over."""
+    sut = Stalled()
+    sut.seconds = seconds
+    runner = runner_of(sut, can_restart=False)
+
+    def body(bench: Bench) -> None:
+        says(A, expect=False)(bench)
+        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+
+    first, second = case_of("TC_DCP_X_BV_05", body, "VD-RX-03"), dataclasses.replace(SECOND, id="TC_DCP_X_BV_06")
+    found = results_of(runner, SECOND, first, second)
+    if seconds > 50:
+        assert runner.dead
+        return
+    assert found[first.id].verdict is Verdict.INCONCLUSIVE
+    assert "it answered again after " in found[first.id].reason
+    assert not failed_in(found[first.id])
+    assert found[second.id].verdict is Verdict.PASS
+    assert not runner.dead

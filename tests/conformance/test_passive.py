@@ -283,6 +283,16 @@ def test_a_finding_about_all_beacons_is_repeated_by_the_cases_in_which_most_of_t
     assert found.rerun == "dcp-conformance run --in-process TC_B TC_C TC_D"
 
 
+def test_frames_of_a_case_that_was_executed_twice_are_told_apart():
+    ear = Ear()
+    for _ in range(2):
+        ear.tester.begin(ear.air.time, ear, "TC_F")
+        ear.air.say(SUT, report=ear.air.report(SUT, about=2))
+        ear.listen("TC_F")
+    found = ear.failed()["CK_SRP_OWN"]
+    assert found.reason.endswith("; 2 times in all; frame 1 of execution 1 of TC_F")
+
+
 def test_a_case_that_needs_an_option_is_repeated_with_it():
     ear = Ear()
     ear.air.say(SUT, report=ear.air.report(SUT, about=2))
@@ -335,11 +345,24 @@ def test_jitter_that_begins_again_is_reported_and_no_failure():
     assert set(found) == {"CK_BP_JITTER"}
 
 
+def test_intervals_of_a_coarse_clock_that_repeat_by_chance_are_no_jitter_that_begins_again():
+    ear = Ear()
+    for _ in range(2):
+        ear.tester.interrupted(ear.air.frames[-1].time_ns if ear.air.frames else -1)
+        for number in range(8):
+            ear.air.time += (number % 2) * 10 * MS
+            ear.air.say(SUT, VarSumm(1, number), seqno=number)
+        ear.listen()
+    assert "CK_BP_JITTER" not in ear.failed()
+
+
 def test_a_finding_says_where_it_was_heard():
     found = after(some("TC_VD_CRE_BV_01", "TC_VD_CRE_BV_02"), mutant="M-BP-HDR-07-one-more")["CK_BP_FORMAT"]
     assert ": bp.numPayloads" in found.reason
     assert "frame 1 of TC_VD_CRE_BV_01" in found.reason
     assert found.rerun == "dcp-conformance run TC_VD_CRE_BV_01"
+    # The measurement of reaction times, before the first case, is in no recording: its frames are not judged.
+    assert {each.text.partition(" of ")[2] for each in found.evidence} <= {"TC_VD_CRE_BV_01", "TC_VD_CRE_BV_02"}
     first = found.checks[0].frames[0]
     event = found.evidence[first.frame - 1]
     assert event.frame == first.frame

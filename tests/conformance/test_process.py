@@ -157,6 +157,23 @@ def test_a_launcher(tmp_path, control):
     assert (blind.alive(), blind.why_dead()) == (None, "")
 
 
+@pytest.mark.parametrize("stubborn", [False, True])
+def test_what_a_launcher_has_detached_is_ended_with_it(tmp_path, control, stubborn):
+    """Without a command that stops it, a restart would leave two of them on the link."""
+    ignore = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if stubborn else ""
+    service = program(tmp_path, ignore + FOREVER, "service")
+    launch = f"import subprocess\nsubprocess.Popen({shlex.split(service)!r}, start_new_session=True)"
+    it = control(start=program(tmp_path, launch, "launch"), settle=PATIENCE)
+    it.start()
+    first = pid_in(tmp_path)
+    (tmp_path / "pid").unlink()
+    it.restart()
+    assert started_at(first) is None
+    second = pid_in(tmp_path)
+    it.close()
+    assert started_at(second) is None
+
+
 def test_a_launcher_on_a_busy_machine(tmp_path, control):
     """It ends with status 0 long after the settling time: what it has launched is not dead."""
     service = program(tmp_path, FOREVER, "service")

@@ -9,9 +9,10 @@ import pytest
 from dcp_conformance.bench import Bench, Session
 from dcp_conformance.case import Case, Kind
 from dcp_conformance.changes import Changes
-from dcp_conformance.errors import StopCase, UpperTesterError
+from dcp_conformance.errors import ConformanceError, StopCase, UpperTesterError
 from dcp_conformance.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
+from dcp_conformance.results import CaseResult
 from dcp_conformance.runner import Runner
 from dcp_conformance.upper import Answer
 from dcp_conformance.verdict import Verdict
@@ -173,3 +174,64 @@ def test_what_is_to_be_undone(
     calls: list[tuple[str, dict[str, Any], Answer | None]], due: list[tuple[str, dict[str, Any]]]
 ):
     assert changes_after(*calls) == due
+
+
+class Stubborn(VirtualUpperTester):
+    """Sets a parameter once and then never again; there is no UT-Reset."""
+
+    def __init__(self, sut: InProcess) -> None:
+        super().__init__(sut)
+        self.methods -= {"UT-Reset"}
+        self._is_set = False
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        if method == "VD-SetParameter":
+            if self._is_set:
+                return Answer("VARDIS-STATUS-BUSY")
+            self._is_set = True
+        return super().call(method, params)
+
+
+def after_a_change(sut: InProcess) -> tuple[Runner, list[CaseResult]]:
+    """Results of a case that changes a parameter, and of one after it that needs the initial value."""
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), Stubborn(sut), Pics()), sut)
+    runner.prepare()
+
+    def changes(bench: Bench) -> None:
+        bench.must("VD-SetParameter", name="VARDISPAR_MAX_SUMMARIES", value=1)
+        bench.check(bench.probe(), "an answer", "none")
+
+    def needs(bench: Bench) -> None:
+        told = bench.must("VD-GetParameters").result["parameters"]["VARDISPAR_MAX_SUMMARIES"]
+        bench.check(told > 1, "the initial value", str(told))
+
+    cases = [Case(f"TC_DCP_X_BV_0{number}", "", ("VD-PS-01",), Kind.VALID, "", "", 4, "", __name__, body)
+             for number, body in enumerate((changes, needs))]  # fmt: skip
+    return runner, [runner.run(case) for case in cases]
+
+
+def test_what_a_case_could_not_undo_does_not_spoil_the_next_one():
+    runner, results = after_a_change(InProcess(reference_config(codec_of("dcp-2.0"))))
+    assert [each.verdict for each in results] == [Verdict.PASS, Verdict.PASS]
+    assert runner.notes == []
+
+
+def test_without_a_restart_the_reader_is_told_what_could_not_be_undone():
+    sut = InProcess(reference_config(codec_of("dcp-2.0")))
+    sut.can_restart = False
+    runner, _ = after_a_change(sut)
+    [note] = runner.notes
+    assert note.startswith("not all that was changed in TC_DCP_X_BV_00 could be changed back (VD-SetParameter: ")
+
+
+def test_a_restart_that_fails_is_not_the_fault_of_the_next_case():
+    sut = InProcess(reference_config(codec_of("dcp-2.0")))
+
+    def restart() -> None:
+        raise ConformanceError("--restart: the command ended with status 1")
+
+    sut.restart = restart  # type: ignore[method-assign]
+    runner, (_, second) = after_a_change(sut)
+    assert second.verdict is Verdict.INCONCLUSIVE
+    assert "it could not be restarted: --restart: the command ended with status 1" in second.reason
+    assert runner.dead

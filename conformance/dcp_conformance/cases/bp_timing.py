@@ -30,6 +30,7 @@ from dcp_conformance.clients import (
     talking,
 )
 from dcp_conformance.heard import Heard
+from dcp_conformance.jitter import SHIFT, Intervals, compare, intervals
 from dcp_conformance.services import parameters_set
 
 PERIOD = "BPPAR_BEACON_PERIOD"
@@ -288,8 +289,8 @@ def beyond_an_octet_by_waiting(bench: Bench) -> None:
     _check_beyond_an_octet(bench, frames)
 
 
-#: Intervals that are compared after each start, and by how many the first one may be another in the sequence.
-_COMPARED, _SHIFT = 12, 12
+#: Intervals that are compared after each start, at least.
+_COMPARED = 24
 
 
 @case(
@@ -302,22 +303,17 @@ _COMPARED, _SHIFT = 12, 12
     needs=Needs(entities=(), restart=True),
 )
 def jitter_after_starts(bench: Bench) -> None:
-    sequences = []
-    for _ in range(2):
-        bench.restart()
-        with talking(bench):
-            frames = some_beacons(bench, _COMPARED + 2 * _SHIFT + 1)
-        sequences.append([after.time - before.time for before, after in itertools.pairwise(frames)])
-    spread = statistics.pstdev(itertools.chain(*sequences))
-    if spread < bench.period / 100:
-        bench.info("Is the jitter the same after each start?", "beacons are strictly periodic")
-        return
-    apart = min(_distance(sequences[0], sequences[1], shift) for shift in range(-_SHIFT, _SHIFT + 1))
-    said = "yes: nodes that are started together stay in step" if apart < spread / 4 else "no"
-    bench.info("Is the jitter the same after each start?", said)
+    first, second = _after_start(bench), _after_start(bench)
+    said = {
+        "strict": "beacons are strictly periodic",
+        "same": "yes: nodes that are started together stay in step",
+        "different": "no",
+        "coarse": "it cannot be told: there are too few different intervals",
+    }
+    bench.info("Is the jitter the same after each start?", said[compare(first, second, bench.period)])
 
 
-def _distance(one: Sequence[int], two: Sequence[int], shift: int) -> float:
-    """The mean difference of the intervals (ns), with the second sequence that many intervals later."""
-    pairs = list(zip(one[max(0, shift) :], two[max(0, -shift) :], strict=False))[:_COMPARED]
-    return statistics.fmean(abs(first - second) for first, second in pairs)
+def _after_start(bench: Bench) -> Intervals:
+    bench.restart()
+    with talking(bench):
+        return intervals(some_beacons(bench, _COMPARED + SHIFT + 1))

@@ -16,7 +16,13 @@ from rich.text import Text
 
 from dcp_codec.plain import plain
 from dcp_conformance.case import Case
-from dcp_conformance.reporting.overview import Death, bad_checks, deaths, observed_readings
+from dcp_conformance.reporting.overview import (
+    Death,
+    bad_checks,
+    deaths,
+    observed_readings,
+    undecided_deaths,
+)
 from dcp_conformance.results import CaseResult, RunResult
 from dcp_conformance.verdict import Verdict
 
@@ -101,6 +107,11 @@ class Display:
         """So many cases are to be run."""
         self._task = self._progress.add_task("cases", total=total)
 
+    def waiting(self, what: str) -> None:
+        """The run has not begun yet: say what it waits for, on standard error."""
+        if not self._quiet:
+            self._progress.console.print(data(what), soft_wrap=True, highlight=False)
+
     def result(self, case: Case, result: CaseResult, surprise: str) -> None:
         """One of them is done."""
         if self._task is not None:
@@ -119,6 +130,8 @@ class Display:
         word = _HEADINGS.get(result.verdict, str(result.verdict)).rstrip(".")
         text = f"[{style}]{word:<8}[/] {data(result.id)}"
         detail = result.reason if result.verdict is not Verdict.PASS else result.purpose
+        if result.verdict is Verdict.PASS and result.executions > 1:
+            detail = f"{detail} (execution {result.executions})"
         if surprise and surprise not in detail and not surprise.startswith("unexpected fail"):
             detail = f"{surprise}; {detail}"
         return f"{text}  {data(detail)}"
@@ -146,6 +159,8 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     out.print(f"\n{data(sut)} as {data(run.profile)}{where}: {decided}", soft_wrap=True)
     if run.kind != "check" and (failing := _failing(run)):
         out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {data(failing)}", soft_wrap=True)
+    if lost := undecided_deaths(run):
+        out.print(f"[{STYLES[Verdict.FAIL]}]died[/]: {data(lost)}", soft_wrap=True)
     for identifier, instead in run.declared.items():
         out.print(f"{data(identifier)} is not met, as the profile declares: {data(instead)}", soft_wrap=True)
     for line in _readings(run):

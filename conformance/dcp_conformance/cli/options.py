@@ -76,6 +76,12 @@ def target_options(function: F) -> F:
             click.option("--stop", metavar="COMMAND", help="Stops it."),
             click.option("--restart", metavar="COMMAND", help="Restarts it, after it was found dead."),
             click.option("--pid", type=int, metavar="PID", help="Its process, to notice that it died."),
+            click.option(
+                "--start-timeout",
+                type=Factor(3600),
+                metavar="S",
+                help="How long it may take to answer after a start.  [default: 30 s, less if it is seen to be ready]",
+            ),
             click.option("--beacon-period", type=Factor(1e6), metavar="MS", help="Its beacon period.  [default: 100]"),
             click.option(
                 "--timing-scale", type=Factor(1e3), default=1.0, metavar="X", help="Stretch all time windows."
@@ -135,6 +141,7 @@ def target_of(options: dict[str, Any]) -> TargetOptions:
         stop=options["stop"],
         restart=options["restart"],
         pid=options["pid"],
+        start_timeout=options["start_timeout"],
         beacon_period_ms=options["beacon_period"],
         timing_scale=options["timing_scale"],
         seed=options["seed"],

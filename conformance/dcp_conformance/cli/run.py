@@ -66,6 +66,7 @@ def command(**options: Any) -> int:
         on_start=None if extra else display.start,
         on_result=None if extra else display.result,
     )
+    run.on_wait = display.waiting
     if options["dry_run"]:
         for case in run.selected:
             say(f"{case.id}  {case.purpose}")

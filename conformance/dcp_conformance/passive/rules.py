@@ -184,6 +184,9 @@ class RepeatedJitter(Invariant):
         if max(run) - min(run) < 10 * _ALIKE:
             # Strictly periodic: there is no chance to repeat.
             return
+        if len({round(each / _ALIKE) for each in run}) < _INTERVALS - 1:
+            # A coarse clock: intervals of few different lengths repeat by chance.
+            return
         unit = round(run[0] / _ALIKE)
         alike = [each for near in (unit - 1, unit, unit + 1) for each in self._starts.get(near, ())]
         if any(all(abs(a - b) <= _ALIKE for a, b in zip(run, before, strict=True)) for before in alike):

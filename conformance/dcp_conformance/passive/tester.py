@@ -79,6 +79,8 @@ class PassiveTester:
         self._traffic: object = None
         self._recent: deque[_Place] = deque(maxlen=_RECENT)
         self._evidence: dict[str, list[_Place]] = {}
+        self._executions: Counter[str] = Counter()
+        """How often each case was executed: frames are numbered in each execution anew."""
         self._beacons: Counter[str] = Counter()
         """Beacons that were judged, by the case in which they were heard."""
 
@@ -89,12 +91,13 @@ class PassiveTester:
 
     # -- what the run tells --------------------------------------------------------------------------------------------
 
-    def begin(self, now: int, traffic: object) -> None:
+    def begin(self, now: int, traffic: object, case: str = "") -> None:
         """A case begins; ``now`` is the lower tester's clock. Frames that came before it are not judged.
 
         ``traffic`` is what the case's recording is made from: only frames that go there are judged.
         """
         self._traffic = traffic
+        self._executions[case] += 1
         if self._suspended:
             self._suspended = frozenset()
             self._deal()
@@ -136,7 +139,7 @@ class PassiveTester:
         if heard.time <= self._since or traffic is not self._traffic:
             return
         self._beacons[case] += 1
-        self._recent.append(_Place(case, heard, frame, start))
+        self._recent.append(_Place(case, self._executions[case], heard, frame, start))
         seen = Seen(self._codec, heard, frame, start, frame[:6] if start >= ETHERNET_HEADER else None)
         for rule in self._fed:
             rule.feed(seen)
@@ -190,7 +193,7 @@ class PassiveTester:
                 each.verdict,
                 each.requirements,
                 each.expected,
-                _with_places(rule.told(each), each.frames, kept),
+                self._with_places(rule.told(each), each.frames, kept),
                 tuple(placed(self._codec, mark, *kept[mark.frame - 1][-2:]) for mark in each.frames),
             )
             for each in rule.findings
@@ -220,34 +223,39 @@ class PassiveTester:
             stimulus=_STIMULUS,
             expectation=rule.expect,
             checks=tuple(checks),
-            evidence=tuple(each.event(number) for number, each in enumerate(kept, 1)),
+            evidence=tuple(each.event(number, self._where(each)) for number, each in enumerate(kept, 1)),
             left_out=rule.left_out,
             # What holds is no case beside the others; what does not is a finding.
             counted=verdict is Verdict.FAIL,
             rerun=f"{rerun} {shlex.join(again)}" if again else rerun,
         )
 
+    def _where(self, place: _Place) -> str:
+        """Where a frame was heard, in words."""
+        case = place.case
+        if self._executions[case] > 1:
+            case = f"execution {place.execution} of {case}"
+        return f"frame {place.heard.number} of {case}"
+
+    def _with_places(self, observed: str, marks: Iterable[Mark], kept: list[_Place]) -> str:
+        places = [self._where(kept[number - 1]) for number in dict.fromkeys(mark.frame for mark in marks)]
+        return f"{observed}; {', '.join(places)}" if places else observed
+
 
 class _Place(NamedTuple):
     """A frame, and where in the run it was heard."""
 
     case: str
+    execution: int
+    """Of the case: the first is 1."""
     heard: Heard
     frame: bytes
     start: int
 
-    def __str__(self) -> str:
-        return f"frame {self.heard.number} of {self.case}"
-
-    def event(self, number: int) -> EventRecord:
+    def event(self, number: int, text: str) -> EventRecord:
         """As evidence, where it has another number."""
         who = (self.heard.sender or self.heard.source).hex(":")
-        return EventRecord(self.heard.wall, "heard", who, number, str(self), self.frame.hex(), self.start)
-
-
-def _with_places(observed: str, marks: Iterable[Mark], kept: list[_Place]) -> str:
-    where = ", ".join(str(kept[number - 1]) for number in dict.fromkeys(mark.frame for mark in marks))
-    return f"{observed}; {where}" if where else observed
+        return EventRecord(self.heard.wall, "heard", who, number, text, self.frame.hex(), self.start)
 
 
 def cases() -> tuple[Case, ...]:

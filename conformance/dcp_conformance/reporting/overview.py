@@ -11,9 +11,11 @@ from dcp_spec.readings import differs_from_reference, readings, told
 from dcp_conformance.results import CaseResult, Check, RunResult
 from dcp_conformance.verdict import Verdict
 
-#: What the tester says of an implementation that did not live through a case.
+#: How the expectation begins that an implementation lives through a case.
 SURVIVAL = "the implementation survives"
 BAD = (Verdict.FAIL, Verdict.ERROR)
+#: Cases that a sentence names.
+_NAMED = 6
 
 
 def headline(run: RunResult) -> str:
@@ -27,7 +29,7 @@ def headline(run: RunResult) -> str:
         said = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
     others = {Verdict.INCONCLUSIVE: "inconclusive", Verdict.ERROR: "in error", Verdict.INFO: "only reported"}
     more = [f"{count[each]} {_are(count[each])} {word}" for each, word in others.items() if count[each]]
-    return "; ".join([said, *more])
+    return "; ".join(filter(None, [said, *more, undecided_deaths(run)]))
 
 
 def _are(count: int) -> str:
@@ -54,7 +56,21 @@ def deaths(run: RunResult) -> list[Death]:
 def only_died(case: CaseResult) -> bool:
     """Whether a death is all that went wrong in a case."""
     bad = bad_checks(case)
-    return bool(bad) and all(check.expected == SURVIVAL for check in bad)
+    return bool(bad) and all(check.expected.startswith(SURVIVAL) for check in bad)
+
+
+def undecided_deaths(run: RunResult) -> str:
+    """The cases that ended the implementation without violating a requirement, in a sentence; empty if none did."""
+    cases = [
+        case.id
+        for case in run.cases
+        if any(check.expected.startswith(SURVIVAL) and not check.requirements for check in bad_checks(case))
+    ]
+    if not cases:
+        return ""
+    listed = ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
+    many = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
+    return f"the implementation did not survive {many}, which no requirement decides: {listed}"
 
 
 def bad_checks(case: CaseResult) -> list[Check]:

@@ -169,6 +169,7 @@ def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
         "reason": case.reason,
         "explained": any(check.verdict is case.verdict and check.observed for check in case.checks),
         "duration": case.duration,
+        "executions": case.executions,
         "checks": [_check(check, events, apart, case) for check in case.checks],
         "timeline": told_together(list(timeline_of(case, apart)), case),
         "left_out": case.left_out,

@@ -8,14 +8,18 @@ import msgspec
 
 from dcp_conformance.pics import Capabilities
 
+from .services import NOBODY_TOLD
 from .surroundings import without
 from .variant import Setup, Variant, has_srp, setup
 
 #: Without VarDis nothing in the specification answers a beacon. The tester cannot tell a node that lacks VarDis from
 #: one whose VarDis is broken as long as the PICS does not say so.
 _NO_VARDIS = (
-    r"^TC_(VD|NET|DCP_DATA)_",
-    r"VarDis answered nothing that could be read",
+    r"; but VarDis answered nothing that could be read when the run began$",
+    r"if there is none, say so \(\[pics\] vardis = false\)$",
+    # It takes nothing that it is sent, as with parameters that nobody has told.
+    NOBODY_TOLD,
+    r"the implementation (learns|notices|sends) .*: it does not( repeat it| pass it on)?$",
     r"^TC_DCP_SANITY_BV_01: .*but not a summary of an unknown variable",
     # The node has nothing to say of its own.
     r"^TC_BP_HDR_BV_03: 4 beacons, which this case needs",
