@@ -68,10 +68,12 @@ bench-fuzz: $(STAMP)
 matrix: $(STAMP)
 	$(BIN)/python -m dcp_conformance.traceability
 
-# Regenerate docs/selftest.md: all cases that name a requirement against its mutants, and all permitted variants.
+# Regenerate docs/selftest.md: all cases that name a requirement against its mutants, all permitted variants,
+# and three draws of random changes of the node.
 selftest-doc: $(STAMP)
 	$(BIN)/dcp-conformance selftest --document docs/selftest.md
 	$(BIN)/dcp-conformance selftest --variants --document docs/selftest.md
+	$(BIN)/dcp-conformance selftest --generated 200 --seed 401 --seed 402 --seed 403 --document docs/selftest.md
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

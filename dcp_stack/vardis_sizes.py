@@ -5,8 +5,6 @@ Layouts are the codec's business; the sizes here are sums over the widths that t
 
 from __future__ import annotations
 
-from typing import Any
-
 from dcp_spec.constants import ICType, seqno_modulus
 from dcp_spec.profile import IntType, Profile, TextType
 
@@ -57,7 +55,6 @@ class RecordSizes:
         self.highest_var_id = _largest(types.var_id)
         self.highest_rep_cnt = _largest(types.var_rep_cnt)
         self.highest_timeout = _largest(types.var_timeout)
-        self.longest_value = _longest(types.value)
         self.longest_description = _longest(types.string)
         self.nul_terminated = types.string.terminated
         self.highest_stamp = _largest(types.timestamp.as_int())
@@ -73,14 +70,8 @@ class RecordSizes:
         producer = len(spec.prod_id) if self._id_varies else 0
         return self._spec + producer + len(spec.descr) + self._update + len(value)
 
-    def record(self, kind: ICType, record: Any) -> int:
-        """Any decoded record."""
-        if kind is ICType.CREATE_VARIABLES:
-            create: VarCreate = record
-            return self.create(create.spec, create.upd.value)
-        if kind is ICType.UPDATES:
-            update: VarUpdate = record
-            return self.update(update.value)
-        size = self.fixed[kind]
-        assert size is not None
-        return size
+    def record(self, record: VarCreate | VarUpdate) -> int:
+        """A decoded record of a type whose records have no fixed size."""
+        if isinstance(record, VarCreate):
+            return self.create(record.spec, record.upd.value)
+        return self.update(record.value)

@@ -119,7 +119,7 @@ class Extractor:
                 continue
             for record in listed:
                 found.append((offset, record))
-                offset += sizes.record(kind, record)
+                offset += sizes.record(record)
         return offset
 
 

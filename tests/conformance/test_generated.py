@@ -8,13 +8,17 @@ import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 
+import msgspec
 import pytest
 from dcp_conformance.case import DECLARED, SANITY
-from dcp_conformance.generated.campaign import Trial, draw, run
+from dcp_conformance.errors import ConformanceError
+from dcp_conformance.generated import campaign
+from dcp_conformance.generated.campaign import GeneratedResult, Trial, draw, run
 from dcp_conformance.generated.ledger import CLASSES, entries, ledger
 from dcp_conformance.generated.reach import Reach, measure
 from dcp_conformance.generated.reports import _SHOWING, reports_of
 from dcp_conformance.generated.sites import Site, _candidates, _changes, cited, mutated, sites
+from dcp_conformance.generated.table import section
 from dcp_conformance.generated.trial import PROFILES, Outcome, Step, _in_order, cases, steps, try_site
 
 from .command import Command
@@ -51,6 +55,11 @@ class Receiver:
             self._drop("empty")
             return
         self._emit(Dropped("bp", "odd", len(octets) + 1))
+        self._counters.count("octets", len(octets) - 1)
+        self.fault = Fault("odd", "BP-RX-16", 1 + 2)
+        if len(octets) > 9:
+            raise ValueError("octets")
+        self.first = config.reading("X03") == "first"
         self._emit(Received(octets, 2))
 
     def _drop(self, reason):
@@ -79,7 +88,10 @@ def test_what_only_reports_or_shows_is_not_changed():
     names = {function for function, _ in changed}
     assert names == {"Receiver.handle", "_shared", "compute"}
     assert ("Receiver.handle", "self._emit(Received(octets, 2))") in changed
-    assert not any("Dropped" in text or text == "self._drop('empty')" for _, text in changed)
+    assert ("Receiver.handle", "self.fault = Fault('odd', 'BP-RX-16', 1 + 2)") in changed
+    texts = {text for _, text in changed}
+    assert texts.isdisjoint({"self._drop('empty')", "len(octets) - 1", "1 + 2", "len(octets) > 9"})
+    assert not any("Dropped" in text or text.startswith(("config.reading", "if len(octets) > 9")) for text in texts)
 
 
 def test_the_same_seed_draws_the_same():
@@ -138,7 +150,8 @@ def test_what_cases_execute_is_measured():
     [reach] = _in_new_processes(measure, ("dcp-2.0", few))
     store = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
     assert reach.cases(store) == {number["TC_VD_UPD_BV_01"]}
-    # What only a configuration depends on is executed before the first case.
+    # What builds tables and configurations is executed before the first case.
+    assert reach.cases(site("_known: other return value", "other return value")) is None
     assert reach.cases(site("_initial: comparison: settings is None", "comparison")) is None
 
 
@@ -156,13 +169,18 @@ def _in_new_processes(work, *calls):
         return [pool.submit(work, *arguments).result() for arguments in calls]
 
 
+def test_a_node_that_does_not_work_by_itself_ends_the_run(monkeypatch):
+    """Otherwise every change would count as killed, as it once did beside an unfinished edit."""
+    monkeypatch.setattr(campaign, "_ask", lambda *_: (msgspec.json.encode(Outcome("", "broken", "SyntaxError: x")), ""))
+    with pytest.raises(ConformanceError, match="does not work without a change: SyntaxError: x"):
+        run(sites()[:1])
+
+
 def test_what_the_ledger_excuses_does_not_count():
     one = sites()[0]
     excused = Trial(one, Outcome(one.key, "survived"), "counter: only dcp-node shows it")
     wrong = Trial(one, Outcome(one.key, "killed"), "counter: only dcp-node shows it")
     survivor = Trial(one, Outcome(one.key, "noticed"))
-    from dcp_conformance.generated.campaign import GeneratedResult
-
     result = GeneratedResult(trials=(excused, wrong, survivor))
     assert result.judged == (survivor,)
     assert result.survivors == (survivor,)
@@ -182,6 +200,27 @@ class TestCommand:
         assert done.status == 0
         assert len(done.out.splitlines()) == 3
         assert all("dcp_stack/" in line for line in done.out.splitlines())
+
+    def test_several_draws_make_a_section_of_the_document(self):
+        one, two = (
+            GeneratedResult(seed=seed, drawn=2, trials=trials)
+            for seed, trials in (
+                (8, (Trial(sites()[0], Outcome(sites()[0].key, "killed")), Trial(sites()[1], Outcome("", "survived")))),
+                (9, (Trial(sites()[0], Outcome(sites()[0].key, "excused"), "counter: only dcp-node shows it"),)),
+            )
+        )
+        text = section([one, two])
+        assert "`dcp-conformance selftest --generated 2 --seed 8 --seed 9 --document docs/selftest.md`" in text
+        assert "| 8 | 2 | 0 | 2 | 1 | 1 | 50.0% |" in text
+        assert "| 9 | 2 | 1 | 0 | 0 | 0 | 100.0% |" in text
+        assert f"| `{sites()[1].module}.{sites()[1].function}` | {sites()[1].operator}: " in text
+        assert (
+            f"The ledger holds {sum(len(entry.changes) for entry in entries()):,} of {len(sites()):,} changes" in text
+        )
+
+    def test_draws_with_several_seeds_are_listed_once(self, dcp_conformance: Command):
+        done = dcp_conformance("selftest", "--generated", "3", "--seed", "5", "--seed", "5", "--list")
+        assert len(done.out.splitlines()) == 3
 
     @pytest.mark.parametrize(
         ("words", "message"),
@@ -215,3 +254,23 @@ def test_a_node_that_sends_without_end_at_one_time_is_dead():
         frames += 1
         assert frames < 5_000
     assert sut.died == "" or "timeouts were handled" in sut.died
+
+
+def test_a_node_that_raises_when_it_is_asked_for_its_next_timer_is_dead():
+    """The tester used to stumble instead, and a fault of the node counted as one of the tester."""
+    from dcp_conformance.reference.inprocess import InProcess, reference_config
+
+    from dcp_stack.node import Node
+
+    from .rig import codec_of
+
+    class Raises(Node):
+        def poll_timeout(self):
+            raise TypeError("no timer")
+
+    sut = InProcess(
+        reference_config(codec_of("dcp-2.0")),
+        make=lambda *args: Raises(args[0], rng=args[1], now=args[2], wall=args[3]),
+    )
+    assert sut.lower_tester().receive(10_000_000_000) is None
+    assert sut.died == "TypeError: no timer"

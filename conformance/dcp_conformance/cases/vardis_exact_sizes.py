@@ -9,17 +9,20 @@ from collections.abc import Callable, Sequence
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate
+from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.filling import PAYLOAD_SIZE, filling, longest, settable
 from dcp_conformance.heard import Heard
 from dcp_conformance.peers import Peer
+from dcp_conformance.services import OK, create_request, produced, settled
 
 from .vardis_payload import all_of, request, size_of
 from .vardis_summaries import SUMMARIES, summarises
 
 _CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
+_DELETE, _ASK = ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES
+_ASK_UPDATE = ICType.REQUEST_VARUPDATES
 
 #: Variables that are learnt at a time.
 _FEW = 6
@@ -222,3 +225,118 @@ def head_does_not_fit(bench: Bench) -> None:
     bench.check(
         not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4], shown=True
     )
+
+
+@case(
+    "TC_VD_PAY_BV_09",
+    "A record that fills a payload alone, to the last octet, is sent: {variant}",
+    requirements="VD-PAY-02 VD-CMP-13",
+    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one {variant}, which is then requested",
+    expect="the record, alone in its payload",
+    window=8,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
+    variants={"VarCreate": _CREATE, "VarUpdate": _UPDATE},
+)
+def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
+    peer, (value, description) = bench.peer(), longest(bench)
+    create = peer.create(bench.var_id(), value=value, descr=description, seqno=9)
+    bench.learn(peer, create)
+    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    _lower(bench, bench.forge.record_size(create if kind is _CREATE else create.upd))
+    mark = request(bench, peer, kind, [create])
+    found = bench.until_instruction(kind, create.spec.var_id)
+    bench.check(found, "the record, which fills a payload", "it is not sent")
+    frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
+    others = [named for each in frames for named in each.containers if named.ic_type != bench.forge.ic_type(kind)]
+    bench.check(not others, "it is alone in its payload", f"{len(others)} more containers", frames=frames, shown=True)
+
+
+def _lower(bench: Bench, octets: int) -> None:
+    """Set the payload size to that of a container with one record of so many octets."""
+    # The bounds of other parameters depend on the size of a payload.
+    bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
+    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=bench.forge.container_header_size + octets)
+    bench.wait(3)
+
+
+@case(
+    "TC_VD_PAY_BV_10",
+    "Records without a value fill a payload to the last octet; with one octet less the last one waits ({variant})",
+    requirements="VD-PAY-02 VD-IC-05",
+    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with eight records, or one octet less; the "
+    "eight records become due at once",
+    expect="all in one payload; with one octet less the last of them in a second one",
+    window=10,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
+    variants={
+        "deletes": (_DELETE, 0),
+        "deletes-less": (_DELETE, 1),
+        "create-requests": (_ASK, 0),
+        "create-requests-less": (_ASK, 1),
+        "update-requests": (_ASK_UPDATE, 0),
+        "update-requests-less": (_ASK_UPDATE, 1),
+    },
+)
+def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
+    (kind, less), peer, number = variant, bench.peer(), 8
+    names = bench.unknown_ids(number) if kind is _ASK else bench.var_ids(number)
+    if kind is not _ASK:
+        bench.learn(peer, *(peer.create(each, seqno=5) for each in names))
+    sample: VardisRecord = peer.request_create(names[0])
+    stimuli: list[VardisRecord] = [peer.summary(each, 6) for each in names]
+    if kind is _DELETE:
+        stimuli = [peer.delete(each) for each in names]
+        sample = stimuli[0]
+    elif kind is _ASK_UPDATE:
+        sample = peer.request_update(names[0], 5)
+    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    _lower(bench, number * bench.forge.record_size(sample) - less)
+    mark = bench.mark()
+    peer.send(*stimuli)
+    frames = bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+    counts = [len(each.instructions(kind)) for each in frames]
+    right = [number - 1, 1] if less else [number]
+    bench.check(counts == right, f"payloads with {right} records", f"{counts}", frames=frames, shown=bool(counts))
+
+
+@case(
+    "TC_VD_CRE_BV_09",
+    "RTDB-Create takes a variable whose VarCreate fills a payload to the last octet ({variant})",
+    requirements="VD-CRE-14 VD-PAY-02",
+    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one VarCreate, with a value of "
+    "{variant}; RTDB-Create of that variable",
+    expect="OK, and the VarCreate",
+    window=8,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter", "RTDB-Create")),
+    variants={"one-octet": 1, "the-longest": 0},
+)
+def created_to_the_last_octet(bench: Bench, length: int) -> None:
+    longest_value, _ = longest(bench)
+    value, var_id = longest_value[: length or len(longest_value)], bench.var_id()
+    sample = bench.sample(value=value, descr=b"d")
+    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    _lower(bench, bench.forge.record_size(sample))
+    bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
+    found = bench.until_instruction(_CREATE, var_id)
+    bench.check(found, "its VarCreate, which fills a payload", "it is not sent", "VD-PAY-02")
+
+
+@case(
+    "TC_VD_UPD_BV_08",
+    "RTDB-Update takes a value whose VarUpdate fills a payload to the last octet",
+    requirements="VD-UPD-07 VD-PAY-02",
+    stimulus="RTDB-Create with a short value; VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one "
+    "VarUpdate of the longest value; RTDB-Update with that value",
+    expect="OK, and the VarUpdate",
+    window=8,
+    needs=Needs(ut=("UT-Reset", "VD-SetParameter", "RTDB-Create", "RTDB-Update")),
+)
+def updated_to_the_last_octet(bench: Bench) -> None:
+    value, _ = longest(bench)
+    var_id = produced(bench)
+    settled(bench, var_id)
+    bench.must("VD-SetParameter", name=SUMMARIES, value=0)
+    _lower(bench, bench.forge.record_size(bench.sample(value=value).upd))
+    bench.expect_status(OK, "RTDB-Update", varId=var_id, value=value.hex())
+    found = bench.until_instruction(_UPDATE, var_id)
+    bench.check(found and found.value == value, "its VarUpdate, which fills a payload", "it is not sent", "VD-PAY-02")

@@ -202,6 +202,23 @@ def description_length(bench: Bench) -> None:
 
 
 @case(
+    "TC_VD_PAR_BI_09",
+    "The bound of VARDISPAR_MAX_DESCRIPTION_LENGTH follows the value length that is set",
+    requirements="VD-PAR-03",
+    stimulus="lower VARDISPAR_MAX_PAYLOAD_SIZE so that it decides, set another VARDISPAR_MAX_VALUE_LENGTH, then "
+    "another VARDISPAR_MAX_REPETITIONS; set the bound, and one more",
+    expect="the bound is taken, one more is not",
+    needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
+)
+def description_length_beside_values(bench: Bench) -> None:
+    value, bound = bench.parameter(_VALUE) + 8, bench.parameter(_DESCR) + 12
+    payload = _bare_create(bench) + value + bound
+    with parameters_set(bench, "VD", **{_PAYLOAD: payload, _VALUE: value, _REPETITIONS: 2}), _kept(bench, _DESCR):
+        _check_refused(bench, _DESCR, bound + 1)
+        _check_taken(bench, _DESCR, bound)
+
+
+@case(
     "TC_VD_PAR_BI_04",
     "The bounds of VARDISPAR_MAX_REPETITIONS",
     requirements="VD-PAR-04 VD-PAR-10",

@@ -150,6 +150,7 @@ def database(bench: Bench) -> None:
     first = produced(bench, descr="the first")
     second = produced(bench, descr="the second")
     third = taught(bench, peer, descr=b"the third")
+    bench.expect_status(OK, "RTDB-DescribeDatabase")
     table = listed(bench)
     own = bench.sut_id
     for var_id, producer, descr in (

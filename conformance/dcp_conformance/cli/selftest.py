@@ -44,7 +44,20 @@ _FEW = 40
     metavar="N",
     help="Try N random changes of the node's source instead; MUTANTS are parts of their text or their keys.",
 )
-@click.option("--seed", type=int, default=1, show_default=True, metavar="S", help="Seed of the draw of --generated.")
+@click.option(
+    "--seed",
+    type=int,
+    multiple=True,
+    default=(1,),
+    show_default=True,
+    metavar="S",
+    help="Seed of the draw of --generated; several make several draws.",
+)
+@click.option(
+    "--check-ledger",
+    is_flag=True,
+    help="With --generated, also try changes in the ledger, to find those that a case kills.",
+)
 @click.option(
     "--variants",
     is_flag=True,
@@ -107,32 +120,50 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Random changes; the exit status."""
     from dcp_conformance.generated.campaign import Trial as Generated
-    from dcp_conformance.generated.campaign import draw, run
+    from dcp_conformance.generated.campaign import draw, reach, run
 
     from .display import progress_bar
     from .selftest_display import print_generated
 
-    for name in ("profile", "full", "document"):
+    for name in ("profile", "full"):
         if options[name]:
             raise UsageError(f"--{name} does not go with --generated, which tries every case on every version")
-    chosen = draw(options["generated"], options["seed"], patterns=patterns)
-    if not chosen:
+    draws = {seed: draw(options["generated"], seed, patterns=patterns) for seed in options["seed"]}
+    if not all(draws.values()):
         raise UsageError(f"no change of the node's source contains {' or '.join(map(repr, patterns))}")
     if options["listing"]:
-        for site in chosen:
+        for site in dict.fromkeys(site for chosen in draws.values() for site in chosen):
             say(f"{site.key}  {site}")
         return 0
+    results: list[GeneratedResult] = []
     with progress_bar(quiet=options["quiet"]) as progress:
-        task = progress.add_task("changes", total=len(chosen))
+        task = progress.add_task("changes", total=sum(map(len, draws.values())))
 
         def done(trial: Generated) -> None:
             progress.update(task, advance=1, description=f"{trial.outcome.fate} {trial.site.module}:{trial.site.line}")
 
-        result = run(chosen, seed=options["seed"], jobs=options["jobs"], on_result=done)
-    if options["report_dir"] is not None:
-        _write_json(result, options["report_dir"], "generated.json")
-    print_generated(result, verbose=options["verbose"])
-    return 1 if result.survivors or result.misplaced else 0
+        reached = reach(jobs=options["jobs"]) if len(draws) > 1 else None
+        for seed, chosen in draws.items():
+            results.append(
+                run(
+                    chosen,
+                    seed=seed,
+                    jobs=options["jobs"],
+                    excused=options["check_ledger"],
+                    reached=reached,
+                    on_result=done,
+                )
+            )
+    for result in results:
+        if options["report_dir"] is not None:
+            name = "generated.json" if len(results) == 1 else f"generated-{result.seed}.json"
+            _write_json(result, options["report_dir"], name)
+        print_generated(result, verbose=options["verbose"])
+    if options["document"] is not None:
+        from dcp_conformance.generated.table import section
+
+        _write_section(options["document"], "generated", section(results))
+    return 1 if any(result.survivors or result.misplaced for result in results) else 0
 
 
 def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:

@@ -17,6 +17,8 @@ from typing import Final
 import msgspec
 from dcp_spec.version import __version__
 
+from dcp_conformance.errors import ConformanceError
+
 from .ledger import Entry, ledger
 from .reach import Reach, measure
 from .sites import Site, sites
@@ -86,34 +88,52 @@ def draw(count: int, seed: int, *, patterns: Sequence[str] = ()) -> list[Site]:
     return rng.sample(pool, min(count, len(pool)))
 
 
+def reach(*, jobs: int | None = None) -> tuple[Reach, ...]:
+    """What the cases execute on each profile. Takes about ten runs of the suite for each."""
+    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
+        return tuple(pool.map(partial(_measured, _context()), PROFILES))
+
+
+def _context() -> multiprocessing.context.ForkServerContext:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([f"{__package__}.preload"])
+    return context
+
+
 def run(
     chosen: Iterable[Site],
     *,
     seed: int | None = None,
     jobs: int | None = None,
-    excused: bool = True,
+    excused: bool = False,
+    reached: Sequence[Reach] | None = None,
     on_result: Callable[[Trial], None] | None = None,
 ) -> GeneratedResult:
     """Try each of the changes in a process of its own.
 
-    ``excused``: also those in the ledger, to find entries that a case kills.
+    Raises :class:`ConformanceError` if the node does not work without a change: every change would count as killed.
+
+    ``excused``: also those in the ledger, to find entries that a case kills. ``reached``: what the cases execute, if
+    that is known (see :func:`reach`); by default it is measured when many changes are tried.
     """
     began = time.monotonic()
     excuses = ledger()
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([f"{__package__}.preload"])
+    context = _context()
+    _require_working(context)
 
     def attempt(site: Site) -> Trial:
         entry: Entry | None = excuses.get(site.key)
         if entry is not None and not excused:
             return Trial(site, Outcome(site.key, "excused"), entry.text)
-        outcome = _in_process(context, site, steps(site, reached))
+        outcome = _in_process(context, site, steps(site, known))
         return Trial(site, outcome, entry.text if entry is not None else "")
 
     trials: list[Trial] = []
     chosen = list(chosen)
+    if reached is None:
+        reached = reach(jobs=jobs) if len(chosen) >= _MANY else ()
+    known = tuple(reached)
     with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        reached = tuple(pool.map(partial(_measured, context), PROFILES)) if len(chosen) >= _MANY else ()
         waiting = [pool.submit(attempt, site) for site in chosen]
         try:
             for done in as_completed(waiting):
@@ -123,15 +143,22 @@ def run(
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
     order = {site.key: number for number, site in enumerate(sites())}
-    known = set(order)
     return GeneratedResult(
         seed=seed,
         drawn=len(chosen),
         sites=len(order),
-        ledger=len(known & set(excuses)),
+        ledger=len(set(order) & set(excuses)),
         duration=round(time.monotonic() - began, 1),
         trials=tuple(sorted(trials, key=lambda trial: order[trial.site.key])),
     )
+
+
+def _require_working(context: multiprocessing.context.ForkServerContext) -> None:
+    """Run the sanity case against the node as it is. Raises :class:`ConformanceError` if it fails."""
+    answer, fate = _ask(context, _try, None, (Step(PROFILES[0], (0,)),))
+    outcome = msgspec.json.decode(answer, type=Outcome) if answer else None
+    if outcome is None or outcome.fate != "survived":
+        raise ConformanceError(f"the node does not work without a change: {outcome.by if outcome else fate}")
 
 
 def _in_process(context: multiprocessing.context.ForkServerContext, site: Site, plan: Sequence[Step]) -> Outcome:
@@ -184,7 +211,7 @@ def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> No
     to.close()
 
 
-def _try(site: Site, plan: Sequence[Step]) -> bytes:
+def _try(site: Site | None, plan: Sequence[Step]) -> bytes:
     limit()
     return msgspec.json.encode(try_site(site, plan))
 

@@ -25,7 +25,7 @@ class Reach(msgspec.Struct, frozen=True):
     lines: dict[str, dict[int, tuple[int, ...]]]
     """By module and line: the numbers of the cases that execute the line, in the order of :func:`trial.cases`."""
     always: dict[str, tuple[int, ...]]
-    """By module: lines that are executed when the node is configured, so that every case depends on them."""
+    """By module: lines that are executed when the node is imported and configured: every case depends on them."""
 
     def cases(self, site: Site) -> frozenset[int] | None:
         """The cases that execute the statement of ``site``; None if every case may depend on it."""
@@ -75,21 +75,22 @@ class _Tracer:
 def measure(profile: str, numbers: Sequence[int] | None = None) -> Reach:
     """Run the suite on ``profile`` under the tracer, or the cases with these numbers, which must begin with sanity.
 
-    For a process of its own: it changes how a node is configured.
+    For a process of its own that has not imported the node, since it changes how a node is configured.
     """
-    from dcp_conformance.selftest import Suite
-    from dcp_stack.config import NodeConfig
-
     from .trial import cases
 
-    # Otherwise the first case alone would execute what is found out once and kept for all others.
-    setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
-    tracer = _Tracer()
-    found: dict[str, dict[int, list[int]]] = {}
     chosen = cases() if numbers is None else [cases()[number] for number in numbers]
     place = {case.id: number for number, case in enumerate(cases())}
+    tracer = _Tracer()
+    found: dict[str, dict[int, list[int]]] = {}
     sys.settrace(tracer)
     try:
+        # The node is imported under the tracer: some functions are called by modules only.
+        from dcp_conformance.selftest import Suite
+        from dcp_stack.config import NodeConfig
+
+        # Otherwise the first case alone would execute what is found out once and kept for all others.
+        setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
         suite = Suite(profile)
         always = tracer.take()
         for result in suite.run(chosen):

@@ -1,17 +1,25 @@
 """Code of the node that only reports or shows something: no change of it can alter what the protocols do.
 
-Three kinds are recognised, all from the syntax alone: statements that emit a ``Dropped`` effect, which are the log of
-the protocol cores; functions that consist of such statements, with the calls of them; and functions that show or check
-the state for a reader, with the private functions that only these use.
+All kinds are recognised from the syntax alone: statements that emit a ``Dropped`` effect, which are the log of the
+protocol cores, or that count an event in the counters of BP; functions that consist of such statements, with the calls
+of them; what describes a fault for the log; functions that show or check the state for a reader, with the private
+functions that only these use; guards against misuse by the program around the node, which only raise an exception; and
+comparisons that choose a reading, of which every alternative is permitted.
 """
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-#: The effect by which a core reports what it has dropped and why.
+#: The effect by which a core reports what it has dropped and why, and what says why.
 _REPORT: Final = "Dropped"
+_DESCRIPTIONS: Final = frozenset({_REPORT, "Fault"})
+#: The object and its method by which BP counts.
+_COUNTERS, _COUNT = "_counters", "count"
+#: The method of a configuration that tells which alternative of a reading is chosen.
+_READING: Final = "reading"
 #: Methods that show or check the state of an object.
 _SHOWING: Final = frozenset({"__repr__", "snapshot", "check_invariants"})
 
@@ -27,9 +35,33 @@ class Reports(NamedTuple):
         if not isinstance(statement, ast.Expr) or not isinstance(statement.value, ast.Call):
             return False
         call = statement.value
-        return _name(call.func) in self.functions or any(
-            isinstance(each, ast.Call) and _name(each.func) == _REPORT for each in call.args
+        counts = isinstance(call.func, ast.Attribute) and (_name(call.func.value), call.func.attr) == (
+            _COUNTERS,
+            _COUNT,
         )
+        reports = any(isinstance(each, ast.Call) and _name(each.func) == _REPORT for each in call.args)
+        return counts or reports or _name(call.func) in self.functions
+
+
+def is_guard(statement: ast.stmt) -> bool:
+    """Whether a statement only raises an exception under some condition."""
+    return (
+        isinstance(statement, ast.If)
+        and not statement.orelse
+        and all(isinstance(each, ast.Raise) for each in statement.body)
+    )
+
+
+def without_reports(expression: ast.AST) -> Iterator[ast.AST]:
+    """The nodes of an expression, without those that describe a fault or choose a reading."""
+    if isinstance(expression, ast.Call) and _name(expression.func) in _DESCRIPTIONS:
+        return
+    left = expression.left if isinstance(expression, ast.Compare) else None
+    if isinstance(left, ast.Call) and _name(left.func) == _READING:
+        return
+    yield expression
+    for child in ast.iter_child_nodes(expression):
+        yield from without_reports(child)
 
 
 def reports_of(tree: ast.Module) -> Reports:

@@ -11,12 +11,12 @@ from functools import cache
 from importlib import resources
 from typing import Final, NamedTuple
 
-from .reports import Reports, reports_of
+from .reports import Reports, is_guard, reports_of, without_reports
 
-#: The modules of BP, SRP and VarDis. What only composes them, names effects or reads configurations is left out.
+#: The modules of BP, SRP and VarDis. What only composes them, names effects, counts or reads configurations is left
+#: out.
 MODULES: Final = (
-    "bp", "bp_clients", "bp_parameters", "bp_queue", "bp_receive", "bp_services", "bp_statistics", "bp_timing",
-    "bp_wire",
+    "bp", "bp_clients", "bp_parameters", "bp_queue", "bp_receive", "bp_services", "bp_timing", "bp_wire",
     "srp", "neighbours", "timestamps",
     "vardis", "vardis_compose", "vardis_confirms", "vardis_core", "vardis_db", "vardis_parameters", "vardis_port",
     "vardis_receive", "vardis_services", "vardis_sizes", "vardis_table", "vardis_wire", "client_port",
@@ -189,7 +189,7 @@ def _in_statement(statement: ast.stmt, function: str, reports: Reports) -> Itera
             inner = f"{function}.{statement.name}" if function else statement.name
             yield from _in_body(statement.body, inner, reports)
         return
-    if not function or _is_only_for_readers(statement) or reports.is_report(statement):
+    if not function or _is_only_for_readers(statement) or is_guard(statement) or reports.is_report(statement):
         return
     yield function, statement, statement
     for child in ast.iter_child_nodes(statement):
@@ -198,7 +198,7 @@ def _in_statement(statement: ast.stmt, function: str, reports: Reports) -> Itera
         elif isinstance(child, ast.match_case | ast.ExceptHandler):
             yield from _in_body(child.body, function, reports)
         elif not (isinstance(statement, ast.AnnAssign) and child is statement.annotation):
-            for node in ast.walk(child):
+            for node in without_reports(child):
                 yield function, statement, node
 
 

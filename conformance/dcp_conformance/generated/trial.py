@@ -92,13 +92,17 @@ class Step(NamedTuple):
     """Numbers of the cases to run (see :func:`cases`); None: all."""
 
 
+#: Every case on every profile.
+_EVERYTHING: Final = tuple(Step(profile, None) for profile in PROFILES)
+
+
 def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
     """What must be run to see whether a case notices the change; empty if no case executes the changed code.
 
     ``reached``: what the cases execute on each profile; without it every case is run on every profile.
     """
     if not reached:
-        return tuple(Step(profile, None) for profile in PROFILES)
+        return _EVERYTHING
     found = [(each.profile, each.cases(site)) for each in reached]
     return tuple(
         Step(name, None if some is None else tuple(sorted(some))) for name, some in found if some is None or some
@@ -121,26 +125,29 @@ def _limit_time() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + CPU_SECONDS, hard))
 
 
-def try_site(site: Site, plan: Sequence[Step] | None = None) -> Outcome:
+def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
     """Run the suite until a case notices. For a new process only: it must not have imported ``dcp_stack``.
 
     ``plan``: what to run, by default everything. Cases that name a requirement cited near the change are run first.
+    Without a ``site`` the node is left as it is, and has to survive.
     """
     loaded = [name for name in sys.modules if name == "dcp_stack" or name.startswith("dcp_stack.")]
     if loaded:
         raise RuntimeError(f"the node without the change has been imported already: {', '.join(loaded[:3])}")
     began = time.monotonic()
-    sys.meta_path.insert(0, _Mutator(site))
+    key = "" if site is None else site.key
+    if site is not None:
+        sys.meta_path.insert(0, _Mutator(site))
 
     def outcome(fate: Fate, by: str, profile: str) -> Outcome:
-        return Outcome(site.key, fate, by[:300], profile, round(time.monotonic() - began, 2))
+        return Outcome(key, fate, by[:300], profile, round(time.monotonic() - began, 2))
 
     noticed: Outcome | None = None
     profile = ""
     try:
         from dcp_conformance.selftest import Suite, is_declared
 
-        for profile, numbers in steps(site) if plan is None else plan:
+        for profile, numbers in _EVERYTHING if plan is None else plan:
             suite = Suite(profile)
             wire = load_profile(profile)
             for result in itertools.chain(suite.run(_timed(_in_order(site, numbers))), suite.passive()):
@@ -163,9 +170,11 @@ def _timed(chosen: Iterable[Case]) -> Iterator[Case]:
         yield case
 
 
-def _in_order(site: Site, numbers: tuple[int, ...] | None) -> list[Case]:
+def _in_order(site: Site | None, numbers: tuple[int, ...] | None) -> list[Case]:
     """The cases with these numbers, those first that are likely to notice."""
-    chosen = cases() if numbers is None else [cases()[number] for number in numbers]
+    chosen = list(cases()) if numbers is None else [cases()[number] for number in numbers]
+    if site is None:
+        return chosen
     place = {identifier: number for number, identifier in enumerate(cited(site))}
     variants: dict[str, int] = {}
     ranks: dict[str, tuple[bool, int, int, bool]] = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import msgspec
+from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarSpec
 from dcp_stack.vardis import Vardis
@@ -98,3 +99,9 @@ class ReadsValueAlways(Vardis):
     def read(self, var_id: int) -> ReadConfirm:
         confirm = super().read(var_id)
         return confirm if confirm.status.is_ok else ReadConfirm(confirm.status, b"-", 0)
+
+
+@mutant("inactive", "VD-DDB-02", "answers RTDB-DescribeDatabase with INACTIVE although it is active")
+class DescribesNothing(Vardis):
+    def describe_database(self) -> DescribeDatabaseConfirm:
+        return DescribeDatabaseConfirm(VardisStatus.INACTIVE)

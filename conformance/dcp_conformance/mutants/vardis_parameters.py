@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.parameters import Violation
 
@@ -188,3 +189,17 @@ class Retroactive(Vardis):
 class NoCheckPeriod(VardisParameters):
     def as_dict(self) -> dict[str, int]:
         return {name: value for name, value in super().as_dict().items() if name != "VARDISPAR_BUFFER_CHECK_PERIOD"}
+
+
+@mutant(
+    "beside-the-first-value-length",
+    "VD-PAR-03",
+    "checks the description length against the value length that it was started with",
+    since=SpecVersion.V1_1,
+)
+class FormerValueLength(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        before = self._sizes.max_value_length
+        violation = super().set(name, value)
+        self._sizes = msgspec.structs.replace(self._sizes, max_value_length=before)
+        return violation

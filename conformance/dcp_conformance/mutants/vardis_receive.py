@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import accumulate, pairwise
 from typing import Any, ClassVar
 
@@ -31,8 +32,9 @@ class Containers(Extractor):
         return offset + sum(map(self._octets, containers))
 
     def _octets(self, container: Container) -> int:
-        kind = self._kinds[container.ic_type]
-        return self._sizes.ic_header + sum(self._sizes.record(kind, each) for each in container.records)
+        size = self._sizes.fixed[self._kinds[container.ic_type]]
+        records: Iterable[Any] = container.records
+        return self._sizes.ic_header + sum(self._sizes.record(each) if size is None else size for each in records)
 
     def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
         """The containers that are processed."""

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from dcp_spec.constants import ICType
 
+from dcp_stack.vardis import Vardis
 from dcp_stack.vardis_compose import Composer
 from dcp_stack.vardis_db import IdQueue
 
@@ -94,3 +95,26 @@ class LosesRestOfRequests(Loses):
 )
 class LosesRestOfUpdateRequests(Loses):
     kind = ICType.REQUEST_VARUPDATES
+
+
+@mutant("exact-fit-skipped", "VD-PAY-02", "skips records that would fill a payload alone to the last octet")
+class SkipsExactFit(Composer):
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        return super()._fitting(kind, queue, room, largest - 1)
+
+
+@mutant(
+    "exact-fit-refused",
+    "VD-CRE-14 VD-UPD-07",
+    "refuses to create and update variables whose record fills a payload to the last octet",
+)
+class RefusesExactFit(Vardis):
+    def _room(self) -> int:
+        return super()._room() - 1
+
+
+@mutant("small-records-too-large", "VD-PAY-02", "reckons with an octet too much for each VarDelete and VarReqCreate")
+class WidensSmallRecords(Composer):
+    def _record_size(self, kind: ICType, var_id: int) -> int:
+        small = kind in (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES)
+        return super()._record_size(kind, var_id) + small

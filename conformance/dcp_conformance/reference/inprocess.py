@@ -118,9 +118,20 @@ class InProcess:
         while self._step(until):
             pass
 
+    def _due(self) -> int | None:
+        """When the node's next timer is due; None if there is none, or the node is dead."""
+        if self.died:
+            return None
+        try:
+            due: int | None = self.node.poll_timeout()
+        except Exception as error:
+            self.dies(error)
+            return None
+        return due
+
     def _step(self, until: int) -> bool:
         """Go on to the node's next timer, or to ``until``; whether that was a timer."""
-        due = None if self.died else self.node.poll_timeout()
+        due = self._due()
         if due is None or due > until:
             self.now = max(self.now, until)
             return False
