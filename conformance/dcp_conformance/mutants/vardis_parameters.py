@@ -195,7 +195,7 @@ class NoCheckPeriod(VardisParameters):
     "beside-the-first-value-length",
     "VD-PAR-03",
     "checks the description length against the value length that it was started with",
-    since=SpecVersion.V1_1,
+    unseen={"1.0": "1.0 bounds the sum of both lengths apart from the parameters"},
 )
 class FormerValueLength(VardisParameters):
     def set(self, name: str, value: object) -> Violation | None:
