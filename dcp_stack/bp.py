@@ -95,10 +95,13 @@ class BeaconingProtocol:
         ##= BP-INI-03
         self._active = True
         ##= BP-INI-02
-        ##= BP-HDR-08
+        ##= BP-HDR-12
+        ##= BP-HDR-13
         self._seqno = 1 if config.reading("X03") == "increment-then-write" else self._features.first_beacon_seqno
         self._refuses_modes = config.reading("X06") == "refuse-at-registration"
         self._counts_header = config.reading("X04") == "with-header"
+        self._tells_each_payload = config.reading("X44") == "per-payload"
+        self._fills_beacons = config.reading("X45") == "while-space-lasts"
         self._largest_protocol = (1 << (8 * config.profile.types.protocol_id.width)) - 1
         self._counters = Counters(*_COUNTED)
         self._losses = LossTable()
@@ -109,6 +112,7 @@ class BeaconingProtocol:
             node_id=config.node_id,
             counters=self._counters,
             losses=self._losses,
+            readings=config.reading,
             emit=emit,
         )
         period, jitter = self._parameters.period, config.bp.jitter
@@ -116,6 +120,7 @@ class BeaconingProtocol:
 
     # -- registration -----------------------------------------------------------------------------------------
 
+    ##= BP-REG-12
     def register(
         self,
         prot_id: int,
@@ -152,6 +157,7 @@ class BeaconingProtocol:
         ##= BP-REG-07
         own = self._config.node_id if self._features.own_id_in_register_confirm else None
         ##= BP-REG-08
+        ##= BP-REG-13
         ##= DATA-10
         return RegisterConfirm(status, own)
 
@@ -168,6 +174,8 @@ class BeaconingProtocol:
         if registration.max_payload_size < least:
             return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
         ##= BP-REG-04
+        ##= BP-REG-11
+        ##= BP-PAR-11
         overhead = self._wire.header_size if self._features.registration_counts_bp_header else 4
         largest = self._parameters.max_packet_size - (self._wire.block_header_size + overhead)
         if registration.max_payload_size > min(largest, self._wire.max_payload):
@@ -193,12 +201,15 @@ class BeaconingProtocol:
             return StatusConfirm(BPStatus.UNKNOWN_PROTOCOL)
         ##= BP-DRG-02
         self._clients.remove(prot_id)
+        ##= BP-DRG-06
         return StatusConfirm(BPStatus.OK)
 
     def list_registered(self) -> ListConfirm:
         """``BP-ListRegisteredProtocols.request``: what was registered, not what is buffered."""
         ##= BP-LST-01
         ##= BP-LST-02
+        ##= BP-LST-03
+        ##= BP-LST-04
         ##= BP-GEN-01
         return ListConfirm(BPStatus.OK, tuple(client.registration for client in self._clients))
 
@@ -217,12 +228,15 @@ class BeaconingProtocol:
         if not isinstance(payload, bytes | bytearray | memoryview):
             raise TypeError(f"payload must be bytes, not {type(payload).__name__}")
         ##= BP-TXP-08
+        ##= BP-TXP-11
+        ##= BP-TXP-14
         ##= BP-GEN-02
         return StatusConfirm(self._submit(client, bytes(payload), now))
 
     ##= BP-TXP-10
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         ##= BP-TXP-01
+        ##= BP-REG-10
         if client is None:
             return BPStatus.UNKNOWN_PROTOCOL
         ##= BP-TXP-02
@@ -230,6 +244,8 @@ class BeaconingProtocol:
             return BPStatus.PAYLOAD_TOO_LARGE
         queue = client.queue
         ##= BP-TXP-03
+        ##= BP-TXP-12
+        ##= BP-TXP-13
         if not payload:
             if self._features.empty_payload_clears_buffer and queue is not None and queue.rule.on_empty == "clear":
                 queue.clear()
@@ -259,6 +275,7 @@ class BeaconingProtocol:
         ##= BP-CLR-02
         ##= BP-CLR-03
         client.queue.clear()
+        ##= BP-CLR-05
         return StatusConfirm(BPStatus.OK)
 
     def query_number_buffered(self, prot_id: int) -> NumberConfirm:
@@ -269,6 +286,7 @@ class BeaconingProtocol:
             return NumberConfirm(BPStatus.UNKNOWN_PROTOCOL, None)
         ##= BP-QRY-02
         ##= BP-QRY-03
+        ##= BP-QRY-04
         return NumberConfirm(_OK, 0 if client.queue is None else len(client.queue))
 
     # -- management -------------------------------------------------------------------------------------------
@@ -364,7 +382,9 @@ class BeaconingProtocol:
         ##= BP-MGT-02
         if not self._active or now < self._schedule.due:
             return
-        blocks = self._clients.take(self._room(), self._wire.block_size, BP_MAX_PAYLOADS)
+        # One is the fewest that an implementation can choose (X45).
+        most = BP_MAX_PAYLOADS if self._fills_beacons else 1
+        blocks = self._clients.take(self._room(), self._wire.block_size, most)
         if left_out := self._schedule.passed(now, sent=bool(blocks)):
             self._counters.count("beacons-left-out", left_out)
         ##= BP-FMT-03
@@ -380,11 +400,14 @@ class BeaconingProtocol:
         self._seqno = (seqno + 1) % BP_SEQNO_MODULUS
         self._emit(SendBeacon(octets, seqno, len(blocks)))
         ##= BP-PTI-03
+        told: set[int] = set()
         for protocol_id, _ in blocks:
             self._counters.count(f"payloads-sent/{protocol_id}")
-            ##= BP-PTI-01
-            ##= BP-PTI-02
-            self._emit(PayloadTransmitted(protocol_id, self._schedule.due))
+            if protocol_id not in told or self._tells_each_payload:
+                told.add(protocol_id)
+                ##= BP-PTI-01
+                ##= BP-PTI-02
+                self._emit(PayloadTransmitted(protocol_id, self._schedule.due))
 
     def _room(self) -> int:
         """Octets for blocks in the next beacon (X04)."""
@@ -399,6 +422,7 @@ class BeaconingProtocol:
 
     def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:  # noqa: ARG002 - as above
         """A bearer payload was received. Never raises, whatever the octets are."""
+        ##= UWB-06
         self._counters.count("frames-received")
         self._counters.count("octets-received", len(octets))
         ##= BP-RX-13

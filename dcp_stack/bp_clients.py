@@ -18,6 +18,8 @@ Chosen = list[tuple[int, bytes]]
 class ClientList:
     """``currentClientProtocols``, and the order of serving."""
 
+    ##= BP-LST-05
+
     def __init__(self) -> None:
         ##= BP-INI-01
         self._clients: dict[int, Client] = {}

@@ -36,6 +36,7 @@ class BPParameters:
             ##= UWB-03
             UWB_MAX_PACKET: profile.limits.uwb_max_packet,
             ##= BP-PAR-09
+            ##= DATA-14
             OWN_NODE: config.node_id,
         }
         ##= BP-PAR-10
@@ -45,6 +46,7 @@ class BPParameters:
         self._values = dict(config.once(_initial))
 
     ##= BP-PAR-01
+    ##= BP-PAR-12
     def as_dict(self) -> dict[str, Any]:
         """All values by name, those that can be set first."""
         return {**self._values, **self._fixed}
@@ -62,6 +64,7 @@ class BPParameters:
             return Violation(parameter=name, value=value, bound=bound, requirement=entry.requirement)
         violation = validate(name, value, self._sizes) or _unusable(name, value, self._sizes, self._usable_minimum)
         ##= BP-PAR-06
+        ##= BP-PAR-13
         if violation is None:
             self._values[name] = value
         ##= BP-PAR-07
@@ -96,10 +99,10 @@ class BPParameters:
 def _initial(config: NodeConfig) -> Mapping[str, Any]:
     """The values that a node begins with."""
     profile, settings = config.profile, config.bp
-    ##= BP-PAR-04
+    ##= BP-PAR-14 | exception: a profile or a configuration may say that an implementation starts with another size
     max_packet = settings.max_packet_size
     initial: dict[str, Any] = {
-        ##= BP-PAR-03
+        ##= BP-PAR-15
         PERIOD: settings.beacon_period_ms,
         MAX_PACKET: profile.limits.max_beacon_size if max_packet is None else max_packet,
     }

@@ -49,6 +49,7 @@ QUEUEING: Final[Mapping[QueueingMode, ModeRule]] = MappingProxyType(
         ##= BP-QM-02
         QueueingMode.QUEUE_DROPHEAD: ModeRule(Places.MAX_ENTRIES, "displace-oldest", "remove", True, "refuse"),
         ##= BP-QM-03
+        ##= BP-QM-10
         # The only queue mode of 1.0, of indefinite length.
         QueueingMode.QUEUE: ModeRule(Places.UNLIMITED, None, "remove", False, "refuse"),
         ##= BP-QM-04

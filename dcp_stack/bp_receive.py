@@ -26,8 +26,10 @@ class Receiver:
         node_id: bytes,
         counters: Counters,
         losses: LossTable,
+        readings: Callable[[str], str],
         emit: Callable[[Effect], None],
     ) -> None:
+        """``readings`` gives the chosen alternative of a disputed text."""
         self._wire = wire
         self._clients = clients
         self._parameters = parameters
@@ -35,6 +37,9 @@ class Receiver:
         self._counters = counters
         self._losses = losses
         self._emit = emit
+        self._ignores_empty = readings("X46") == "ignore-empty"
+        self._discards_miscounted = readings("X48") == "discard-beacon" and wire.count_tells
+        self._discards_larger = readings("X49") == "discard-larger"
 
     def receive(self, octets: bytes, now: int) -> None:
         """Deliver the blocks of a bearer payload to the clients that are registered for them. Never raises."""
@@ -51,6 +56,10 @@ class Receiver:
         self._counters.count("beacons-received")
         if not found.count_agrees:
             self._counters.count("beacons-with-other-count")
+        ##= BP-RX-12
+        if self._discards_miscounted and (not found.count_agrees or found.fault is not None):
+            self.drop("other-count", self._wire.offset("numPayloads"))
+            return
         ##= BP-RX-10
         ##= BP-RX-11
         if found.header is not None:
@@ -68,7 +77,6 @@ class Receiver:
             self.drop("foreign-network", self._wire.offset("networkId"))
             return False
         ##= BP-RX-06
-        ##= DATA-04
         if header.sender_id == self._node_id:
             self.drop("own-beacon", self._wire.offset("senderId"))
             return False
@@ -77,12 +85,16 @@ class Receiver:
     def _deliver(self, block: Block, sender: bytes) -> None:
         ##= BP-RX-08
         ##= BP-RXP-03
-        if block.protocol_id not in self._clients:
+        ##= BP-LST-05
+        client = self._clients.get(block.protocol_id)
+        if client is None:
             self.drop("unregistered-protocol", block.offset)
             return
-        # No sender may submit one, and there is nothing in it for a client.
-        if not block.payload:
+        if not block.payload and self._ignores_empty:
             self.drop("empty-payload", block.offset)
+            return
+        if self._discards_larger and len(block.payload) > client.registration.max_payload_size:
+            self.drop("larger-than-registered", block.offset)
             return
         self._counters.count(f"payloads-received/{block.protocol_id}")
         ##= BP-RXP-01

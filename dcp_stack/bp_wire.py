@@ -84,6 +84,11 @@ class BPWire:
         if announced:
             self.max_blocks = largest
         self._frame_is_end = announced and config.reading("X02") == "frame-size"
+        self._count_is_end = "length" in layout.header or config.reading("X47") == "counted-blocks"
+        self.count_tells = not self._frame_is_end and self._count_is_end
+        """Whether numPayloads can be compared: not if padding is parsed as blocks (X02, X47)."""
+        self._block_fields = own
+        self._block_layout = layout.payload_header
 
     def offset(self, field: str) -> int:
         """The octet of the bearer payload where a header field starts, -1 if there is no such field."""
@@ -111,8 +116,12 @@ class BPWire:
         of them (C.6), so the header is there with the fault.
         """
         ##= BP-RX-16
+        if self._frame_is_end:
+            octets = self._announcing_frame(octets)
+        elif not self._count_is_end:
+            octets = self._counting_frame(octets)
         try:
-            beacon, _ = self._codec.decode_envelope(self._announcing_frame(octets) if self._frame_is_end else octets)
+            beacon, _ = self._codec.decode_envelope(octets)
         except DecodeError as error:
             return self._faulty(octets, error)
         return Reception(beacon.bp, self._blocks(beacon))
@@ -121,7 +130,6 @@ class BPWire:
         problem, beacon = error.problem, error.partial
         if not isinstance(beacon, Beacon):
             fault = _fault(problem, in_header=True)
-            ##= BP-RX-15
             if problem.reason == "beacon-overrun":
                 return Reception(self._header(octets), fault=fault)
             return Reception(None, fault=fault, refused=True)
@@ -160,6 +168,26 @@ class BPWire:
         return (
             octets[: place.start] + body.to_bytes(place.stop - place.start, self._length_order) + octets[place.stop :]
         )
+
+    def _counting_frame(self, octets: bytes) -> bytes:
+        """The octets as if the header counted all blocks of the frame (reading X47 ``whole-frame``)."""
+        place, start, count = self._places.get("numPayloads"), self.header_size, 0
+        # No blocks are still a reason to discard the beacon (BP-RX-04).
+        if place is None or not any(octets[place]):
+            return octets
+        while start + self.block_header_size <= len(octets):
+            start += self.block_header_size + (self._area or self._length_at(octets, start))
+            count += start <= len(octets)
+        return octets[: place.start] + bytes([min(max(count, 1), 0xFF)]) + octets[place.stop :]
+
+    def _length_at(self, octets: bytes, start: int) -> int:
+        """The length of the client payload in the block that starts there."""
+        for member in self._block_layout:
+            size = self._block_fields[member] if isinstance(member, str) else member.opaque
+            if member == "length":
+                return int.from_bytes(octets[start : start + size], self._length_order)
+            start += size
+        return 0
 
 
 def _fault(problem: Problem, *, in_header: bool) -> Fault:

@@ -52,7 +52,6 @@ class ClientPort:
 
     def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
         """``BP-TransmitPayload``; who does not hold the number is no client and has no payloads."""
-        ##= BP-REG-10
         if not self.holds:
             return StatusConfirm(BPStatus.UNKNOWN_PROTOCOL)
         return self._bp.transmit_payload(prot_id, payload, now=now)

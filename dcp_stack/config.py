@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 from dcp_spec.bp import header_size
-from dcp_spec.constants import Features, ICType, features
+from dcp_spec.constants import Features, ICType, SpecVersion, features
 from dcp_spec.parameters import Sizes
 from dcp_spec.profile import Opaque, Profile
 from dcp_spec.readings import reading
@@ -99,6 +99,12 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def features(self) -> Features:
         """What the specification version of the profile has (C.7)."""
         return features(self.profile.spec_version)
+
+    @functools.cached_property
+    def named_version(self) -> SpecVersion:
+        """The version in the names under which SRP and VarDis register (X31)."""
+        version = self.profile.spec_version
+        return min(version, SpecVersion.V1_3) if self.reading("X31") == "as-written" else version
 
     @functools.cached_property
     def sizes(self) -> Sizes:

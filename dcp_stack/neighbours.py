@@ -146,6 +146,13 @@ class NeighbourTable(NeighbourQueries):
             del self._entries[node_id]
         return gone
 
+    def expire_at(self, wall: int, timeout: int) -> list[bytes]:
+        """As :meth:`expire` by the system time, in ns since 1970 (X50 ``system-time``)."""
+        gone = [node_id for node_id, entry in self._entries.items() if wall - entry.reception_time > timeout]
+        for node_id in gone:
+            del self._entries[node_id]
+        return gone
+
     def clear(self) -> None:
         """Forget everybody."""
         self._entries.clear()

@@ -113,6 +113,7 @@ class StateReporting:
         self._registered = False
         self._initialized = False
         self._seqno = 0
+        self._steady = config.reading("X50") == "steady-age"
         self._own = OwnMotion(self._fields)
         self._traversed = now
         self._timeout_ms: float = 0
@@ -133,10 +134,11 @@ class StateReporting:
         confirm = self._bp.register(
             ##= SRP-INI-01
             BP_PROTID_SRP,
-            protocol_name(profile.spec_version),
+            protocol_name(self._config.named_version),
             ##= SRP-INI-02
             max(self.record_size, profile.limits.max_srp_payload or 0),
             ##= SRP-INI-03
+            ##= SRP-INI-08
             ##= SRP-TYP-07
             # ONCE and REPEAT both keep the newest record only.
             self._config.features.srp_queueing_mode,
@@ -145,8 +147,8 @@ class StateReporting:
             now=now,
             wall=wall,
         )
-        ##= SRP-INI-05
         self._table.clear()
+        ##= SRP-INI-05
         self._seqno = 0
         self._own.clear()
         self._registered = self._initialized = confirm.status is BPStatus.OK
@@ -219,6 +221,7 @@ class StateReporting:
         ##= SRP-RX-06
         # The only place where SRP submits anything: nothing received is ever sent on.
         # Its confirm, which need not exist, changes nothing (X11).
+        ##= SRP-SRV-05
         self._bp.transmit_payload(BP_PROTID_SRP, payload, now=now)
         return UpdateSafetyDataConfirm(SRPStatus.OK)
 
@@ -249,6 +252,7 @@ class StateReporting:
         if name != TIMEOUT:
             raise UnknownParameterError(f"SRP has no parameter {name!r}; it has {TIMEOUT}")
         ##= SRP-PAR-01
+        ##= SRP-PAR-03
         violation = validate(name, value, self._sizes)
         if violation is None:
             assert isinstance(value, int | float)
@@ -268,7 +272,7 @@ class StateReporting:
         ##= SRP-RUN-01
         return self._traversed + max(self._timeout // TRAVERSALS_PER_TIMEOUT, 1)
 
-    def handle_timeout(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call for every core
+    def handle_timeout(self, now: int, wall: int) -> None:
         """Traverse the neighbour table if it is time to."""
         due = self.poll_timeout()
         if due is None or now < due:
@@ -276,8 +280,9 @@ class StateReporting:
         self._traversed = now
         ##= SRP-RUN-02
         ##= SRP-PAR-02
-        # By the monotonic clock: a step of the system time is not the age of anything.
-        for node_id in self._table.expire(now, self._timeout):
+        # By the monotonic clock: a step of the system time is not the age of anything (X50).
+        gone = self._table.expire(now, self._timeout) if self._steady else self._table.expire_at(wall, self._timeout)
+        for node_id in gone:
             self._emit(NeighbourExpired(node_id))
 
     # -- receive path -----------------------------------------------------------------------------------------
@@ -328,7 +333,7 @@ class StateReporting:
 
 
 def protocol_name(version: SpecVersion) -> str:
-    """The name under which SRP registers; the version is that of the profile's specification (X31)."""
+    """The name under which SRP registers; the version is that of the specification (X31)."""
     return f"SRP -- State Reporting Protocol V{version}"
 
 

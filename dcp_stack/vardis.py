@@ -99,7 +99,7 @@ class Vardis(VariableServices):
         ##= VD-INI-02
         confirm = self._bp.register(
             BP_PROTID_VARDIS,
-            f"VarDis -- Variable Dissemination Protocol V{self._core.config.profile.spec_version}",
+            f"VarDis -- Variable Dissemination Protocol V{self._core.config.named_version}",
             size,
             ##= VD-INI-07
             ##= VD-INI-08
@@ -169,6 +169,7 @@ class Vardis(VariableServices):
             self._core.emit(Dropped("vardis", "vardis-inactive", DROPS["vardis-inactive"][0]))
             return
         ##= VD-ROB-01
+        ##= VD-RX-01
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
     def payload_transmitted(self, now: int, wall: int) -> None:

@@ -35,7 +35,6 @@ class Composer:
         self._database = core.database
         self._parameters = core.parameters
         self._sizes = core.sizes
-        ##= VD-PAY-01
         database = core.database
         self._queues = {
             ICType.CREATE_VARIABLES: database.create_q,
@@ -46,6 +45,7 @@ class Composer:
             ICType.REQUEST_VARUPDATES: database.req_upd_q,
         }
         ##= VD-PAY-07
+        ##= VD-PAY-01
         self._order = tuple([(kind, self._queues[kind]) for kind in config.features.container_order])
         ##= VD-IC-02
         self._numbers = config.container_numbers

@@ -112,6 +112,7 @@ class VariableServices:
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         cell = self._core.cell(Event.APP_UPDATE, entry)
+        ##= VD-UPD-02
         if cell.status is not None or entry is None:
             return self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST)
         status = self._refused_value(value)
@@ -133,6 +134,7 @@ class VariableServices:
             return self._confirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         cell = self._core.cell(Event.APP_DELETE, entry)
+        ##= VD-DEL-02
         if cell.status is not None or entry is None:
             return self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST)
         ##= VD-DEL-05
@@ -148,6 +150,7 @@ class VariableServices:
             return ReadConfirm(VardisStatus.INACTIVE)
         entry = self._core.database.lookup(var_id)
         cell = self._core.cell(Event.APP_READ, entry)
+        ##= VD-REA-02
         if cell.action is not Action.READ or entry is None:
             return ReadConfirm(self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST).status)
         ##= VD-REA-04

@@ -136,15 +136,12 @@ _TABLE: Final[Table] = {
     ##= VD-CRE-02
     ##= VD-CRE-03
     Event.APP_CREATE: (_CREATE, _CREATE, _EXISTS, _CREATE, _EXISTS),
-    ##= VD-UPD-02
     ##= VD-UPD-03
     ##= VD-UPD-04
     Event.APP_UPDATE: (_UNKNOWN, _UPDATE, _FOREIGN, _DELETED, _FOREIGN),
-    ##= VD-DEL-02
     ##= VD-DEL-03
     ##= VD-DEL-04
     Event.APP_DELETE: (_UNKNOWN, _DELETE, _FOREIGN, _DELETED, _FOREIGN),
-    ##= VD-REA-02
     ##= VD-REA-03
     Event.APP_READ: (_UNKNOWN, _READ, _READ, _DELETED, _DELETED),
     Event.RX_CREATE_MISMATCH: _everywhere(_ignore("id-mismatch")),
@@ -179,7 +176,6 @@ _TABLE: Final[Table] = {
     ##= VD-PS-04
     ##= VD-PS-01
     Event.RX_SUMMARY_NEWER: _known(_ASK_CREATE, "summary-own", _ASK_UPDATE, "summary-deleted"),
-    ##= VD-RU-01
     ##= VD-RU-02
     ##= VD-RU-04
     Event.RX_REQUEST_UPDATE_BEHIND: (
@@ -190,6 +186,7 @@ _TABLE: Final[Table] = {
         _ignore("update-request-deleted"),
     ),
     ##= VD-RU-03
+    ##= VD-RU-01
     Event.RX_REQUEST_UPDATE_OTHER: (
         _ASK_CREATE,
         _ignore("update-request-not-behind"),

@@ -42,27 +42,23 @@ class Extractor:
 
     def extract(self, payload: bytes) -> Extracted:
         """The records to process. Never raises; what is not a record is in ``problems``."""
-        ##= VD-RX-01
-        ##= VD-RX-02
-        ##= VD-RX-03
-        ##= VD-RX-04
         records: dict[ICType, list[tuple[int, Any]]] = {kind: [] for kind in _KINDS}
         try:
             containers = self._codec.decode_containers(payload)
         except DecodeError as error:
             return self._salvage(payload, error, records)
+        ##= VD-RX-04
         self._collect(containers, 0, records)
         return Extracted(records)
 
     def _salvage(self, payload: bytes, error: DecodeError, records: dict[ICType, list[tuple[int, Any]]]) -> Extracted:
         """What the policy keeps of a payload with an error in it."""
-        ##= VD-RX-05
-        ##= VD-RX-06
-        ##= VD-RX-07
         problems: list[Problem] = []
         start = 0
         while True:
             problems.append(error.problem.moved(start))
+            ##= VD-RX-05
+            ##= VD-RX-07
             if self._policy == "drop-payload":
                 break
             partial: tuple[Container, ...] = error.partial or ()
@@ -71,6 +67,7 @@ class Extractor:
             if self._policy == "keep-prefix":
                 self._collect(self._complete_records(payload[start:], error, bad - start), bad, records)
                 break
+            ##= VD-RX-06
             # Behind the header of a container without records the next one starts. Of any other bad container the
             # end is not known: types tell sizes, and a record that is cut off is the last.
             if error.problem.reason != "zero-count":
@@ -109,6 +106,8 @@ class Extractor:
         """Sort the records of ``containers`` that start at ``offset``; returns the offset behind them."""
         sizes = self._sizes
         for container in containers:
+            ##= VD-RX-02
+            ##= VD-RX-03
             kind = self._kinds[container.ic_type]
             offset += sizes.ic_header
             ##= VD-RX-09

@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
-
-from dcp_spec.constants import SpecVersion
-from dcp_spec.requirements import requirement
 
 from .case import Case
 
 if TYPE_CHECKING:
     from .bench import Bench
-
-
-def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ...]:
-    """Those of ``requirements`` that hold in a version; all of them if none does.
-
-    A case may name a rule and the one that took its place, and runs on the versions of both.
-    """
-    holding = tuple(each for each in requirements if requirement(each).holds_in(version))
-    return holding or tuple(requirements)
 
 
 def why_not(bench: Bench, case: Case) -> str:

@@ -233,14 +233,15 @@ def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
     """Find the stimulus that probably ended the implementation, without calls that only tidy up.
 
     In a case about services that is the last call, as its frames are honest, unless the implementation was heard after
-    the call and before another frame, or the case only uses that service. Otherwise it is a frame since the last
-    beacon.
+    the call and before another frame, or the case only uses that service. Nor is it a call that was never answered and
+    that the case only uses, if a frame came between the last sign of life and the call. Otherwise it is a frame since
+    the last beacon.
     """
     events = traffic.events
     tidying = set(_tidying(case, events))
     if case.needs.ut and case.kind is not Kind.INVALID:
         calls = [place for place, each in enumerate(events) if each.direction == "call" and place not in tidying]
-        if calls and not _outlived(case, events[calls[-1] :]):
+        if calls and not _outlived(case, events[calls[-1] :]) and not _dead_before(case, events, calls[-1]):
             return events[calls[-1]]
     recent: Event | None = None
     for place in reversed(range(len(events))):
@@ -263,6 +264,14 @@ def _outlived(case: Case, events: Sequence[Event]) -> bool:
         return True
     # An inactive entity must discard frames unread: they are not the cause.
     return not (events[0].text.endswith("-MGMT-Deactivate") or concerns(case, events[0].text))
+
+
+def _dead_before(case: Case, events: Sequence[Event], place: int) -> bool:
+    """Whether the implementation may have been dead before the call at ``place``, which the case only uses."""
+    if concerns(case, events[place].text) or any(each.direction == "answer" for each in events[place + 1 :]):
+        return False
+    before = next((each for each in reversed(events[:place]) if each.direction in ("sent", "heard", "answer")), None)
+    return before is not None and before.direction == "sent"
 
 
 def _tidying(case: Case, events: Sequence[Event]) -> Iterator[int]:

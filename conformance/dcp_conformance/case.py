@@ -38,6 +38,8 @@ if sys.flags.optimize > 1:
 CASES: Final = "dcp_conformance.cases"
 DECLARED: Final = "TC_DCP_PROF_BV_01"
 """The case about what the wire profile itself declares as not met."""
+DENIED: Final = "TC_DCP_PICS_BV_01"
+"""The case about what the PICS denies although the specification demands it."""
 SANITY: Final = "TC_DCP_SANITY_BV_01"
 """The case that shows that the implementation is there and answers: first, last, and after every destructive case."""
 _ID = re.compile(r"TC_(?:DCP|BP|SRP|VD|NET)_[A-Z0-9]+_(BV|BI|BO|TI)_\d\d")

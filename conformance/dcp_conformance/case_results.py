@@ -8,8 +8,8 @@ from typing import Final
 
 import msgspec
 
-from .applicability import in_force
 from .attribution import Trial
+from .findings import in_force
 from .results import CaseResult, Check, EventRecord
 from .traffic import Event
 from .verdict import Verdict, worst

@@ -44,6 +44,19 @@ CLIENT = (REGISTER, DEREGISTER, TRANSMIT)
 RECEIVED = "BP-ReceivePayload.indication"
 TRANSMITTED = "BP-PayloadTransmitted.indication"
 
+LISTED = frozenset(
+    {
+        "protocolId",
+        "protocolName",
+        "maxPayloadSize",
+        "queueMode",
+        "timeStampRegistration",
+        "maxEntries",
+        "allowMultiplePayloads",
+    }
+)
+"""The fields of an entry of BP-ListRegisteredProtocols that the specification names."""
+
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 
@@ -55,7 +68,7 @@ def queue_mode(bench: Bench) -> QueueingMode:
 
 def no_confirm(bench: Bench) -> str | None:
     """For ``Needs.when``: why the status of BP-TransmitPayload cannot be judged (BP-TXP-08)."""
-    if bench.pics.transmit_payload_confirm is False:
+    if bench.pics.transmit_payload_confirm is False and bench.profile.spec_version >= SpecVersion.V1_2:
         return "the PICS says that BP-TransmitPayload is not confirmed"
     return None
 
@@ -191,7 +204,7 @@ class BPClient:
     def transmit(self, payload: bytes, *, must: bool = True) -> Answer:
         """BP-TransmitPayload; with ``must`` inconclusive unless it is confirmed with OK, or never confirmed."""
         answer = self.bench.call(TRANSMIT, protId=self.prot_id, payload=payload.hex())
-        if must and not answer.ok and self.bench.pics.transmit_payload_confirm is not False:
+        if must and not answer.ok and no_confirm(self.bench) is None:
             self.bench.inconclusive("a payload is submitted, which this case needs", str(answer))
         return answer
 
@@ -220,6 +233,11 @@ class BPClient:
     def entry(self) -> Mapping[str, Any] | None:
         """This client in BP-ListRegisteredProtocols, None if it is not there."""
         return registered(self.bench).get(self.prot_id)
+
+    def fields(self) -> dict[str, Any] | None:
+        """Of :meth:`entry` the fields that the specification names: others, such as statistics, may change."""
+        entry = self.entry()
+        return None if entry is None else {name: value for name, value in entry.items() if name in LISTED}
 
     # -- on the air --------------------------------------------------------------------------------------------
 

@@ -17,13 +17,13 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import NoReturn
 
-from dcp_spec.constants import BP_SEQNO_MODULUS, Features, features
+from dcp_spec.constants import BP_SEQNO_MODULUS, Features, SpecVersion, features
 from dcp_spec.profile import Profile
 from dcp_spec.readings import reading as reading_of
+from dcp_spec.requirements import requirement
 
 from dcp_codec.fields import Field
 
-from .applicability import in_force
 from .case import Case
 from .errors import StopCase
 from .extraction import OWNERS as EXTRACTION
@@ -44,6 +44,14 @@ def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:
     """Whether ``found`` is a subsequence of ``whole``: what remains of it after losses."""
     rest = iter(whole)
     return all(any(each == other for other in rest) for each in found)
+
+
+def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ...]:
+    """Those of the requirements that hold in a version; all of them if none does.
+
+    A case about what several versions have in common names the rules of each.
+    """
+    return tuple(each for each in requirements if requirement(each).holds_in(version)) or tuple(requirements)
 
 
 class Findings:
@@ -218,7 +226,7 @@ class Findings:
     ) -> None:
         table: Table = "robustness" if self.case.robustness else "conformance"
         marks = tuple(self._mark(each) for each in frames)
-        decided = in_force(requirements or self.case.requirements, self.profile.spec_version)
+        decided = in_force(tuple(requirements) or self.case.requirements, self.profile.spec_version)
         checked = Check(verdict, decided, expected, observed, marks, table, shown)
         if disturbed:
             self._disturbed.add(len(self.checks))
@@ -391,7 +399,7 @@ class Findings:
             if before is not None:
                 missing = (after - before - 1) % BP_SEQNO_MODULUS
                 # Back to the start is a restart; a large jump is the implementation's own.
-                if unreadable < missing <= 5:
+                if unreadable < missing <= 5 and not self.session.counting.by(missing + 1):
                     return f"sequence number {after} follows {before}"
             before, unreadable = after, 0
         return ""

@@ -7,6 +7,7 @@ works: neither a failure nor a pass may come from a beacon that left in between.
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable
 from typing import Final, TypeVar
 
@@ -20,6 +21,8 @@ _SWITCHES: Final = frozenset({"BP-MGMT-Activate", "BP-MGMT-Deactivate"})
 _ATTEMPTS: Final = 4
 #: A beacon that leaves within this fraction of a period after the stimuli may have been prepared before the last one.
 _GUARD: Final = 20
+#: Slow calls of a service from which something is concluded, and the share of them that must end after a beacon.
+_TELLING, _MOSTLY = 3, 0.8
 
 
 def pausable(bench: Bench) -> bool:
@@ -85,6 +88,33 @@ def between_beacons(
 def pace(bench: Bench) -> str:
     """The end of a sentence: how long calls take, if they may be the reason that a beacon came in between."""
     slow, period = bench.session.slow_call, bench.period
-    return (
-        f"; calls take up to {slow / MS:.0f} ms, with a beacon every {period / MS:.0f} ms" if slow > period / 4 else ""
-    )
+    if slow <= period / 4:
+        return ""
+    text = f"; calls take up to {slow / MS:.0f} ms, with a beacon every {period / MS:.0f} ms"
+    return f"{text}; {waiting}" if (waiting := _waits_for_beacons(bench)) else text
+
+
+def _waits_for_beacons(bench: Bench) -> str:
+    """Which service is answered when a beacon has left, and what decides such a case, in words; empty if none is."""
+    period, events = bench.period, bench.traffic.events
+    beacons = [each.wall for each in events if each.direction == "heard"]
+    slow, ended = Counter[str](), Counter[str]()
+    begun: dict[str, int] = {}
+    for event in events:
+        if event.direction == "call":
+            begun[event.text] = event.wall
+        elif event.direction == "answer":
+            method = event.text.partition(":")[0]
+            since, answered = begun.pop(method, event.wall), event.wall
+            if answered - since > period / 4:
+                slow[method] += 1
+                latest = max((each for each in beacons if since < each <= answered), default=since)
+                ended[method] += latest > since and answered - latest < period / 4
+    for method, count in slow.items():
+        if count >= _TELLING and ended[method] >= _MOSTLY * count:
+            return (
+                f"{ended[method]} of {count} slow calls of {method} end when a beacon has left: it may wait until its "
+                "queue is empty. A beacon period that is longer than it waits (some seconds, also in "
+                "pixit.beacon_period_ms) shows what it answers then"
+            )
+    return ""

@@ -167,6 +167,7 @@ class Listening(Naming):
             heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
             if ours:
                 self.heard.append(heard)
+                self.session.counting.heard(heard.seqno)
                 if self._stimulus is not None and arrival.time >= self._stimulus:
                     self._stimulus = None
                 self.session.passive.heard(heard, arrival.frame, start, self.case.id, self.traffic)

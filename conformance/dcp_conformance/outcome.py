@@ -8,9 +8,11 @@ from typing import Any, Final, Literal
 import msgspec
 from dcp_spec.profile import Profile
 from dcp_spec.readings import differs_from_reference, reading
+from dcp_spec.requirements import requirement
 from dcp_spec.version import __version__
 
-from .declared import declared_by, without_declared
+from .case import SANITY
+from .declared import declared_by, denied_by, with_declared
 from .pics import Pics
 from .results import CaseResult, RunResult, Sut, requirement_verdicts, summarise
 from .verdict import Verdict
@@ -37,7 +39,7 @@ def assemble(
 ) -> RunResult:
     """A run of these cases, with what follows from them."""
     cases = tuple(cases)
-    declared = declared_by(profile)
+    declared, denied = declared_by(profile), denied_by(pics.pics, profile, recorded=kind == "check")
     observed: dict[str, dict[str, None]] = {}
     for case in cases:
         for identifier, name in case.readings.items():
@@ -54,8 +56,17 @@ def assemble(
         sut=sut or Sut(),
         pics=_plain(pics),
         cases=cases,
-        requirements=without_declared(requirement_verdicts(cases), declared),
+        requirements=with_declared(
+            {
+                name: verdict
+                for name, verdict in requirement_verdicts(cases).items()
+                if verdict is not Verdict.NOT_APPLICABLE or requirement(name).holds_in(profile.spec_version)
+            },
+            declared,
+            denied,
+        ),
         declared=declared,
+        denied=denied,
         summary=summarise(cases),
         readings={identifier: tuple(names) for identifier, names in sorted(observed.items())},
         reference_readings=_references(observed),
@@ -76,14 +87,25 @@ def _references(observed: Mapping[str, Iterable[str]]) -> dict[str, str]:
 def exit_status(cases: Iterable[CaseResult], *, unexpected: bool | None = None) -> int:
     """The tester's own faults before everything, then what is unexpected, then doubts.
 
-    ``unexpected``: whether anything is; None if every fail is.
+    ``unexpected``: whether anything is; None if every fail is. Where nothing was decided there is doubt.
     """
+    cases = tuple(cases)
     verdicts = {case.verdict for case in cases}
     if Verdict.ERROR in verdicts:
         return TESTER_ERROR
     if Verdict.FAIL in verdicts if unexpected is None else unexpected:
         return UNEXPECTED
-    return INCONCLUSIVE if Verdict.INCONCLUSIVE in verdicts else AS_EXPECTED
+    return INCONCLUSIVE if Verdict.INCONCLUSIVE in verdicts or nothing_decided(cases) else AS_EXPECTED
+
+
+def nothing_decided(cases: Iterable[CaseResult]) -> bool:
+    """Whether no case has come to more than "not applicable".
+
+    The sanity case goes before the others and decides for none of them; alone it is a case like any other.
+    """
+    cases = tuple(cases)
+    asked_for = [case for case in cases if case.id != SANITY] or cases
+    return all(case.verdict is Verdict.NOT_APPLICABLE for case in asked_for)
 
 
 def _plain(pics: Pics) -> dict[str, Any]:

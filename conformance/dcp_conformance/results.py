@@ -128,7 +128,9 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     readings: dict[str, tuple[str, ...]] = {}
     """Disputed texts and the readings that were observed."""
     declared: dict[str, str] = {}
-    """Requirements that the profile itself declares as not met, and what it says instead; they are never a pass."""
+    """Requirements that the profile itself declares as not met, and what it says instead; each of them fails."""
+    denied: dict[str, str] = {}
+    """Mandatory requirements that the PICS denies, and how; each of them fails."""
     reference_readings: dict[str, str] = {}
     """Of those texts for which another reading than the reference's was observed: the reference's."""
     notes: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ fault, whatever the implementation did.
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,12 +27,12 @@ from dcp_spec.version import __version__
 from dcp_codec.codec import Codec
 
 from .bench import Session
-from .case import DECLARED, SANITY, Case, all_cases
-from .declared import declared_by
+from .case import DECLARED, DENIED, SANITY, Case, all_cases
+from .declared import declared_by, denied_by
 from .errors import ConformanceError, UsageError
 from .moment import timestamp
 from .mutants import Mutant, all_mutants
-from .pics import Pics
+from .pics import Capabilities, Pics
 from .reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from .results import CaseResult
 from .runner import Runner
@@ -190,9 +191,10 @@ def baseline(profile: str) -> Baseline:
 
 
 def is_declared(result: CaseResult, profile: Profile) -> bool:
-    """Whether a result says no more than what the profile itself declares as not met."""
+    """Whether a result says no more than what the profile itself declares, with a PICS that is silent."""
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
-    return result.id == DECLARED and failed == set(declared_by(profile))
+    declared = {DECLARED: declared_by(profile), DENIED: denied_by(Capabilities(), profile)}.get(result.id)
+    return bool(declared) and failed == set(declared or ())
 
 
 def trials(
@@ -296,6 +298,8 @@ def _baseline_task(profile: str) -> Baseline:
 
 
 def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
+    # A mutant may fail in a service: that is an answer, and nobody needs to read its traceback.
+    logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
     return trials(_mutants()[mutant], profiles, full=full, every=every)
 
 

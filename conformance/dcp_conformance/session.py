@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from statistics import median
 from typing import Any, Final, NamedTuple
 
-from dcp_spec.constants import features
+from dcp_spec.constants import BP_SEQNO_MODULUS, features
 
 from dcp_codec.codec import Codec
 
@@ -45,6 +45,26 @@ class Reaction(NamedTuple):
 _CALLS = 64
 #: With fewer identifiers none is kept for the cases that try boundary values.
 _MANY = 63
+#: So often a step must have been seen, and so many times as often as 1, to be how an implementation counts.
+_STEPS = 5
+
+
+class Counting:
+    """The steps between the sequence numbers of beacons that were heard one after the other."""
+
+    def __init__(self) -> None:
+        self._steps: Counter[int] = Counter()
+        self._last: int | None = None
+
+    def heard(self, seqno: int | None) -> None:
+        """The next beacon; None if its number cannot be read."""
+        if seqno is not None and self._last is not None:
+            self._steps[(seqno - self._last) % BP_SEQNO_MODULUS] += 1
+        self._last = seqno
+
+    def by(self, step: int) -> bool:
+        """Whether the implementation itself counts in such steps: almost none of its numbers are consecutive."""
+        return self._steps[step] >= _STEPS and self._steps[step] > _STEPS * self._steps[1]
 
 
 class Session:
@@ -110,6 +130,8 @@ class Session:
         """The fields that the implementation was found to misread (see :mod:`dcp_conformance.misreading`)."""
         self.pausing_fails = False
         """Whether deactivating BP, as a means to an end, was found to kill the implementation or to fail."""
+        self.counting = Counting()
+        """By how much its beacons are numbered."""
         overload = lower.overload if isinstance(lower, OnThisMachine) else None
         self.passive = PassiveTester(codec, pics, self.parameters, overload)
         """Judges every beacon of the implementation, whatever the case is about."""

@@ -86,10 +86,15 @@ class Situation:
 
 
 def _repetitions(bench: Bench, state: str) -> int:
-    """More than one keeps a deleted variable in the database for a while, up to 1.3: for as long as a call takes."""
+    """More than one keeps a deleted variable in the database for a while, up to 1.3.
+
+    For as long as a call takes, or the next payload is not looked at.
+    """
     if state != "deleted" or not bench.features.removed_after_deletion:
         return 1
-    return bench.rep_cnt(2 + math.ceil(1.5 * bench.session.slow_call / bench.period))
+    reaction = bench.session.reaction
+    longest = max(bench.session.slow_call / bench.period, 0 if reaction is None else reaction.per_payload)
+    return bench.rep_cnt(2 + math.ceil(1.5 * longest))
 
 
 def foreign(bench: Bench, state: str) -> Situation:

@@ -51,7 +51,7 @@ def deviations(profile: Profile) -> dict[str, str]:
     return {
         identifier: "; ".join(dict.fromkeys(found[identifier]))
         for identifier in DECLARABLE
-        if identifier in found and known[identifier].since <= profile.spec_version
+        if identifier in found and known[identifier].holds_in(profile.spec_version)
     }
 
 

@@ -197,7 +197,8 @@ _BP: Final = (
         unit="ms",  # The specification leaves unit and resolution open; this code base counts milliseconds.
         requirement="BP-PAR-03",
         meaning="Mean time between beacons.",
-        bounds=(_positive(_V.V1_1),),
+        # Version 1.0 does not state it, but no beacon comes every 0 ms.
+        bounds=(_positive(),),
         default=lambda _: 100,
         default_since=_V.V1_1,
     ),

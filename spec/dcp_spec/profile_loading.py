@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from .constants import BP_MAGIC_NO
+from .constants import BP_MAGIC_NO, SpecVersion
 from .profile import IntType, NodeIdType, Opaque, Profile
 
 BUILTIN_PROFILES: tuple[str, ...] = (
@@ -133,6 +133,7 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _build(raw: dict[str, Any], where: str) -> Profile:
+    _know_version(raw.get("spec_version"), where)
     try:
         profile = msgspec.convert(raw, Profile)
     except msgspec.ValidationError as error:
@@ -141,6 +142,15 @@ def _build(raw: dict[str, Any], where: str) -> Profile:
     if complaints:
         raise ProfileError(f"{where}: " + "; ".join(complaints))
     return profile
+
+
+def _know_version(version: object, where: str) -> None:
+    """Refuse a version of the specification that this code base knows nothing of. A missing one is another error."""
+    known = [str(each) for each in SpecVersion]
+    if version is None or version in known:
+        return
+    hint = f'write "{version}"' if str(version) in known else f"known are {', '.join(known)}"
+    raise ProfileError(f"{where}: spec_version = {version!r} is no known version of the specification: {hint}")
 
 
 def _explain(message: str) -> str:

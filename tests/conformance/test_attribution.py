@@ -410,6 +410,22 @@ def test_a_frame_after_a_service_kills(heard: bool, about: bool):
     assert failed_in(result) == {"VD-ROB-01"}
 
 
+@pytest.mark.parametrize(("about", "violated"), [(False, "VD-ROB-01"), (True, "VD-DDB-01")])
+def test_a_call_to_what_has_died_of_a_frame(about: bool, violated: str):
+    """A case that only uses the service finds out by it that the implementation is dead."""
+    sut = Frail()
+
+    def body(bench: Bench) -> None:
+        bench.beacons(1)
+        says(A, expect=False)(bench)
+        bench.call("RTDB-DescribeDatabase")
+
+    case = case_of("TC_DCP_X_BV_05", body, "VD-DDB-01" if about else "VD-RX-03")
+    result = runner_of(sut, upper=True).run(dataclasses.replace(case, needs=Needs(ut=("RTDB-DescribeDatabase",))))
+    assert result.killed
+    assert failed_in(result) == {violated}
+
+
 class Detached(Frail):
     """Nobody knows about its process."""
 

@@ -11,6 +11,8 @@ from dcp_conformance.clients import ACTIVATE, DEACTIVATE, ONCE, BPClient
 from dcp_conformance.errors import StopCase
 from dcp_conformance.gaps import between_beacons, in_a_gap
 from dcp_conformance.mutants import all_mutants
+from dcp_conformance.upper import Answer
+from dcp_conformance.variants.surroundings import Upper, slow
 from dcp_conformance.verdict import Verdict
 
 from .rig import known_cases
@@ -124,3 +126,30 @@ def test_cases_that_cannot_be_in_time_are_not_judged(case_id: str):
     result = runner_for(call_ms=500, without=(DEACTIVATE,)).run(known_cases()[case_id])
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "between two beacons" in result.reason
+
+
+class WaitsForRoom(Upper):
+    """An upper tester of an implementation that answers when its queue is empty."""
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        if method == "BP-TransmitPayload":
+            query = "BP-QueryNumberBufferedPayloads"
+            while super().call(query, {"protId": params["protId"]}).result.get("number"):
+                self._node.elapse(MS)
+        return super().call(method, params)
+
+
+def test_who_waits_for_beacons_is_told_apart_from_who_is_slow():
+    case = known_cases()["TC_BP_QM_BV_03-droptail"]
+    runner = runner_for()
+    sut = runner.session.upper
+    assert isinstance(sut, SlowUpper)
+    runner.session.upper = WaitsForRoom(sut._node, slow(0, frozenset({DEACTIVATE})))
+    for _ in range(2):
+        result = runner.run(case)
+    assert result.verdict is Verdict.INCONCLUSIVE
+    assert "slow calls of BP-TransmitPayload end when a beacon has left" in result.reason
+    merely_slow = runner_for(call_ms=90, without=(DEACTIVATE,)).run(case)
+    assert merely_slow.verdict is Verdict.INCONCLUSIVE
+    assert "calls take up to 90 ms" in merely_slow.reason
+    assert "when a beacon has left" not in merely_slow.reason

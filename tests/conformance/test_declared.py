@@ -1,4 +1,4 @@
-"""Requirements that a profile declares as not met are never a pass."""
+"""Requirements that a profile or a PICS declares as not met fail, in every command."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_conformance.case import DECLARED, SANITY
+from click.testing import CliRunner, Result
+from dcp_conformance.case import DECLARED, DENIED, SANITY
+from dcp_conformance.check.judge import Judge
+from dcp_conformance.cli.compare import command as compare_cli
 from dcp_conformance.cli.display import print_summary
-from dcp_conformance.declared import declared_by
+from dcp_conformance.declared import declared_by, denied_by
 from dcp_conformance.expected import ExpectedResults
-from dcp_conformance.outcome import assemble
-from dcp_conformance.pics import Pics
+from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, assemble, exit_status
+from dcp_conformance.pics import Capabilities, Pics
+from dcp_conformance.reporting import write_report
 from dcp_conformance.reporting.page import render
+from dcp_conformance.results import Check
 from dcp_conformance.selftest import baseline
 from dcp_conformance.verdict import Verdict
 from dcp_spec.profile_loading import load_profile
@@ -41,7 +46,7 @@ def test_what_is_declared_are_requirements(profile: str):
 def test_a_case_that_passes_is_no_pass_of_the_requirement(capsys: pytest.CaptureFixture[str]):
     case = one_case("TC_DCP_DATA_BV_02", "cpp-2.0")
     assert case.verdict is Verdict.PASS
-    for profile, verdict in (("cpp-2.0", Verdict.INFO), ("dcp-2.0", Verdict.PASS)):
+    for profile, verdict in (("cpp-2.0", Verdict.FAIL), ("dcp-2.0", Verdict.PASS)):
         run = assemble(codec_of(profile).profile, Pics(), [case])
         assert run.requirements["DATA-01"] is verdict
         print_summary(run)
@@ -57,7 +62,7 @@ def test_what_is_declared_fails_in_a_run(profile: str):
     case = one_case(DECLARED, profile)
     run = assemble(codec.profile, Pics(), [case])
     failed = {each for each, verdict in run.requirements.items() if verdict is Verdict.FAIL}
-    assert failed == set(declared)
+    assert failed == set(declared) | set(denied_by(Capabilities(), codec.profile))
     assert case.verdict is (Verdict.FAIL if declared else Verdict.NOT_APPLICABLE)
     for identifier, check in zip(declared, case.checks, strict=True) if declared else ():
         assert check.requirements == (identifier,)
@@ -132,3 +137,99 @@ def test_a_recording_shows_no_pass_either():
     air = Script("cpp-2.0")
     air.say(1, air.create(1, 1), VarSumm(1, 0))
     assert judged(air.frames, "cpp-2.0").requirements.get("DATA-01") is not Verdict.PASS
+
+
+# -- the PICS ----------------------------------------------------------------------------------------------------------
+
+DENIALS = {
+    "payload_transmitted_indication": ("dcp-2.0", ["BP-PTI-01", "BP-PTI-02", "BP-PTI-03"]),
+    "runtime_parameters": ("dcp-1.2", ["BP-PAR-01"]),
+    "transmit_payload_confirm": ("dcp-1.1", ["BP-TXP-11"]),
+}
+
+
+@pytest.mark.parametrize("name", DENIALS)
+def test_a_pics_that_denies_something_mandatory_fails_in_run_and_check(name: str, capsys: pytest.CaptureFixture[str]):
+    profile, identifiers = DENIALS[name]
+    capabilities = Capabilities(**{name: False})
+    codec, pics = codec_of(profile), Pics(pics=capabilities)
+    assert list(denied_by(capabilities, codec.profile)) == identifiers
+    case = one_case(DENIED, profile, pics=pics)
+    assert case.verdict is Verdict.FAIL
+    assert [check.requirements for check in case.checks] == [(each,) for each in identifiers]
+    for run in (
+        assemble(codec.profile, pics, [case]),
+        assemble(codec.profile, pics, [a_case(Verdict.PASS)]),
+        Judge(codec, pics).result(),
+    ):
+        assert all(run.requirements[each] is Verdict.FAIL for each in identifiers)
+        print_summary(run)
+        told = capsys.readouterr().out
+        assert all(f"{each} is not met, declared by the PICS ({name} = false)" in told for each in identifiers)
+        assert "Not met, as the PICS declares" in render(run, None)
+    checked = Judge(codec, pics).result()
+    assert exit_status(checked.cases) == 1
+    assert [case.id for case in checked.cases if case.verdict is Verdict.FAIL] == [DENIED]
+
+
+@pytest.mark.parametrize(
+    ("capabilities", "profile"),
+    [
+        (Capabilities(), "dcp-2.0"),
+        (Capabilities(payload_transmitted_indication=True), "cpp-2.0"),
+        (Capabilities(transmit_payload_confirm=False), "dcp-1.2"),
+        (Capabilities(multiple_payloads=False, triggered_beacons=False, parameter_feedback=False), "dcp-2.0"),
+    ],
+)
+def test_a_pics_that_denies_what_is_free_fails_nothing(capabilities: Capabilities, profile: str):
+    assert denied_by(capabilities, codec_of(profile).profile) == {}
+
+
+def test_a_profile_speaks_for_a_pics_that_is_silent():
+    denied = denied_by(Capabilities(), codec_of("cpp-2.0").profile)
+    assert list(denied) == ["BP-PTI-01", "BP-PTI-02", "BP-PTI-03"]
+    assert all("the profile cpp-2.0, as the PICS is silent" in text for text in denied.values())
+
+
+def test_one_line_accepts_what_the_pics_denies(tmp_path: Path):
+    path = tmp_path / "expected.toml"
+    path.write_text(f'[[expected]]\ncase = "{DENIED}"\nreason = "clients of ours poll"\n')
+    case = known_cases()[DENIED]
+    pics = Pics(pics=Capabilities(payload_transmitted_indication=False))
+    expected = ExpectedResults.load(path, known_cases().values())
+    assert expected.judge(case, one_case(DENIED, pics=pics)) == ""
+    assert expected.complaints([case], datetime.date(2030, 1, 1)) == []
+
+
+def test_run_and_check_are_compared_by_requirement(tmp_path: Path):
+    codec = codec_of("dcp-2.0")
+    right = msgspec.structs.replace(a_case(Verdict.PASS), requirements=("DATA-01",))
+    right = msgspec.structs.replace(right, checks=(Check(Verdict.PASS, ("DATA-01",), "right"),))
+    wrong = msgspec.structs.replace(right, verdict=Verdict.FAIL, checks=(Check(Verdict.FAIL, ("DATA-01",), "right"),))
+    for name, case, kind in (("run", right, "run"), ("check", wrong, "check"), ("again", right, "check")):
+        write_report(assemble(codec.profile, Pics(), [case], kind=kind), tmp_path / name, codec)
+    both = compare_command(str(tmp_path / "run"), str(tmp_path / "check"))
+    assert both.return_value == 1
+    assert "DATA-01       pass           fail" in both.output
+    assert compare_command(str(tmp_path / "run"), str(tmp_path / "again")).return_value == 0
+
+
+def compare_command(*args: str) -> Result:
+    return CliRunner().invoke(compare_cli, args, standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "status"),
+    [
+        ([Verdict.NOT_APPLICABLE], INCONCLUSIVE),
+        ([Verdict.NOT_APPLICABLE, Verdict.NOT_APPLICABLE], INCONCLUSIVE),
+        ([], INCONCLUSIVE),
+        ([Verdict.NOT_APPLICABLE, Verdict.PASS], AS_EXPECTED),
+        ([Verdict.INFO], AS_EXPECTED),
+    ],
+)
+def test_a_run_in_which_nothing_was_decided_is_no_success(verdicts: list[Verdict], status: int):
+    cases = [a_case(verdict) for verdict in verdicts]
+    assert exit_status(cases) == status
+    sanity = msgspec.structs.replace(a_case(Verdict.PASS), id=SANITY)
+    assert exit_status([sanity, *cases]) == (status if cases else AS_EXPECTED)

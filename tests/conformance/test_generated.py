@@ -19,7 +19,7 @@ from dcp_conformance.generated.reach import Reach, measure
 from dcp_conformance.generated.reports import _SHOWING, reports_of
 from dcp_conformance.generated.sites import Site, _candidates, _changes, cited, mutated, sites
 from dcp_conformance.generated.table import section
-from dcp_conformance.generated.trial import PROFILES, Outcome, Step, _in_order, cases, steps, try_site
+from dcp_conformance.generated.trial import NODES, Outcome, Step, _in_order, cases, steps, try_site
 
 from .command import Command
 
@@ -140,7 +140,7 @@ def test_a_trial_runs_the_cases_that_execute_the_changed_lines():
     configures = Reach("dcp-1.3", {}, {one.module: (one.first,)})
     assert steps(one, (stores, elsewhere, configures)) == (Step("dcp-2.0", (3, 5)), Step("dcp-1.3", None))
     assert steps(one, (elsewhere,)) == ()
-    assert [step.cases for step in steps(one)] == [None] * len(PROFILES)
+    assert [step.cases for step in steps(one)] == [None] * len(NODES)
     assert stores.cases(one._replace(first=0, last=0)) is None
 
 
@@ -152,7 +152,7 @@ def test_what_cases_execute_is_measured():
     assert reach.cases(store) == {number["TC_VD_UPD_BV_01"]}
     # What builds tables and configurations is executed before the first case.
     assert reach.cases(site("_known: other return value", "other return value")) is None
-    assert reach.cases(site("_initial: comparison: settings is None", "comparison")) is None
+    assert reach.cases(site("_terminator: other return value", "other return value")) is None
 
 
 def test_cases_that_name_a_requirement_cited_near_the_change_come_first():

@@ -16,6 +16,7 @@ from dcp_conformance.variants.campaign import VariantsResult, judge, trials_of
 from dcp_conformance.variants.table import section
 from dcp_conformance.variants.variant import setup
 from dcp_conformance.variants.variant import variants_of as of_module
+from dcp_spec.constants import SpecVersion
 
 from .rig import known_cases
 
@@ -104,6 +105,18 @@ def test_an_inconclusive_verdict_counts_unless_the_variant_explains_it():
     explaining = Variant(silent.id, silent.what, silent.why, silent.build, explains=("^TC_BP_HDR_BV_09: a pause",))
     again = judge(explaining, PROFILE, case)
     assert (again.inconclusive, again.explained, again.good) == ((), 1, True)
+
+
+def test_an_explanation_that_nothing_needs_is_told():
+    loud = all_variants()["V-APP-every-beacon"]
+    explains = ("^TC_BP_HDR_BV_09: a pause", "^TC_BP_HDR_BV_09: something else")
+    variant = Variant(loud.id, loud.what, loud.why, loud.build, SpecVersion.V2_0, explains=explains)
+    cases = some_cases("TC_BP_HDR_BV_09")
+    one = VariantsResult(trials=(judge(variant, "dcp-2.0", cases),))
+    # On other profiles it may be needed.
+    assert one.idle([variant]) == {}
+    both = VariantsResult(trials=(*one.trials, judge(variant, "cpp-2.0", cases)))
+    assert both.idle([variant]) == {loud.id: [explains[1]]}
 
 
 def test_a_variant_that_cannot_be_tested_is_an_error():

@@ -33,8 +33,8 @@ def ids(entries):
 
 def test_the_catalogue_is_complete():
     # The counts were taken by hand from the specification; a lost entry must not go unnoticed.
-    assert Counter(entry.protocol for entry in ENTRIES) == {"DATA": 13, "UWB": 5, "BP": 110, "SRP": 35, "VD": 178}
-    assert len(ENTRIES) == 341
+    assert Counter(entry.protocol for entry in ENTRIES) == {"DATA": 14, "UWB": 6, "BP": 132, "SRP": 38, "VD": 178}
+    assert len(ENTRIES) == 368
 
 
 def test_no_id_is_used_twice():
@@ -165,7 +165,13 @@ def test_a_version_may_be_given_as_a_string_but_must_exist():
 
 BEFORE_2_0 = "1.0 1.1 1.2 1.3"
 ENDED = {
-    "VD-CMP-14": "1.0 1.1 1.2",
+    **dict.fromkeys(("VD-CMP-14", "SRP-INI-08"), "1.0 1.1 1.2"),
+    "BP-TXP-11": "1.0 1.1",
+    **dict.fromkeys(
+        ("BP-HDR-13", "BP-QM-10", "BP-REG-11", "BP-REG-12", "BP-LST-03", "BP-TXP-12", "BP-TXP-13"),
+        "1.0",
+    ),
+    **dict.fromkeys(("BP-PAR-12", "BP-PAR-13"), "1.0"),
     **dict.fromkeys(("VD-RX-10", "VD-PAY-07", "VD-INI-07", "VD-RU-05", "VD-RC-04"), "1.0"),
     **dict.fromkeys(("VD-RX-11", "VD-INI-08", "VD-PAR-10"), "1.1"),
     **dict.fromkeys(

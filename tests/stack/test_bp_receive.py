@@ -169,12 +169,50 @@ def test_blocks_of_others_are_skipped(version):
 
 
 @pytest.mark.req("BP-RX-16")
+@pytest.mark.req("BP-RX-07")
 @pytest.mark.parametrize("version", VERSIONS)
-def test_an_empty_payload_is_skipped(version):
+def test_an_empty_payload_is_indicated(version):
+    # The steps ask for the protocol only; ignoring it is a reading (X46).
     rig = listening(version)
+    delivered, dropped = rig.receive(rig.forge((7, b""), B, (99, b"")))
+    assert delivered == [(7, b""), B]
+    assert [effect.reason for effect in dropped] == ["unregistered-protocol"]
+    rig = listening(version, readings={"X46": "ignore-empty"})
     delivered, dropped = rig.receive(rig.forge((7, b""), B, (99, b"")))
     assert delivered == [B]
     assert [effect.reason for effect in dropped] == ["empty-payload", "unregistered-protocol"]
+
+
+@pytest.mark.req("BP-RX-12")
+@pytest.mark.parametrize("claimed", [1, 3])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_number_of_blocks_that_is_not_the_number_of_payloads(version, claimed):
+    for reading, right in (("deliver-blocks", [A, B]), ("discard-beacon", [])):
+        rig = listening(version, readings={"X48": reading})
+        delivered, dropped = rig.receive(rig.patch(rig.forge(A, B), "numPayloads", claimed))
+        counted = version in SINCE_1_2 or claimed > 2
+        # Before 1.2 nothing else tells where the blocks end (X47): a number that is too small is no mismatch.
+        assert delivered == (right if counted else [A])
+        assert [each.reason for each in dropped] == (["other-count"] if counted and not right else [])
+
+
+@pytest.mark.req("BP-RX-07")
+@pytest.mark.parametrize("version", ["1.0", "1.1"])
+def test_a_beacon_without_length_ends_with_its_count_or_with_the_frame(version):
+    for reading, right in (("counted-blocks", [A]), ("whole-frame", [A, B])):
+        rig = listening(version, readings={"X47": reading})
+        octets = rig.patch(rig.forge(A, B), "numPayloads", 1)
+        assert rig.receive(octets) == (right, [])
+        assert rig.receive(rig.patch(octets, "numPayloads", 0))[0] == []
+        assert rig.receive(octets[:-1])[0] == [A]
+
+
+@pytest.mark.req("BP-RXP-01")
+def test_a_payload_larger_than_the_receiver_has_registered():
+    for reading, right in (("deliver-larger", [(7, b"x" * 101), B]), ("discard-larger", [B])):
+        rig = listening(readings={"X49": reading})
+        assert rig.receive(rig.forge((7, b"x" * 101), B))[0] == right
+        assert rig.receive(rig.forge((7, b"x" * 100)))[0] == [(7, b"x" * 100)]
 
 
 @pytest.mark.req("BP-RX-09")

@@ -5,12 +5,13 @@ What clients are told: payloads that were received for them, and payloads of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode, SpecVersion
 
 from dcp_conformance.bench import Bench
-from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.case import DENIED, Needs, Variant, case
 from dcp_conformance.cases.srp_init import bring_back, no_way_back
 from dcp_conformance.clients import (
     CLIENT,
@@ -21,8 +22,11 @@ from dcp_conformance.clients import (
     TRANSMITTED,
     UNKNOWN_PROTOCOL,
     BPClient,
+    block_header_octets,
     each_mode,
+    header_octets,
     indications,
+    largest_payload,
     listed,
     needed,
     until,
@@ -32,6 +36,7 @@ from dcp_conformance.findings import part_of
 from dcp_conformance.forge import Block
 
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
+_SMALL = 256
 #: Beacon periods in which a second indication of the same payload would have come.
 _AFTERWARDS = 1.5
 
@@ -43,7 +48,13 @@ def pattern(size: int, start: int = 0) -> bytes:
 
 def _largest(bench: Bench) -> int:
     """A payload that every node of the profile can receive, in octets."""
-    return min(256, bench.profile.bp.payload_area or 256)
+    return min(_SMALL, bench.profile.bp.payload_area or _SMALL)
+
+
+def _registrable(bench: Bench) -> int:
+    """The largest payload that a client may have, and that a beacon of the profile's bearer carries."""
+    fits = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
+    return min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
 
 
 # -- BP-ReceivePayload.indication --------------------------------------------------------------------------------------
@@ -52,18 +63,18 @@ def _largest(bench: Bench) -> int:
 @case(
     "TC_BP_RXP_BV_01",
     "A received payload of {variant} octets is indicated once, unchanged",
-    requirements="BP-RXP-01 BP-RXP-02",
+    requirements="BP-RXP-01 BP-RXP-02 UWB-06",
     stimulus="a client registers; a beacon with a block of its protocol with {variant} octets",
     expect="one BP-ReceivePayload.indication with protId, length {variant} and these octets",
     needs=_RECEPTION,
-    variants={"1": 1, "2": 2, "37": 37, "255": 255, "256": 256},
+    variants={"1": 1, "2": 2, "37": 37, "255": 255, "256": 256, "1000": 1000, "as-many-as-fit": 0xFFFF},
 )
 def unchanged(bench: Bench, size: int) -> None:
-    octets = pattern(min(size, _largest(bench)), size)
+    octets = pattern(min(size, _largest(bench) if size <= _SMALL else _registrable(bench)), size % 251)
     with BPClient(bench, ONCE, size=len(octets)) as client:
         bench.peer().send(Block(client.prot_id, octets))
         received = client.until_received()
-        bench.require(received, "an indication", "there is none in time", "BP-RXP-01")
+        bench.require(received, "an indication", "there is none in time", "BP-RXP-01", "UWB-06")
         bench.check(
             received[0] == octets,
             f"the {len(octets)} octets",
@@ -202,7 +213,7 @@ def empty_block(bench: Bench) -> None:
         peer.send(Block(client.prot_id, octets))
         until(bench, lambda: octets in client.received())
         bench.check(octets in client.received(), "the beacon behind it is processed", "it is not")
-        bench.info("Is a payload of no octets indicated?", "yes" if b"" in client.received() else "no")
+        bench.reading("X46", "deliver-empty" if b"" in client.received() else "ignore-empty")
 
 
 @case(
@@ -224,8 +235,7 @@ def larger_than_own(bench: Bench) -> None:
         bench.check(
             whole and small in received, "whole payloads", f"{[each.hex() for each in received]}", shown=not whole
         )
-        said = "indicated" if large in received else "not indicated"
-        bench.info("Is a payload indicated that is larger than the receiver's own maxPayloadSize?", said)
+        bench.reading("X49", "deliver-larger" if large in received else "discard-larger")
 
 
 @case(
@@ -264,12 +274,18 @@ def no_indication(bench: Bench) -> str | None:
     """For ``Needs.when``: why BP-PayloadTransmitted cannot be judged."""
     claimed = bench.pics.payload_transmitted_indication
     if claimed is False:
-        return "the PICS denies payload_transmitted_indication"
+        return f"the PICS denies payload_transmitted_indication ({DENIED} fails for that)"
     if claimed is None and not bench.profile.behaviour.payload_transmitted_indication:
         return (
-            f"implementations of the profile {bench.profile.name} have no BP-PayloadTransmitted ([pics] says nothing)"
+            f"implementations of the profile {bench.profile.name} have no BP-PayloadTransmitted, and the PICS says "
+            f"nothing ({DENIED} fails for that)"
         )
     return None
+
+
+def both(*conditions: Callable[[Bench], str | None] | None) -> Callable[[Bench], str | None]:
+    """For ``Needs.when``: the first reason that any of these gives."""
+    return lambda bench: next((why for each in conditions if each is not None and (why := each(bench))), None)
 
 
 @case(
@@ -278,12 +294,12 @@ def no_indication(bench: Bench) -> str | None:
     requirements="BP-PTI-01",
     stimulus="a client with mode {variant} submits a payload",
     expect="one BP-PayloadTransmitted.indication with its protId; with REPEAT one for each beacon",
-    variants=each_mode(*CLIENT),
+    variants={
+        name: Variant(each.value, needs=dataclasses.replace(each.needs, when=both(each.needs.when, no_indication)))
+        for name, each in each_mode(*CLIENT).items()
+    },
 )
 def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
-    if reason := no_indication(bench):
-        bench.info("Is there a BP-PayloadTransmitted.indication?", reason)
-        return
     with BPClient(bench, mode) as client:
         early = len(indications(bench, TRANSMITTED, client.prot_id))
         bench.check(early == 0, "no indication before a payload is submitted", f"{early} indications", shown=True)

@@ -58,7 +58,7 @@ def block_in_padding(bench: Bench) -> None:
 
 @case(
     "TC_BP_RX_BI_13",
-    "A length that reaches {variant} beyond the frame is survived, and the beacon discarded",
+    "A length that reaches {variant} beyond the frame is survived",
     requirements="BP-RX-15",
     stimulus="a beacon with the summary of an unknown variable whose length reaches {variant} beyond the frame; then "
     "an honest one",

@@ -28,7 +28,7 @@ from dcp_conformance.services import parameters_set
 
 from .bp_timing import estimate
 
-V1_1, V2_0 = SpecVersion.V1_1, SpecVersion.V2_0
+V1_0, V1_1, V2_0 = SpecVersion.V1_0, SpecVersion.V1_1, SpecVersion.V2_0
 GET, SET = "BP-GetParameters", "BP-SetParameter"
 PERIOD, SIZE, NETWORK = "BPPAR_BEACON_PERIOD", "BPPAR_MAXIMUM_PACKET_SIZE", "BPPAR_NETWORK_ID"
 UWB_SIZE = "UWB-MaxPacketSize"
@@ -103,7 +103,7 @@ _WRONG: dict[str, tuple[str, Callable[[Bench], int]]] = {
     "network-too-large": (NETWORK, lambda bench: 1 << (8 * bench.profile.types.network_id.width)),
     "network-negative": (NETWORK, lambda _: -1),
 }
-_RULES = {PERIOD: "BP-PAR-03", SIZE: "BP-PAR-04", NETWORK: "BP-PAR-05"}
+_RULES = {PERIOD: "BP-PAR-03", SIZE: "BP-PAR-04 BP-PAR-13", NETWORK: "BP-PAR-05"}
 
 
 @case(
@@ -118,7 +118,7 @@ _RULES = {PERIOD: "BP-PAR-03", SIZE: "BP-PAR-04", NETWORK: "BP-PAR-05"}
             wrong,
             requirements=f"BP-PAR-06 {_RULES[wrong[0]]}",
             needs=Needs(
-                since=V2_0 if wrong[0] == NETWORK else V1_1,
+                since=V2_0 if wrong[0] == NETWORK else V1_0 if name == "size-above-bearer" else V1_1,
                 entities=(),
                 ut=(*CLIENT, GET, SET),
                 header=("networkId",) if wrong[0] == NETWORK else (),
@@ -155,7 +155,7 @@ def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> N
 @case(
     "TC_BP_PAR_BV_02",
     "BPPAR_MAXIMUM_PACKET_SIZE may be anything from both headers to what the bearer carries",
-    requirements="BP-PAR-04",
+    requirements="BP-PAR-04 BP-PAR-14",
     stimulus="BP-SetParameter with the largest value, and with the sizes of both headers",
     expect="both are accepted, or the smallest is refused because nothing fits (X05)",
     needs=_PARAMETERS,
@@ -164,16 +164,18 @@ def size_bounds(bench: Bench) -> None:
     known = values(bench)
     if UWB_SIZE in known:
         answer = bench.call(SET, name=SIZE, value=known[UWB_SIZE])
-        bench.check(answer.ok, f"{SIZE} can be {UWB_SIZE}, {known[UWB_SIZE]}", str(answer), shown=True)
-        same = known.get(SIZE) == known[UWB_SIZE]
-        bench.info(f"Is {SIZE} what the bearer carries unless set?", "yes" if same else f"it is {known.get(SIZE)}")
+        bench.check(answer.ok, f"{SIZE} can be {UWB_SIZE}, {known[UWB_SIZE]}", str(answer), "BP-PAR-04", shown=True)
+        if known.get(SIZE) == known[UWB_SIZE]:
+            bench.check(True, f"{SIZE} starts with what the bearer carries", "", "BP-PAR-14")
+        else:
+            bench.info(f"Does {SIZE} start with what the bearer carries?", f"it is {known.get(SIZE)}", "BP-PAR-14")
     least = header_octets(bench) + block_header_octets(bench)
     answer = bench.call(SET, name=SIZE, value=least)
     if answer.ok:
         bench.reading("X05", "literal-minimum")
     else:
         answer = bench.call(SET, name=SIZE, value=least + 1)
-        if bench.check(answer.ok, f"{SIZE} can be {least} or {least + 1}", str(answer), shown=True):
+        if bench.check(answer.ok, f"{SIZE} can be {least} or {least + 1}", str(answer), "BP-PAR-04", shown=True):
             bench.reading("X05", "usable-minimum")
     bench.call(SET, name=SIZE, value=known.get(SIZE))
 
@@ -181,10 +183,10 @@ def size_bounds(bench: Bench) -> None:
 @case(
     "TC_BP_PAR_BV_03",
     "Another BPPAR_MAXIMUM_PACKET_SIZE holds for the next beacon and registration",
-    requirements="BP-PAR-02 BP-REG-04",
+    requirements="BP-PAR-02 BP-PAR-11",
     stimulus="two clients repeat payloads; the size is lowered so that a beacon has room for one of them",
     expect="no larger beacon from then on; a registration is bounded by the new size",
-    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, GET, SET), when=areas_of_fixed_size),
+    needs=Needs(entities=(), ut=(*CLIENT, SET), when=areas_of_fixed_size),
     window=8,
 )
 def smaller_beacons(bench: Bench) -> None:
@@ -203,8 +205,10 @@ def smaller_beacons(bench: Bench) -> None:
             bench.require(heard, "beacons afterwards", "there are none in time", "BP-PAR-02")
             said = f"{len(large)} of {len(heard)} are larger"
             bench.check(not large, f"beacons of at most {size} octets", said, "BP-PAR-02", frames=large, shown=True)
-            third = BPClient(bench, ONCE, size=81)
-            answer = bench.expect_status(ILLEGAL_SIZE, REGISTER, "BP-REG-04", **third.registration)
+            # In 1.0 the bound takes another size for the header.
+            counted = header_octets(bench) if bench.features.registration_counts_bp_header else 4
+            third = BPClient(bench, ONCE, size=size - counted - block_header_octets(bench) + 1)
+            answer = bench.expect_status(ILLEGAL_SIZE, REGISTER, "BP-PAR-11", **third.registration)
             if answer.ok:
                 bench.call(DEREGISTER, protId=third.prot_id)
 
@@ -255,9 +259,9 @@ def other_network(bench: Bench) -> None:
 @case(
     "TC_BP_PAR_BV_05",
     "The beacon period is about 100 ms unless it is set",
-    requirements="BP-PAR-03",
+    requirements="BP-PAR-15",
     stimulus="BP-GetParameters after a reset; without it, something to send in every period",
-    expect="80 to 120 ms, or what the PIXIT says that it was configured to; without it, such a mean interval",
+    expect="80 to 120 ms; a period that was configured, as the PIXIT says, is reported",
     window=16,
     needs=Needs(since=V1_1, entities=()),
 )
@@ -265,14 +269,19 @@ def default_period(bench: Bench) -> None:
     configured = bench.pixit.beacon_period_ms
     if bench.session.upper is not None and GET in bench.session.upper.methods:
         period = values(bench).get(PERIOD)
-        near = isinstance(period, int | float) and (80 <= period <= 120 or period == configured)
-        bench.check(near, f"{PERIOD} is about 100 ms", f"it is {period}", shown=True)
+        near = isinstance(period, int | float) and 80 <= period <= 120
+        if not near and period == configured:
+            bench.info(f"Is {PERIOD} about 100 ms unless it is set?", f"it was configured to {period}")
+        else:
+            bench.check(near, f"{PERIOD} is about 100 ms", f"it is {period}", shown=True)
         return
     with talking(bench):
         found = estimate(some_beacons(bench, 12))
     mean = found.mean / MS
-    near = 80 <= mean <= 120 or abs(mean - configured) <= configured / 5
-    bench.check(near, "a mean interval of about 100 ms, or as configured", f"{found}")
+    if not 80 <= mean <= 120 and abs(mean - configured) <= configured / 5:
+        bench.info(f"Is {PERIOD} about 100 ms unless it is set?", f"it was configured to {configured:g}: {found}")
+    else:
+        bench.check(80 <= mean <= 120, "a mean interval of about 100 ms", f"{found}")
 
 
 @case(

@@ -11,7 +11,7 @@ from typing import Any
 from dcp_spec.constants import QueueingMode, SpecVersion
 
 from dcp_conformance.bench import MS, Bench
-from dcp_conformance.case import Needs, case
+from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.clients import (
     ALREADY_REGISTERED,
     CLEAR,
@@ -36,7 +36,7 @@ from dcp_conformance.clients import (
 from dcp_conformance.forge import Block
 from dcp_conformance.upper.base import INTERNAL_ERROR
 
-V1_1 = SpecVersion.V1_1
+V1_0, V1_1 = SpecVersion.V1_0, SpecVersion.V1_1
 
 
 def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, **changes: Any) -> None:
@@ -52,7 +52,7 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
 @case(
     "TC_BP_REG_BV_01",
     "A client registers with mode {variant}, and is listed as it registered",
-    requirements="BP-REG-01 BP-REG-06 BP-LST-01",
+    requirements="BP-REG-01 BP-REG-06 BP-REG-12 BP-LST-01 BP-LST-03",
     stimulus="BP-RegisterProtocol with mode {variant}, then BP-ListRegisteredProtocols",
     expect="BP-STATUS-OK; an entry with the same values, and with the time of the registration",
     variants=each_mode(*CLIENT, LIST),
@@ -60,7 +60,7 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
 def register(bench: Bench, mode: QueueingMode) -> None:
     client = BPClient(bench, mode, size=48, entries=3, several=True, name="tester of this mode")
     before = bench.lower.wall()
-    answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", **client.registration)
+    answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", "BP-REG-12", **client.registration)
     after = bench.lower.wall()
     if not answer.ok:
         return
@@ -82,7 +82,9 @@ def register(bench: Bench, mode: QueueingMode) -> None:
             f"{listed} is {right!r} as registered",
             f"it is {said!r}",
             "BP-LST-01",
+            "BP-LST-03",
             "BP-REG-01",
+            "BP-REG-12",
             shown=True,
         )
     stamp, margin = entry.get("timeStampRegistration"), round(bench.pixit.clock_tolerance_ms * MS)
@@ -93,6 +95,7 @@ def register(bench: Bench, mode: QueueingMode) -> None:
         f"it is {stamp!r}",
         "BP-REG-06",
         "BP-LST-01",
+        "BP-LST-03",
         shown=True,
     )
 
@@ -149,7 +152,7 @@ def immediate_confirm(bench: Bench) -> None:
 @case(
     "TC_BP_REG_BV_03",
     "maxPayloadSize may be as large as a beacon has room for",
-    requirements="BP-REG-04",
+    requirements="BP-REG-04 BP-REG-11",
     stimulus="BP-RegisterProtocol with the largest maxPayloadSize, and with 1",
     expect="BP-STATUS-OK",
     needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
@@ -226,7 +229,7 @@ def size_zero(bench: Bench) -> None:
 @case(
     "TC_BP_REG_BI_02",
     "A maxPayloadSize that no beacon has room for is refused ({variant})",
-    requirements="BP-REG-04",
+    requirements="BP-REG-04 BP-REG-11",
     stimulus="BP-RegisterProtocol with a maxPayloadSize that is too large: {variant}",
     expect="BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
     needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
@@ -265,10 +268,10 @@ def already_registered(bench: Bench) -> None:
     with BPClient(bench, REPEAT, size=20) as client:
         payload = client.payload()
         client.transmit(payload)
-        before = client.entry()
+        before = client.fields()
         changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
         bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
-        after = client.entry()
+        after = client.fields()
         bench.check(after == before, "the registration is unchanged", f"it was {before}, and is {after}", shown=True)
         number = client.number()
         bench.check(number == 1, "the payload still waits", f"{number} payloads do", shown=True)
@@ -303,8 +306,19 @@ _DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
     requirements="BP-REG-09 DATA-11",
     stimulus="BP-RegisterProtocol with two faults: {variant}",
     expect="the status of the check that stands first",
-    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
-    variants=_DOUBLE,
+    variants={
+        name: Variant(
+            fault,
+            # 1.0 has two checks only.
+            needs=Needs(
+                since=V1_0 if name == "duplicate-and-too-large" else V1_1,
+                entities=(),
+                ut=(REGISTER, DEREGISTER),
+                when=areas_of_fixed_size,
+            ),
+        )
+        for name, fault in _DOUBLE.items()
+    },
 )
 def two_faults(bench: Bench, fault: tuple[str, Callable[[Bench], dict[str, Any]]]) -> None:
     status, changes = fault

@@ -8,14 +8,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
+from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import Needs, case
 from dcp_conformance.clients import needed, some_beacons, talking
 from dcp_conformance.heard import Heard
-
-V1_1 = SpecVersion.V1_1
 
 
 @case(
@@ -25,7 +23,7 @@ V1_1 = SpecVersion.V1_1
     stimulus="something to send in every period",
     expect="consecutive numbers modulo 2^32 in ten beacons",
     window=12,
-    needs=Needs(since=V1_1, entities=(), header=("seqno",)),
+    needs=Needs(entities=(), header=("seqno",)),
 )
 def consecutive(bench: Bench) -> None:
     with talking(bench):
@@ -55,9 +53,18 @@ def check_first_number(bench: Bench, heard: Heard) -> None:
     if first is None:
         bench.inconclusive("a first beacon that can be read", f"{heard.problem}")
     if bench.features.first_beacon_seqno == 1:
-        bench.check(first == 1, "the first beacon has seqno 1", f"it has {first}", "BP-INI-02", frames=[heard])
+        bench.check(
+            first == 1, "the first beacon has seqno 1", f"it has {first}", "BP-INI-02", "BP-HDR-13", frames=[heard]
+        )
         return
-    bench.check(first in (0, 1), "the first beacon has seqno 0, or 1 (X03)", f"it has {first}", frames=[heard])
+    bench.check(
+        first in (0, 1),
+        "the first beacon has seqno 0, or 1 (X03)",
+        f"it has {first}",
+        "BP-INI-02",
+        "BP-HDR-12",
+        frames=[heard],
+    )
     if first in (0, 1):
         bench.reading("X03", "increment-then-write" if first else "write-then-increment")
 
@@ -65,7 +72,7 @@ def check_first_number(bench: Bench, heard: Heard) -> None:
 @case(
     "TC_BP_INI_BV_01",
     "After a reset sequence numbers start again",
-    requirements="BP-INI-02 BP-HDR-08",
+    requirements="BP-INI-02 BP-HDR-12 BP-HDR-13",
     stimulus="some beacons, UT-Reset, a request for a beacon",
     expect="the first beacon has seqno 0 (1 in version 1.0; X03)",
     window=8,
@@ -84,7 +91,7 @@ def numbers_after_reset(bench: Bench) -> None:
 @case(
     "TC_BP_INI_BV_02",
     "After a restart sequence numbers start again",
-    requirements="BP-INI-02 BP-HDR-08 BP-INI-03",
+    requirements="BP-INI-02 BP-HDR-12 BP-HDR-13 BP-INI-03",
     stimulus="some beacons, a restart of the implementation, a request for a beacon",
     expect="a beacon without any activation, with seqno 0 (1 in version 1.0; X03)",
     window=8,
@@ -106,7 +113,7 @@ def numbers_after_restart(bench: Bench) -> None:
     stimulus="a beacon is provoked, then nothing for six periods, then another one",
     expect="the number after the pause is the next one",
     window=12,
-    needs=Needs(since=V1_1, header=("seqno",)),
+    needs=Needs(header=("seqno",)),
 )
 def idle_gap(bench: Bench) -> None:
     needed(bench, bench.probe() or bench.probe(), "a beacon with the answer to a probe")

@@ -141,10 +141,10 @@ def empty_payload(bench: Bench, mode: QueueingMode) -> None:
 @case(
     "TC_BP_TXP_BV_02",
     "In 1.0 an empty payload clears the buffer ({variant})",
-    requirements="BP-TXP-06",
+    requirements="BP-TXP-13",
     stimulus="a client with mode {variant} and a payload in its buffer submits one of no octets",
     expect="BP-STATUS-OK, and the buffer is empty",
-    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY), when=no_confirm),
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY)),
     variants={"once": ONCE, "repeat": REPEAT},
 )
 def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
@@ -204,7 +204,7 @@ def unbounded_queue(bench: Bench) -> None:
     requirements="BP-TXP-10 DATA-11",
     stimulus="BP-TransmitPayload with two faults: {variant}",
     expect="BP-STATUS-UNKNOWN-PROTOCOL",
-    needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=no_confirm),
+    needs=_TRANSMIT,
     variants={"unknown-and-too-large": 1 << 10, "unknown-and-empty": 0},
 )
 def submission_with_two_faults(bench: Bench, size: int) -> None:
@@ -278,10 +278,10 @@ def query_unknown(bench: Bench) -> None:
 @case(
     "TC_BP_GEN_BV_01",
     "Every service of BP confirms each request with a status",
-    requirements="DATA-10",
+    requirements="DATA-10 BP-TXP-11",
     stimulus="each service that the upper tester offers, for a client of the tester's",
     expect="one confirm for each, with a status",
-    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+    needs=Needs(entities=(), ut=(REGISTER, DEREGISTER)),
 )
 def confirms(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
@@ -299,7 +299,9 @@ def confirms(bench: Bench) -> None:
             if method == TRANSMIT and no_confirm(bench):
                 bench.info("Is BP-TransmitPayload confirmed?", "no", "BP-TXP-08")
                 continue
-            answer = bench.expect_status(OK, method, "DATA-10", **params)
+            answer = bench.expect_status(
+                OK, method, *(("BP-TXP-11", "DATA-10") if method == TRANSMIT else ("DATA-10",)), **params
+            )
             extras[method] = set(answer.result) - {"status", "number", "protocols"}
     told = "; ".join(f"{method}: {', '.join(sorted(names))}" for method, names in extras.items() if names)
     bench.info("Do confirms of BP carry further parameters?", told or "no", "BP-GEN-01")

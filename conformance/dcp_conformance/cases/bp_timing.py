@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
+from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, case
@@ -143,11 +143,11 @@ def mean_period(bench: Bench) -> None:
 @case(
     "TC_BP_TX_TI_02",
     "Another beacon period takes effect ({variant})",
-    requirements="BP-PAR-02 BP-PAR-03",
+    requirements="BP-PAR-02 BP-PAR-12",
     stimulus="BPPAR_BEACON_PERIOD is multiplied by {variant} while a client repeats a payload",
     expect="the mean interval follows, with 99 % confidence",
     window=60,
-    needs=Needs(since=SpecVersion.V1_1, entities=(), ut=(*CLIENT, "BP-SetParameter")),
+    needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter")),
     variants={"0.5": 0.5, "2": 2.0},
 )
 def other_period(bench: Bench, factor: float) -> None:
@@ -253,7 +253,7 @@ def clock_offset(bench: Bench, client: BPClient) -> int:
     stimulus="a client repeats a payload with a quarter of the beacon period, until more than 256 beacons were sent",
     expect="a number above 255, and none that starts again",
     window=150,
-    needs=Needs(since=SpecVersion.V1_1, entities=(), ut=(*CLIENT, "BP-SetParameter", "UT-Reset"), header=("seqno",)),
+    needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter", "UT-Reset"), header=("seqno",)),
 )
 def beyond_an_octet(bench: Bench) -> None:
     short = max(2, round(bench.period / 4 / MS))
@@ -280,7 +280,7 @@ def _check_beyond_an_octet(bench: Bench, frames: Sequence[Heard]) -> None:
     stimulus="something to send in every period, until more than 256 beacons were sent",
     expect="a number above 255, and none that starts again",
     window=600,
-    needs=Needs(since=SpecVersion.V1_1, entities=(), header=("seqno",)),
+    needs=Needs(entities=(), header=("seqno",)),
     long=True,
 )
 def beyond_an_octet_by_waiting(bench: Bench) -> None:

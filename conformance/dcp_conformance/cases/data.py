@@ -22,7 +22,7 @@ from dcp_spec.profile import Opaque
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.cases.bp_receive import check_dropped, check_processed
-from dcp_conformance.clients import header_octets, some_beacons, talking, unused_protocol_id
+from dcp_conformance.clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
 from dcp_conformance.forge import Block
 from dcp_conformance.header_rules import judge
 from dcp_conformance.heard import Heard
@@ -84,8 +84,11 @@ def byte_order(bench: Bench) -> None:
         1 << 24 not in steps, "seqno counts in its last octet", "it counts in its first", frames=frames[:2], shown=True
     )
     fields = [name for name, field in _integers(bench) if field != "big"]
+    fields += [
+        f"sData.{each.name}" for each in bench.profile.srp.safety_data if each.byte_order == "little" and each.width > 1
+    ]
     if fields:
-        bench.info("Which integers does the profile send least significant octet first?", ", ".join(fields))
+        bench.info("Which numbers does the profile send least significant octet first?", ", ".join(fields))
 
 
 def _integers(bench: Bench) -> list[tuple[str, str]]:
@@ -201,6 +204,14 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
 # -- records -----------------------------------------------------------------------------------------------------------
 
 
+def _sends_something(bench: Bench) -> str | None:
+    """For ``Needs.when``: the tester must be able to make it send beacons."""
+    upper = bench.session.upper
+    if bench.pics.vardis is False and (upper is None or not set(CLIENT) <= upper.methods):
+        return "without VarDis and without an upper tester nothing makes it send beacons"
+    return None
+
+
 @case(
     "TC_DCP_DATA_BV_06",
     "Every beacon can be read with the profile, without octets left over",
@@ -208,15 +219,16 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
     stimulus="clients, variables and, where the upper tester can hand them down, state reports",
     expect="ten beacons without a fault, and nothing behind the last block of those that are not padded",
     window=14,
-    needs=Needs(since=V1_1),
+    needs=Needs(entities=(), when=_sends_something),
 )
 def packed(bench: Bench) -> None:
     upper = bench.session.upper
     with talking(bench, clients=2):
-        if upper is not None and "SRP-UpdateSafetyData" in upper.methods and bench.profile.srp.safety_data:
+        reports = bench.profile.srp.safety_data and bench.pics.srp is not False
+        if upper is not None and "SRP-UpdateSafetyData" in upper.methods and reports:
             bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 5))
         peer = bench.peer()
-        for length in (1, 3):
+        for length in (1, 3) if bench.pics.vardis is not False else ():
             var_id = bench.var_id()
             peer.send(peer.create(var_id, value=bytes(length), descr=b"d" * length))
             peer.send(peer.update(var_id, 1, bytes(length + 1)), peer.summary(bench.unknown_id(), 1))

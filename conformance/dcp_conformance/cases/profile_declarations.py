@@ -1,8 +1,9 @@
 """dcp-datatypes.md: Conventions; Data Types of all protocols.
 
-What the wire profile in use says of the implementation. A profile that describes other octets than the specification
-asks for lets all other cases talk to the implementation; it does not make these octets right. The checks name the
-requirements that the profile declares as not met, whichever they are.
+What an implementation declares of itself. A profile that describes other octets than the specification asks for lets
+all other cases talk to the implementation; it does not make these octets right. Likewise a PICS that denies a mandatory
+service keeps cases from waiting for it, and does not make its absence right. The checks name the requirements that are
+declared as not met, whichever they are.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ from dcp_spec.deviations import deviations
 from dcp_spec.requirements import requirement
 
 from dcp_conformance.bench import Bench
-from dcp_conformance.case import DECLARED, Needs, case
+from dcp_conformance.case import DECLARED, DENIED, Needs, case
+from dcp_conformance.declared import denied_by
 
 
 def _declares_nothing(bench: Bench) -> str | None:
@@ -31,4 +33,23 @@ def _declares_nothing(bench: Bench) -> str | None:
 def declared(bench: Bench) -> None:
     for identifier, instead in deviations(bench.profile).items():
         observed = f"declared by the profile {bench.profile.name}: {instead}"
+        bench.check(False, requirement(identifier).statement, observed, identifier, shown=True)
+
+
+def _denies_nothing(bench: Bench) -> str | None:
+    if denied_by(bench.pics, bench.profile):
+        return None
+    return f"the PICS denies nothing that version {bench.profile.spec_version} demands"
+
+
+@case(
+    DENIED,
+    "The PICS denies nothing that the specification demands",
+    requirements="BP-PTI-01 BP-PTI-02 BP-PTI-03",
+    stimulus="none: the PICS as it is; where it is silent, what the profile says of the behaviour",
+    expect="no mandatory requirement of its version of the specification is denied; accept what is with --expected",
+    needs=Needs(entities=(), when=_denies_nothing),
+)
+def denied(bench: Bench) -> None:
+    for identifier, observed in denied_by(bench.pics, bench.profile).items():
         bench.check(False, requirement(identifier).statement, observed, identifier, shown=True)

@@ -60,7 +60,7 @@ def size(bench: Bench) -> None:
 @case(
     "TC_SRP_INI_BV_03",
     "SRP is registered with the queueing mode of its version",
-    requirements="SRP-INI-03",
+    requirements="SRP-INI-03 SRP-INI-08",
     stimulus="BP-ListRegisteredProtocols",
     expect="BP_QMODE_ONCE; up to 1.2 BP_QMODE_REPEAT",
     needs=_LIST,
@@ -165,7 +165,7 @@ def bring_back(bench: Bench) -> None:
 @case(
     "TC_SRP_SRV_BO_01",
     "SRP does not serve while it is not registered with BP",
-    requirements="SRP-SRV-01 SRP-INI-07",
+    requirements="SRP-SRV-01",
     stimulus="BP-DeregisterProtocol of protocol 1, then SRP-UpdateSafetyData",
     expect="SRP-STATUS-INACTIVE, or no response (X10); no state report in the beacons",
     window=6,

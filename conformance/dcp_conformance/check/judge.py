@@ -5,12 +5,15 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Iterable
+from typing import Final
 
 import msgspec
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing import OtherTraffic, locate
+from dcp_conformance.case import Case, Kind
+from dcp_conformance.declared import declarations
 from dcp_conformance.heard import Heard
 from dcp_conformance.moment import timestamp
 from dcp_conformance.outcome import assemble
@@ -38,8 +41,28 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_repetition.RULES,
     *rules_dialogue.RULES,
 )
+_STIMULUS: Final = "none: the recording as it is"
 #: Frames that are kept for findings that are made later; older ones are cited by number only.
 _KEPT = 20_000
+
+
+def cases() -> tuple[Case, ...]:
+    """The invariants as cases, for files of expected results. They are never run as such."""
+    return tuple(
+        Case(
+            id=rule.id,
+            purpose=rule.purpose,
+            requirements=rule.requirements,
+            kind=Kind.VALID,
+            stimulus=_STIMULUS,
+            expect=rule.expect,
+            window=0,
+            section=rule.section,
+            module=rule.__module__,
+            run=lambda _: None,
+        )
+        for rule in RULES
+    )
 
 
 class Judge:
@@ -110,7 +133,7 @@ class Judge:
         for rule in self._active:
             rule.finish()
         self._cite()
-        cases = tuple(self._case(rule) for rule in self._rules)
+        cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
         if self.other:
             about.append(f"{self.other} frames of other traffic were passed over")
@@ -158,7 +181,7 @@ class Judge:
             requirements=rule.requirements,
             verdict=verdict,
             reason="" if verdict is Verdict.PASS else text,
-            stimulus="none: the recording as it is",
+            stimulus=_STIMULUS,
             expectation=rule.expect,
             checks=tuple(checks),
             evidence=tuple(self._cited[number] for number in numbers if number in self._cited),

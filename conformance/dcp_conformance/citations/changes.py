@@ -184,10 +184,16 @@ _OTHERS: Final = 4
 
 
 def _exchanges(table: ast.Dict, index: int) -> Iterator[ast.expr]:
-    """The entry with one of its parts as another entry has it, for each part; or another entry, if it has no parts."""
+    """The entry with two parts exchanged, or one part as another entry has it; without parts another entry."""
     mine = table.values[index]
     others = [each for number, each in enumerate(table.values) if number != index]
     parts = _parts(mine)
+    for left, (one, other) in enumerate(pairwise(parts)) if isinstance(mine, ast.Tuple) else ():
+        if ast.dump(one) != ast.dump(other):
+            changed = copy.deepcopy(mine)
+            theirs = _parts(changed)
+            theirs[left], theirs[left + 1] = theirs[left + 1], theirs[left]
+            yield changed
     for place in range(len(parts)):
         found: dict[str, ast.expr] = {}
         for other in others:

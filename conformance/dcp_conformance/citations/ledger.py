@@ -15,7 +15,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     reason: str
     citations: tuple[str, ...]
-    """``ID path function``; the function is ``-`` at module level."""
+    """``ID path function``, for a deviation followed by ``exception``; the function is ``-`` at module level."""
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -24,7 +24,8 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def key(citation: Citation) -> str:
     """What the ledger calls a citation: it survives edits elsewhere in the file."""
-    return f"{citation.requirement} {citation.path} {citation.function or '-'}"
+    exception = " exception" if citation.remark.startswith("exception") else ""
+    return f"{citation.requirement} {citation.path} {citation.function or '-'}{exception}"
 
 
 @cache

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import datetime
 import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
+from dcp_codec.commandline import say
+
 from .options import EXIT_STATUS, Factor, as_typed
+
+if TYPE_CHECKING:
+    from dcp_conformance.case import Case
 
 
 @click.command("check", epilog=EXIT_STATUS)
@@ -22,6 +29,7 @@ from .options import EXIT_STATUS, Factor, as_typed
     metavar="MS",
     help="The beacon period.  [default: as it looks in the recording]",
 )
+@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
 @click.option("--quiet", "-q", is_flag=True, help="Only the findings.")
@@ -31,6 +39,7 @@ def command(
     ether_type: str | None,
     pics: Path | None,
     beacon_period: float | None,
+    expected: Path | None,
     report_dir: Path | None,
     *,
     show_requirements: bool,
@@ -42,6 +51,7 @@ def command(
     an occasion for.
     """
     from dcp_conformance.check.recording import judge_recording
+    from dcp_conformance.expected import ExpectedResults
     from dcp_conformance.outcome import exit_status
     from dcp_conformance.pics import Pics, load_pics
     from dcp_conformance.reporting import write_report
@@ -55,6 +65,7 @@ def command(
         known = msgspec.structs.replace(
             known, pixit=msgspec.structs.replace(known.pixit, beacon_period_ms=beacon_period)
         )
+    known_cases = _known_cases() if expected is not None else {}
     worst_status = 0
     for capture in captures:
         words = ["check", str(capture)]
@@ -77,8 +88,25 @@ def command(
             out = console()
             for identifier, verdict in sorted(run.requirements.items()):
                 out.print(f"  {identifier:<12} {verdict:<13} {requirements()[identifier].statement}", soft_wrap=True)
-        worst_status = max(worst_status, exit_status(run.cases))
+        unexpected: bool | None = None
+        if expected is not None:
+            results = ExpectedResults.load(expected, known_cases.values())
+            ran = [known_cases[case.id] for case in run.cases]
+            surprises = [results.judge(known, case) for known, case in zip(ran, run.cases, strict=True)]
+            complaints = results.complaints(ran, datetime.datetime.now(datetime.UTC).date())
+            for each in complaints:
+                say(each, err=True)
+            unexpected = any(surprises) or bool(complaints)
+        worst_status = max(worst_status, exit_status(run.cases, unexpected=unexpected))
     return worst_status
+
+
+def _known_cases() -> dict[str, Case]:
+    """The cases of a run, whose entries a file of expected results may have, and the invariants of recordings."""
+    from dcp_conformance.case import all_cases
+    from dcp_conformance.check.judge import cases
+
+    return all_cases() | {case.id: case for case in cases()}
 
 
 def _states_period(pics: Path) -> bool:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
+if TYPE_CHECKING:
+    from dcp_conformance.verdict import Verdict
+
 
 @click.command(
     "compare",
-    epilog="Exit status: 0 nothing became worse; 1 a case fails that did not fail before, or has no result any more; "
-    "2 results cannot be read.",
+    epilog="Exit status: 0 nothing became worse; 1 a case fails that did not fail before, or has no result any more, "
+    "or run and check contradict each other; 2 results cannot be read.",
 )
 @click.argument("old", type=click.Path(path_type=Path))
 @click.argument("new", type=click.Path(path_type=Path))
@@ -21,10 +25,11 @@ from dcp_conformance.errors import UsageError
 def command(old: Path, new: Path, *, as_json: bool) -> int:
     """Show which verdicts differ between two runs.
 
-    OLD and NEW are results.json files, or the folders they are in.
+    OLD and NEW are results.json files, or the folders they are in. Results of different commands, such as run and
+    check, are compared by requirement.
     """
     from dcp_conformance.reporting import load_results
-    from dcp_conformance.reporting.merge import WORSE, compare
+    from dcp_conformance.reporting.merge import WORSE, compare, contradictions, side_by_side
 
     before, after = load_results(old), load_results(new)
     if before.profile != after.profile:
@@ -32,6 +37,9 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
             f"{old} was made with the profile {before.profile}, {new} with {after.profile}; "
             "'dcp-conformance report' puts different ones side by side"
         )
+    if before.kind != after.kind:
+        _print_requirements(side_by_side(before, after), (before.kind, after.kind), as_json=as_json)
+        return int(bool(contradictions(before, after)))
     changes = compare(before, after)
     if as_json:
         import json
@@ -53,3 +61,19 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
         shown = ", ".join(f"{count} {kind}" for kind, count in counts.items())
         say(f"{sum(case.counted for case in after.cases)} cases: {shown or 'no verdict differs'}")
     return int(any(each.kind in WORSE for each in changes))
+
+
+def _print_requirements(
+    rows: list[tuple[str, Verdict | None, Verdict | None]], kinds: tuple[str, str], *, as_json: bool
+) -> None:
+    """Requirements with the verdicts of two commands beside each other."""
+    first, second = kinds
+    if as_json:
+        import json
+
+        click.echo(json.dumps([{"id": name, first: one, second: two} for name, one, two in rows], indent=2))
+        return
+    say(f"{'requirement':<12}  {first:<13}  {second}")
+    for name, one, two in rows:
+        say(f"{name:<12}  {one or '-':<13}  {two or '-'}")
+    say(f"{len(rows)} requirements differ between {first} and {second}" if rows else "no verdict differs")

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from dcp_codec.plain import plain
 from dcp_conformance.case import Case
+from dcp_conformance.outcome import nothing_decided
 from dcp_conformance.reporting.overview import (
     Death,
     bad_checks,
@@ -163,6 +164,10 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
         out.print(f"[{STYLES[Verdict.FAIL]}]died[/]: {data(lost)}", soft_wrap=True)
     for identifier, instead in run.declared.items():
         out.print(f"{data(identifier)} is not met, as the profile declares: {data(instead)}", soft_wrap=True)
+    for identifier, denial in run.denied.items():
+        out.print(f"{data(identifier)} is not met, {data(denial)}", soft_wrap=True)
+    if nothing_decided(run.cases):
+        out.print("nothing was decided: no case applies", soft_wrap=True)
     for line in _readings(run):
         out.print(line, soft_wrap=True)
     for note in run.notes[:_NOTES]:

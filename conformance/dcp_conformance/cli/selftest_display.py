@@ -9,6 +9,7 @@ from rich.table import Table
 from dcp_conformance.citations.campaign import CitationsResult
 from dcp_conformance.generated.campaign import GeneratedResult
 from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial
+from dcp_conformance.variants import all_variants
 from dcp_conformance.variants.campaign import Judged, VariantsResult
 
 from .display import console, data
@@ -136,6 +137,9 @@ def print_variants(result: VariantsResult, *, verbose: bool, quiet: bool) -> Non
             for finding in findings:
                 out.print(_finding(kind, where, finding), soft_wrap=True)
     by_name = _by_variant(result)
+    for name, expressions in result.idle(all_variants()[each] for each in by_name).items():
+        for expression in expressions:
+            out.print(f"[yellow]explains nothing[/] {data(expression)} of {data(name)}", soft_wrap=True)
     fair = sum(all(each.good for each in trials) for trials in by_name.values())
     out.print(
         f"\n{fair} of {len(by_name)} variants without fail, error or unexplained inconclusive verdict, "

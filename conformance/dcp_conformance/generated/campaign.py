@@ -22,7 +22,7 @@ from dcp_conformance.errors import ConformanceError
 from .ledger import Entry, ledger
 from .reach import Reach, measure
 from .sites import Site, sites
-from .trial import PROFILES, Outcome, Step, limit, steps, try_site
+from .trial import NODES, PROFILES, Outcome, Step, limit, steps, try_site
 
 SCHEMA: Final = "dcp-conformance-generated/1"
 #: Seconds that a process may take by the clock: the processors may have other work.
@@ -89,9 +89,9 @@ def draw(count: int, seed: int, *, patterns: Sequence[str] = ()) -> list[Site]:
 
 
 def reach(*, jobs: int | None = None) -> tuple[Reach, ...]:
-    """What the cases execute on each profile. Takes about ten runs of the suite for each."""
+    """What the cases execute on each node. Takes about ten runs of the suite for each."""
     with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        return tuple(pool.map(partial(_measured, _context()), PROFILES))
+        return tuple(pool.map(partial(_measured, _context()), NODES))
 
 
 def _context() -> multiprocessing.context.ForkServerContext:
@@ -173,10 +173,10 @@ def _in_process(context: multiprocessing.context.ForkServerContext, site: Site, 
     return Outcome(site.key, "broken", fate, "", round(time.monotonic() - began, 2))
 
 
-def _measured(context: multiprocessing.context.ForkServerContext, profile: str) -> Reach:
-    answer, fate = _ask(context, _measure, profile)
+def _measured(context: multiprocessing.context.ForkServerContext, node: str) -> Reach:
+    answer, fate = _ask(context, _measure, node)
     if not answer:
-        raise RuntimeError(f"what the cases execute on {profile}: {fate}")
+        raise RuntimeError(f"what the cases execute on {node}: {fate}")
     return msgspec.msgpack.decode(answer, type=Reach)
 
 
@@ -216,5 +216,5 @@ def _try(site: Site | None, plan: Sequence[Step]) -> bytes:
     return msgspec.json.encode(try_site(site, plan))
 
 
-def _measure(profile: str) -> bytes:
-    return msgspec.msgpack.encode(measure(profile))
+def _measure(node: str) -> bytes:
+    return msgspec.msgpack.encode(measure(node))

@@ -19,9 +19,10 @@ _FILES: Final = {f"/dcp_stack/{module}.py": module for module in MODULES}
 
 
 class Reach(msgspec.Struct, frozen=True):
-    """What the cases execute on one profile."""
+    """What the cases execute on one node."""
 
-    profile: str
+    node: str
+    """One of :data:`trial.NODES`."""
     lines: dict[str, dict[int, tuple[int, ...]]]
     """By module and line: the numbers of the cases that execute the line, in the order of :func:`trial.cases`."""
     always: dict[str, tuple[int, ...]]
@@ -72,12 +73,12 @@ class _Tracer:
         return taken
 
 
-def measure(profile: str, numbers: Sequence[int] | None = None) -> Reach:
-    """Run the suite on ``profile`` under the tracer, or the cases with these numbers, which must begin with sanity.
+def measure(node: str, numbers: Sequence[int] | None = None) -> Reach:
+    """Run the suite on ``node`` under the tracer, or the cases with these numbers, which must begin with sanity.
 
     For a process of its own that has not imported the node, since it changes how a node is configured.
     """
-    from .trial import cases
+    from .trial import cases, suite_of
 
     chosen = cases() if numbers is None else [cases()[number] for number in numbers]
     place = {case.id: number for number, case in enumerate(cases())}
@@ -86,12 +87,11 @@ def measure(profile: str, numbers: Sequence[int] | None = None) -> Reach:
     sys.settrace(tracer)
     try:
         # The node is imported under the tracer: some functions are called by modules only.
-        from dcp_conformance.selftest import Suite
         from dcp_stack.config import NodeConfig
 
         # Otherwise the first case alone would execute what is found out once and kept for all others.
         setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
-        suite = Suite(profile)
+        suite, _ = suite_of(node)
         always = tracer.take()
         for result in suite.run(chosen):
             for module, line in tracer.take():
@@ -99,7 +99,7 @@ def measure(profile: str, numbers: Sequence[int] | None = None) -> Reach:
     finally:
         sys.settrace(None)
     return Reach(
-        profile,
+        node,
         {module: {line: tuple(each) for line, each in lines.items()} for module, lines in found.items()},
         {module: _of_module(module, always) for module in {module for module, _ in always}},
     )

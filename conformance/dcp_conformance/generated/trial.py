@@ -14,10 +14,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from types import CodeType, ModuleType
-from typing import Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
+from dcp_spec.profile import Profile
 from dcp_spec.profile_loading import load_profile
+from dcp_spec.readings import readings
 
 from dcp_conformance.case import Case, all_cases
 from dcp_conformance.errors import ConformanceError
@@ -27,8 +29,15 @@ from dcp_conformance.verdict import Verdict
 from .reach import Reach
 from .sites import Site, cited, mutated
 
+if TYPE_CHECKING:
+    from dcp_conformance.selftest import Suite
+
 PROFILES: Final = ("dcp-2.0", "dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "cpp-2.0")
 """Profiles on which a change is tried, until one notices: much of the source serves one version only."""
+OTHER_READINGS: Final = "dcp-2.0 with other readings"
+"""The node with the second alternative of every reading: some of the source serves only these."""
+NODES: Final = (*PROFILES, OTHER_READINGS)
+"""Everything that a change is tried on, by name."""
 #: How the cases about a module begin, by the first word of its name.
 _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
     lambda: ("TC_",),
@@ -87,23 +96,40 @@ def cases() -> tuple[Case, ...]:
 class Step(NamedTuple):
     """A part of a trial."""
 
-    profile: str
+    node: str
+    """One of :data:`NODES`."""
     cases: tuple[int, ...] | None
     """Numbers of the cases to run (see :func:`cases`); None: all."""
 
 
-#: Every case on every profile.
-_EVERYTHING: Final = tuple(Step(profile, None) for profile in PROFILES)
+#: Every case on every node.
+_EVERYTHING: Final = tuple(Step(node, None) for node in NODES)
+
+
+def suite_of(node: str) -> tuple[Suite, Profile]:
+    """The suite against the node with one of the names in :data:`NODES`, and the profile of that node."""
+    # The node must not be imported before its change is in place.
+    from dcp_conformance.reference.inprocess import plain_node
+    from dcp_conformance.selftest import Suite
+
+    if node != OTHER_READINGS:
+        return Suite(node), load_profile(node)
+    profile = PROFILES[0]
+    others = {each.id: each.alternatives[1].name for each in readings().values() if len(each.alternatives) > 1}
+    return (
+        Suite(profile, lambda config, *rest: plain_node(msgspec.structs.replace(config, readings=others), *rest)),
+        load_profile(profile),
+    )
 
 
 def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
     """What must be run to see whether a case notices the change; empty if no case executes the changed code.
 
-    ``reached``: what the cases execute on each profile; without it every case is run on every profile.
+    ``reached``: what the cases execute on each node; without it every case is run on every node.
     """
     if not reached:
         return _EVERYTHING
-    found = [(each.profile, each.cases(site)) for each in reached]
+    found = [(each.node, each.cases(site)) for each in reached]
     return tuple(
         Step(name, None if some is None else tuple(sorted(some))) for name, some in found if some is None or some
     )
@@ -145,11 +171,10 @@ def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
     noticed: Outcome | None = None
     profile = ""
     try:
-        from dcp_conformance.selftest import Suite, is_declared
+        from dcp_conformance.selftest import is_declared
 
         for profile, numbers in _EVERYTHING if plan is None else plan:
-            suite = Suite(profile)
-            wire = load_profile(profile)
+            suite, wire = suite_of(profile)
             for result in itertools.chain(suite.run(_timed(_in_order(site, numbers))), suite.passive()):
                 if result.verdict is Verdict.FAIL and not is_declared(result, wire):
                     return outcome("killed", f"{result.id}: {result.reason}", profile)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable
 
-from dcp_spec.constants import SpecVersion
-
 from dcp_codec.values import Beacon, Payload
 from dcp_stack.bp import BeaconingProtocol
 from dcp_stack.bp_wire import BPWire
@@ -14,7 +12,7 @@ from dcp_stack.effects import SendBeacon
 
 from .air import Air
 from .mutant import mutant
-from .unseen import NO_LENGTH, NO_NETWORK, NOT_SET, RIGHT_SINCE_1_1
+from .unseen import NO_LENGTH, NO_NETWORK, NOT_SET
 
 Blocks = list[tuple[int, bytes]]
 
@@ -219,20 +217,13 @@ class Numbers(BPWire):
         return seqno
 
 
-@mutant("starts-at-two", "BP-HDR-08 BP-INI-02", "begins with sequence number 2", since=SpecVersion.V1_1)
+@mutant("starts-at-two", "BP-HDR-12 BP-INI-02", "begins with sequence number 2")
 class StartsAtTwo(Numbers):
     def number(self, seqno: int) -> int:
         return seqno + 2
 
 
-@mutant(
-    "starts-at-zero",
-    "BP-HDR-08 BP-INI-02",
-    "begins with sequence number 0, where 1.0 increments before it sends",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_0,
-    unseen=RIGHT_SINCE_1_1,
-)
+@mutant("starts-at-zero", "BP-HDR-13 BP-INI-02", "begins with sequence number 0, where 1.0 increments before it sends")
 class StartsAtZero(Numbers):
     def number(self, seqno: int) -> int:
         return seqno - 1
@@ -272,7 +263,7 @@ class IdleConsumed(BeaconingProtocol):
             self._seqno += 1
 
 
-@mutant("survives", "BP-INI-02 BP-HDR-08", "goes on counting beacons after a reset")
+@mutant("survives", "BP-INI-02 BP-HDR-12 BP-HDR-13", "goes on counting beacons after a reset")
 class Survives(Air):
     def reset(self, now: int, wall: int) -> None:
         seqno = self.bp._seqno

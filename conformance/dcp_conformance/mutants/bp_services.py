@@ -319,13 +319,7 @@ class EmptyClears(Transmissions):
         return status
 
 
-@mutant(
-    "empty-refused",
-    "BP-TXP-06",
-    "refuses an empty payload, which in 1.0 empties a buffer",
-    until=SpecVersion.V1_0,
-    unseen=RIGHT_SINCE_1_1,
-)
+@mutant("empty-refused", "BP-TXP-13", "refuses an empty payload, which in 1.0 empties a buffer")
 class EmptyRefused(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         return BPStatus.EMPTY_PAYLOAD if client is not None and not payload else super()._submit(client, payload, now)
@@ -357,7 +351,7 @@ class FullIsAnError(BeaconingProtocol):
         return status
 
 
-@mutant("empty-first", "BP-TXP-10", "looks for an empty payload before it looks for the client", since=SpecVersion.V1_1)
+@mutant("empty-first", "BP-TXP-10", "looks for an empty payload before it looks for the client")
 class EmptyFirst(Transmissions):
     def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
         return BPStatus.EMPTY_PAYLOAD if not payload else status

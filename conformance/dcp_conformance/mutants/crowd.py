@@ -26,7 +26,7 @@ class Thousand(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
 
-@mutant("dies-of-1001", "SRP-RX-03", "dies of the 1001st neighbour")
+@mutant("dies-of-1001", "SRP-RX-03 BP-RX-16", "dies of the 1001st neighbour")
 class DiesOfMany(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int

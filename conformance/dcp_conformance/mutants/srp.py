@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Literal
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, QueueingMode
 from dcp_spec.parameters import Violation
 from dcp_spec.status import SRPStatus
 
@@ -115,14 +115,7 @@ class Repeats(Reporting):
             return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
 
 
-@mutant(
-    "once",
-    "SRP-INI-03",
-    "registers with mode ONCE instead of REPEAT, as only later versions do",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_2,
-    unseen={"1.3 2.0": "it is right since 1.3"},
-)
+@mutant("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as only later versions do")
 class Once(Reporting):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:

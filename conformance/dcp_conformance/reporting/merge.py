@@ -57,6 +57,36 @@ def compare(old: RunResult, new: RunResult) -> list[Change]:
     return sorted(changes, key=lambda change: order.index(change.kind))
 
 
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """A requirement that one run fails and another passes."""
+
+    id: str
+    old: Verdict
+    new: Verdict
+
+
+def side_by_side(old: RunResult, new: RunResult) -> list[tuple[str, Verdict | None, Verdict | None]]:
+    """The requirements with different verdicts in two runs, in the order of the catalogue; None: not decided.
+
+    For results of different commands (``run`` and ``check``), which have no cases in common.
+    """
+    return [
+        (identifier, verdicts[0], verdicts[1])
+        for identifier, verdicts in matrix((old, new))
+        if verdicts[0] is not verdicts[1]
+    ]
+
+
+def contradictions(old: RunResult, new: RunResult) -> list[Contradiction]:
+    """The requirements that one of two runs passes and the other fails."""
+    return [
+        Contradiction(identifier, was, is_now)
+        for identifier, was, is_now in side_by_side(old, new)
+        if was is not None and is_now is not None and {was, is_now} == {Verdict.PASS, Verdict.FAIL}
+    ]
+
+
 def _by_case(run: RunResult) -> dict[str, CaseResult]:
     found: dict[str, CaseResult] = {}
     for case in (*run.cases, *run.invariants):

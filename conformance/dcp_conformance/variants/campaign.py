@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import as_completed
 from typing import Final
 
@@ -48,6 +48,8 @@ class Judged(msgspec.Struct, frozen=True):
     """Cases in which the tester stumbled, and a set-up that could not be tested at all."""
     seconds: float
     """Processor time."""
+    used: tuple[str, ...] = ()
+    """The expressions of the variant that explained an inconclusive verdict."""
 
     @property
     def good(self) -> bool:
@@ -66,6 +68,14 @@ class VariantsResult(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds."""
     trials: tuple[Judged, ...] = ()
 
+    def idle(self, variants: Iterable[Variant]) -> dict[str, list[str]]:
+        """Expressions that explained nothing, by variant; only of those that were judged on all of their profiles."""
+        used = {(each.variant, one) for each in self.trials for one in each.used}
+        tried = {(each.variant, each.profile) for each in self.trials}
+        whole = [each for each in variants if tried >= {(each.id, profile) for _, profile in trials_of([each])}]
+        idle = {each.id: [one for one in each.explains if (each.id, one) not in used] for each in whole}
+        return {name: found for name, found in idle.items() if found}
+
     def exit_status(self) -> int:
         """0: the suite is fair to every variant; 1: not so; 4: the tester stumbled."""
         if any(each.errors for each in self.trials):
@@ -80,6 +90,7 @@ def judge(variant: Variant, profile: str, cases: Sequence[Case] | None = None) -
     fails: list[Finding] = []
     unexplained: list[Finding] = []
     errors: list[Finding] = []
+    used: dict[str, None] = {}
     try:
         results = _results(variant, profile, cases)
     except Exception as error:
@@ -96,8 +107,9 @@ def judge(variant: Variant, profile: str, cases: Sequence[Case] | None = None) -
             fails.append(finding_of(result))
         elif result.verdict is Verdict.ERROR:
             errors.append(finding_of(result))
-        elif variant.explanation(result.id, result.reason):
+        elif reason := variant.explanation(result.id, result.reason):
             explained += 1
+            used[reason] = None
         else:
             unexplained.append(finding_of(result))
     return Judged(
@@ -112,6 +124,7 @@ def judge(variant: Variant, profile: str, cases: Sequence[Case] | None = None) -
         explained,
         tuple(errors),
         round(time.process_time() - began, 2),
+        tuple(used),
     )
 
 

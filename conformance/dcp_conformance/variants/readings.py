@@ -24,6 +24,9 @@ _VERSIONS = {
     "X36": (_V.V2_0, _V.V2_0),
     "X37": (_V.V1_2, _V.V2_0),
     "X38": (_V.V2_0, _V.V2_0),
+    "X31": (_V.V2_0, _V.V2_0),  # before, the number in the text is that of the version
+    "X44": (_V.V1_1, _V.V2_0),  # 1.0 never puts several payloads of a client into a beacon
+    "X47": (_V.V1_0, _V.V1_1),  # later there is a length field
 }
 #: Inconclusive verdicts that follow from the alternative.
 _EXPLAINS: dict[str, tuple[str, ...]] = {}

@@ -1,0 +1,433 @@
+"""dcp-bp.md: Receive Path, as a client protocol of the tester sees it.
+
+What BP makes of received beacons shows in BP-ReceivePayload.indication as well, so that an implementation without
+VarDis is decided. What has to be ignored is followed by an honest beacon that must be indicated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+from collections.abc import Callable, Sequence
+
+from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
+
+from dcp_conformance.bench import Bench
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.clients import (
+    ACTIVATE,
+    CLIENT,
+    DEACTIVATE,
+    DEREGISTER,
+    ONCE,
+    REGISTER,
+    BPClient,
+    header_octets,
+    listed,
+    needed,
+    until,
+    unused_protocol_id,
+)
+from dcp_conformance.findings import part_of
+from dcp_conformance.forge import Block, Lies
+from dcp_conformance.peers import Peer
+
+from .bp_receive import length_is_of_blocks, lengths
+from .bp_seqno import check_first_number, first_number
+
+V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
+_RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
+_LENGTHS = dataclasses.replace(lengths(), entities=(), ut=_RECEPTION.ut)
+#: Blocks in one beacon: more than a receiver is likely to have a fixed number of places for.
+_MANY = 40
+
+
+def after(bench: Bench, client: BPClient, peer: Peer, what: str, *requirements: str) -> list[bytes]:
+    """Send an honest beacon and wait until its payload is indicated; the payloads indicated before.
+
+    Stops as failed if it is not, also not a second time: the receiver does not work any more after ``what``.
+    """
+    for number in (1, 2):
+        honest = b"honest" + bytes([number])
+        peer.send(Block(client.prot_id, honest))
+        if until(bench, lambda sent=honest: sent in client.received()):  # type: ignore[misc]
+            received = client.received()
+            return received[: received.index(honest)]
+    bench.fail(f"a payload after {what} is indicated", "two are not", *requirements)
+    return None
+
+
+def check_ignored(bench: Bench, send: Callable[[Peer, Block], object], what: str, *requirements: str) -> None:
+    """Check that no payload of what ``send`` sends with a block of a client is indicated."""
+    with BPClient(bench, ONCE) as client:
+        peer, hidden = bench.peer(), b"hidden"
+        send(peer, Block(client.prot_id, hidden))
+        received = after(bench, client, peer, what)
+        bench.check(
+            hidden not in received, f"{what} is discarded", "its payload is indicated", *requirements, shown=True
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Fault:
+    """A header that must not be accepted."""
+
+    what: str
+    requirement: str
+    field: str
+    lies: Callable[[Bench], Lies]
+    since: SpecVersion = SpecVersion.V1_0
+
+
+def _other_network(bench: Bench) -> int:
+    return int(bench.parameter("BPPAR_NETWORK_ID")) ^ 1
+
+
+_FAULTS: dict[str, _Fault] = {
+    "version": _Fault("a beacon of another version", "BP-RX-01", "version", lambda _: {"bp.version": 2}),
+    "magic": _Fault("a beacon with another magic number", "BP-RX-02", "magicNo", lambda _: {"bp.magicNo": 0x497F}),
+    "length-0": _Fault("a beacon of length 0", "BP-RX-03", "length", lambda _: {"bp.length": 0}, V1_2),
+    "no-payloads": _Fault(
+        "a beacon that announces no payloads", "BP-RX-04", "numPayloads", lambda _: {"bp.numPayloads": 0}
+    ),
+    "network": _Fault(
+        "a beacon of another network",
+        "BP-RX-05",
+        "networkId",
+        lambda bench: {"bp.networkId": _other_network(bench)},
+        V2_0,
+    ),
+}
+
+
+@case(
+    "TC_BP_CRX_BI_01",
+    "No payload of a beacon whose header is wrong is indicated ({variant})",
+    requirements="BP-RX-01",
+    stimulus="a beacon with a block of a client and a wrong header: {variant}; then an honest one",
+    expect="an indication of the second payload only",
+    variants={
+        name: Variant(
+            fault,
+            requirements=fault.requirement,
+            needs=dataclasses.replace(
+                _RECEPTION,
+                since=fault.since,
+                header=(fault.field,),
+                when=length_is_of_blocks if fault.field == "length" else None,
+            ),
+        )
+        for name, fault in _FAULTS.items()
+    },
+)
+def wrong_header(bench: Bench, fault: _Fault) -> None:
+    check_ignored(bench, lambda peer, block: peer.send(block, lies=fault.lies(bench)), fault.what, fault.requirement)
+
+
+@case(
+    "TC_BP_CRX_BI_02",
+    "No payload of a beacon that claims to be the node's own is indicated",
+    requirements="BP-RX-06",
+    stimulus="a beacon with a block of a client and the implementation's identifier as senderId; then an honest one",
+    expect="an indication of the second payload only",
+    needs=dataclasses.replace(_RECEPTION, ut=CLIENT, header=("senderId",)),
+)
+def own_sender(bench: Bench) -> None:
+    if bench.session.sut_id is None:
+        with BPClient(bench, ONCE) as client:
+            client.transmit(client.payload())
+            needed(bench, client.until_sent(), "a beacon of the implementation")
+    check_ignored(bench, lambda peer, block: peer.send(block, sender=bench.sut_id), "a beacon of its own")
+
+
+@case(
+    "TC_BP_CRX_BV_01",
+    "Each of 40 blocks in a beacon is indicated, in the order of the blocks",
+    requirements="BP-RX-07 BP-RXP-02",
+    stimulus="a beacon with 40 blocks of a client, of different lengths",
+    expect="40 indications, in order",
+    needs=_RECEPTION,
+)
+def many_blocks(bench: Bench) -> None:
+    if bench.profile.bp.payload_area:
+        bench.not_applicable(f"a beacon of the profile {bench.profile.name} has no room for {_MANY} blocks")
+    with BPClient(bench, ONCE) as client:
+        payloads = [bytes([number, *range(number % 3)]) for number in range(_MANY)]
+        bench.peer().send(*(Block(client.prot_id, octets) for octets in payloads))
+        received = client.until_received(_MANY)
+        places = [payloads.index(each) for each in received if each in payloads]
+        bench.check(
+            received == payloads,
+            f"{_MANY} indications in order",
+            f"of blocks {places}",
+            shown=not part_of(received, payloads),
+        )
+
+
+@case(
+    "TC_BP_CRX_BV_02",
+    "Beacon sequence numbers are not checked ({variant})",
+    requirements="BP-RX-10",
+    stimulus="beacons of one sender with blocks of a client; sequence numbers: {variant}",
+    expect="an indication for each",
+    needs=dataclasses.replace(_RECEPTION, since=V1_1, header=("seqno",)),
+    variants={"repeated": (41, 41, 41), "decreasing": (999, 5, 0), "wrapping": (BP_SEQNO_MODULUS - 1, 0, 1)},
+)
+def any_number(bench: Bench, numbers: Sequence[int]) -> None:
+    with BPClient(bench, ONCE) as client:
+        peer, payloads = bench.peer(), [bytes([65 + place]) for place in range(len(numbers))]
+        for number, octets in zip(numbers, payloads, strict=True):
+            peer.seqno = number
+            peer.send(Block(client.prot_id, octets))
+        received = client.until_received(len(payloads))
+        said = f"of {listed(received, payloads)}"
+        bench.check(set(received) >= set(payloads), f"indications of payloads {listed(payloads, payloads)}", said)
+
+
+@case(
+    "TC_BP_CRX_BI_03",
+    "A block that is longer than its beacon is not indicated ({variant})",
+    requirements="BP-RX-09",
+    stimulus="a beacon with two blocks of a client, of which the second claims {variant} octets more; an honest one",
+    expect="no indication of the second block; the first is indicated, or the beacon is discarded (X48)",
+    needs=dataclasses.replace(_RECEPTION, since=V1_1, header=("numPayloads",), when=length_is_of_blocks),
+    variants={"1": 1, "4": 4, "1000": 1000},
+)
+def past_the_end(bench: Bench, more: int) -> None:
+    with BPClient(bench, ONCE, size=128) as client:
+        # Long enough not to be padded by the bearer.
+        peer, good, bad = bench.peer(), b"good" * 6, b"bad!" * 16
+        blocks = [Block(client.prot_id, octets) for octets in (good, bad)]
+        peer.send(*blocks, lies={"payloads[1].length": len(bad) + more})
+        received = after(bench, client, peer, "a block that is longer than its beacon")
+        wrong = [octets for octets in received if octets != good]
+        said = f"{len(wrong)} others, of {', '.join(str(len(each)) for each in wrong)} octets"
+        bench.check(not wrong, "an indication of the first block at most", said, shown=True)
+        bench.reading("X48", "deliver-blocks" if good in received else "discard-beacon")
+
+
+@case(
+    "TC_BP_CRX_BI_04",
+    "numPayloads {variant} for two blocks is survived",
+    requirements="BP-RX-12",
+    stimulus="a beacon with two blocks of a client and numPayloads {variant}; then an honest one",
+    expect="what is indicated is reported (X47, X48)",
+    needs=dataclasses.replace(_RECEPTION, header=("numPayloads",)),
+    variants={"1": 1, "3": 3},
+)
+def other_count(bench: Bench, claimed: int) -> None:
+    with BPClient(bench, ONCE) as client:
+        peer, payloads = bench.peer(), [b"first" * 6, b"second" * 6]
+        blocks = [Block(client.prot_id, octets) for octets in payloads]
+        peer.send(*blocks, lies={"bp.numPayloads": claimed})
+        received = after(bench, client, peer, "a wrong number of payloads", "BP-RX-16")
+        bench.check(part_of(received, payloads), "whole blocks", f"{[each.hex() for each in received]}", shown=True)
+        if bench.profile.has_header_field("length"):
+            bench.reading("X48", "deliver-blocks" if received else "discard-beacon")
+        elif claimed < len(payloads):
+            whole = len(received) > claimed
+            bench.reading("X47", "whole-frame" if whole else "counted-blocks")
+
+
+@case(
+    "TC_BP_CRX_BV_03",
+    "Padding behind the end of a beacon is ignored ({variant})",
+    requirements="BP-RX-14",
+    stimulus="a beacon with a block of a client, followed by octets that length does not count",
+    expect="an indication of the block, and of that of the next beacon",
+    needs=_LENGTHS,
+    variants={"1-zero": b"\0", "46-zeros": bytes(46), "7-others": bytes(range(200, 207))},
+)
+def padding(bench: Bench, octets: bytes) -> None:
+    with BPClient(bench, ONCE) as client:
+        peer, inside = bench.peer(), b"inside"
+        peer.send(Block(client.prot_id, inside), padding=octets)
+        received = after(bench, client, peer, "padding")
+        bench.check(inside in received, "the block before the padding is indicated", "it is not")
+        bench.check(set(received) <= {inside}, "nothing else is", f"{[each.hex() for each in received]}", shown=True)
+
+
+@case(
+    "TC_BP_CRX_BI_05",
+    "A length that reaches {variant} beyond the frame is survived, as a client sees it",
+    requirements="BP-RX-15",
+    stimulus="a beacon with a block of a client whose length reaches {variant} beyond the frame; then an honest one",
+    expect="an indication of the second payload; whether the first is indicated is a reading (X02)",
+    needs=_LENGTHS,
+    variants={"1-octet": 1, "as-far-as-possible": None},
+    destructive=True,
+)
+def length_beyond_frame(bench: Bench, more: int | None) -> None:
+    with BPClient(bench, ONCE) as client:
+        peer, octets = bench.peer(), b"beyond"
+        block = Block(client.prot_id, octets)
+        honest = len(peer.beacon(block)) - header_octets(bench)
+        peer.send(block, lies={"bp.length": 0xFFFF if more is None else honest + more})
+        received = after(bench, client, peer, "a length beyond the frame", "BP-RX-15")
+        bench.reading("X02", "frame-size" if octets in received else "length-field")
+        bench.check(True, "the payload of the next beacon is indicated")
+
+
+@case(
+    "TC_BP_CRX_BI_06",
+    "Octets that are no beacon are survived, as a client sees it",
+    requirements="BP-RX-16",
+    stimulus="a beacon cut off behind each of its octets, and 20 frames of arbitrary octets; then an honest one",
+    expect="no indication for any of them; an indication for the honest one",
+    needs=_RECEPTION,
+    destructive=True,
+)
+def no_beacons(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        peer, rng = bench.peer(), random.Random(3)  # noqa: S311 - the same octets every time, no secret
+        # Where blocks have a fixed size, most of their octets mean nothing.
+        whole = peer.beacon(Block(client.prot_id, b"whole"))
+        for end in range(header_octets(bench) + (0 if bench.profile.bp.payload_area else len(b"whole"))):
+            peer.send_octets(whole[:end])
+        for _ in range(20):
+            peer.send_octets(rng.randbytes(rng.choice((0, 1, 17, 46, 100))))
+        received = after(bench, client, peer, "octets that are no beacon", "BP-RX-16")
+        bench.check(not received, "no indication", f"{[each.hex() for each in received]}", shown=True)
+
+
+@case(
+    "TC_BP_CRX_BO_01",
+    "What a deactivated BP receives is never indicated to a client",
+    requirements="BP-MGT-03 BP-RX-13",
+    stimulus="while BP is inactive, a block for a client; BP-MGMT-Activate; then an honest beacon",
+    expect="an indication of the second payload only",
+    needs=dataclasses.replace(_RECEPTION, since=V1_2, ut=(REGISTER, DEREGISTER, ACTIVATE, DEACTIVATE)),
+    window=6,
+)
+def deaf_for_clients(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        peer, early = bench.peer(), b"while inactive"
+        with bench.deactivated("BP"):
+            peer.send(Block(client.prot_id, early))
+            bench.wait(1)
+        received = after(bench, client, peer, "an inactive time", "BP-MGT-05")
+        bench.check(early not in received, "nothing of what came before is indicated", "it is", shown=True)
+
+
+@case(
+    "TC_BP_CRX_BV_04",
+    "A block for nobody and an empty one do not hide the block behind them",
+    requirements="BP-RX-08 BP-RX-07",
+    stimulus="a beacon with a block for nobody, an empty one for nobody, an empty one of a client, and one with octets",
+    expect="an indication of the last; whether the empty block is indicated is a reading (X46)",
+    needs=_RECEPTION,
+)
+def behind_others(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        peer, octets, nobody = bench.peer(), b"behind", unused_protocol_id(bench)
+        peer.send(
+            Block(nobody, b"nobody"), Block(nobody, b""), Block(client.prot_id, b""), Block(client.prot_id, octets)
+        )
+        received = after(bench, client, peer, "blocks for nobody")
+        bench.check(octets in received, "an indication of the last block", "there is none")
+        bench.check(set(received) <= {b"", octets}, "nothing else", f"{[each.hex() for each in received]}", shown=True)
+        bench.reading("X46", "deliver-empty" if b"" in received else "ignore-empty")
+
+
+@case(
+    "TC_BP_INI_BV_05",
+    "After a reset sequence numbers start again, as the payload of a client shows",
+    requirements="BP-INI-02 BP-HDR-12 BP-HDR-13",
+    stimulus="two payloads of a client, UT-Reset, a third",
+    expect="the first beacon has seqno 0 (1 in version 1.0; X03)",
+    window=8,
+    needs=Needs(entities=(), ut=(*CLIENT, "UT-Reset"), header=("seqno",)),
+)
+def numbers_after_reset(bench: Bench) -> None:
+    for _ in range(2):
+        with BPClient(bench, ONCE) as client:
+            client.transmit(client.payload())
+            needed(bench, client.until_sent(), "a beacon with the payload")
+    bench.must("UT-Reset")
+    # Some of the time before may be on its way to the tester still.
+    from_now = bench.now() + bench.period // 50
+    with BPClient(bench, ONCE) as client:
+        client.transmit(client.payload())
+        needed(bench, client.until_sent(), "a beacon with the payload")
+    check_first_number(bench, first_number(bench, (), [heard for heard in bench.heard if heard.time >= from_now]))
+
+
+@case(
+    "TC_BP_HDR_BV_12",
+    "No number is used up while no client has a payload",
+    requirements="BP-HDR-09",
+    stimulus="a payload of a client, then nothing for six periods, then another payload",
+    expect="the number after the pause is the next one",
+    window=12,
+    needs=Needs(entities=(), ut=CLIENT, header=("seqno",)),
+)
+def idle_clients(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        client.transmit(client.payload())
+        needed(bench, client.until_sent(), "a beacon with the payload")
+        bench.until_quiet(lambda heard: heard, 6)
+        last, pause = bench.heard[-1], bench.wait(6)
+        client.transmit(client.payload())
+        needed(bench, client.until_sent(), "a beacon with the second payload")
+    following = bench.heard[bench.heard.index(last) + 1]
+    if last.seqno is None or following.seqno is None:
+        bench.inconclusive("beacons that can be read", f"{last.problem or following.problem}")
+    right = (last.seqno + 1) % BP_SEQNO_MODULUS
+    if following.seqno != right:
+        bench.fail(f"{right} follows", f"{following.seqno} does", frames=[last, following], numbers=True)
+    if pause:
+        bench.inconclusive("a pause in which it has nothing to send", f"{len(pause)} beacons came")
+    bench.check(True, "consecutive numbers")
+
+
+@case(
+    "TC_BP_HDR_BV_13",
+    "protocolId and length of a block are two octets each, as the payload of a client shows",
+    requirements="BP-HDR-11",
+    stimulus="a payload of 258 octets under a protocol identifier of two different octets",
+    expect="both octets of the identifier, both octets of the length, and the payload, one behind the other",
+    needs=Needs(
+        entities=(),
+        ut=CLIENT,
+        when=lambda bench: "blocks have a fixed size" if bench.profile.bp.payload_area else None,
+    ),
+)
+def block_header(bench: Bench) -> None:
+    with BPClient(bench, ONCE, size=258) as client:
+        payload = client.payload(258)
+        client.transmit(payload)
+        found = bench.until(lambda heard: heard if payload in heard.octets else None)
+        needed(bench, found, "a beacon with the payload")
+        assert found is not None
+        place = found.octets.index(payload)
+        head, right = found.octets[place - 4 : place], client.prot_id.to_bytes(2) + len(payload).to_bytes(2)
+        bench.check(
+            head == right, f"octets {right.hex(' ')} before the payload", head.hex(" "), frames=[found], shown=True
+        )
+
+
+@case(
+    "TC_BP_CRX_BV_05",
+    "Node identifiers of senders are compared for equality and nothing else ({variant})",
+    requirements="DATA-04",
+    stimulus="a beacon with a block of a client and the senderId {variant}",
+    expect="an indication",
+    needs=Needs(
+        entities=(),
+        ut=CLIENT,
+        header=("senderId",),
+        when=lambda bench: "identifiers are text" if bench.profile.types.node_id.representation == "text" else None,
+    ),
+    variants={
+        "zeros": lambda own: bytes(len(own)),
+        "ones": lambda own: b"\xff" * len(own),
+        "own-but-for-the-last-bit": lambda own: own[:-1] + bytes([own[-1] ^ 1]),
+    },
+)
+def any_sender(bench: Bench, made: Callable[[bytes], bytes]) -> None:
+    with BPClient(bench, ONCE) as client:
+        if bench.session.sut_id is None:
+            client.transmit(client.payload())
+            needed(bench, client.until_sent(), "a beacon of the implementation")
+        bench.peer().send(Block(client.prot_id, b"from anybody"), sender=made(bench.sut_id))
+        bench.check(client.until_received(), "an indication", "there is none in time")
