@@ -280,6 +280,8 @@ class Runner:
         why_not(bench, case)
         trial = Trial(case, bench, self.session.lower.now(), bench.checks)
         try:
+            # Before the reset, which removes the variables that the measurement creates.
+            self._measure()
             if not fresh:
                 self._reset()
             if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
@@ -288,7 +290,6 @@ class Runner:
                     Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
                 )
                 return trial
-            self._measure()
             bench.mark()
             bench.heard.clear()
             self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
