@@ -67,9 +67,9 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
 
 
 @case(
-    "TC_BP_QM_BV_13",
+    "TC_BP_QM_BV_15",
     "A queue of 1.0 has no bound: it keeps 66 payloads in their order, and BP says how many",
-    requirements="BP-QM-03 BP-QRY-02",
+    requirements="BP-QM-03 BP-QM-10 BP-QRY-02",
     stimulus="a client with mode BP_QMODE_QUEUE submits 66 payloads between two beacons",
     expect="BP-QueryNumberBufferedPayloads answers 66; each payload on the air, once and in order",
     window=80,
