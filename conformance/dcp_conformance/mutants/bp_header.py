@@ -12,7 +12,7 @@ from dcp_stack.effects import SendBeacon
 
 from .air import Air
 from .mutant import mutant
-from .unseen import NO_LENGTH, NO_NETWORK, NOT_SET
+from .unseen import NO_LENGTH, NO_NETWORK
 
 Blocks = list[tuple[int, bytes]]
 
@@ -278,7 +278,6 @@ class Survives(Air):
     "no-limit",
     "BP-FMT-02 BP-PAR-02",
     "fills beacons to the bearer's limit, whatever the maximum packet size is",
-    unseen=NOT_SET,
 )
 class NoLimit(BeaconingProtocol):
     def _room(self) -> int:

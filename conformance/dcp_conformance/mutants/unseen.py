@@ -16,7 +16,6 @@ RIGHT_SINCE_1_1: Final = {"1.1 1.2 1.3 2.0": "it is right since 1.1"}
 BP_ALWAYS_ACTIVE: Final = {"1.0 1.1": "no service deactivates BP before 1.2"}
 NO_LENGTH: Final = {"1.0 1.1": "BPHeaderT has no length before 1.2"}
 NO_NETWORK: Final = {BEFORE_2_0: "BPHeaderT has no networkId before 2.0"}
-NOT_SET: Final = {"1.0": "that a change holds for the next beacon is a rule since 1.1 (BP-PAR-02)"}
 ONE_PAYLOAD: Final = {"1.0": "a beacon holds one payload of a client in 1.0"}
 RIGHT_IN_2_0: Final = {"2.0": "it is right since 2.0"}
 NO_MODE: Final = {"1.0": "1.0 has no such queueing mode"}
