@@ -73,7 +73,7 @@ matrix: $(STAMP)
 selftest-doc: $(STAMP)
 	$(BIN)/dcp-conformance selftest --document docs/selftest.md
 	$(BIN)/dcp-conformance selftest --variants --document docs/selftest.md
-	$(BIN)/dcp-conformance selftest --generated 200 --seed 401 --seed 402 --seed 403 --document docs/selftest.md
+	$(BIN)/dcp-conformance selftest --generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -162,6 +162,12 @@ def test_cases_that_name_a_requirement_cited_near_the_change_come_first():
     assert set(cited(stored)).intersection(first.requirements)
 
 
+def test_a_fixed_draw_is_killed_or_in_the_ledger():
+    result = run(draw(12, 20), jobs=2)
+    assert len(result.judged) >= 6
+    assert [str(trial.site) for trial in result.survivors] == []
+
+
 def _in_new_processes(work, *calls):
     """What ``work`` returns in processes that have not imported the node."""
     context = multiprocessing.get_context("forkserver")
