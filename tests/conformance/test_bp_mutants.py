@@ -576,3 +576,17 @@ def test_what_is_wrong_is_noticed(wrong: type[Wrong], case_id: str, requirement:
     result = one_case(case_id, make=wrong)
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     assert requirement in failed, f"{result.verdict}: {result.reason} {result.error_detail}"
+
+
+class LosesOneBlock(Rebuilds):
+    """Has no room for the last block of one beacon, as a receiver on a busy machine."""
+
+    def blocks(self, blocks: list[Payload]) -> list[Payload]:
+        if len(blocks) == 4 and not vars(self).get("has_lost"):
+            vars(self)["has_lost"] = True
+            return blocks[:3]
+        return blocks
+
+
+def test_a_block_that_is_lost_once_is_sent_again() -> None:
+    assert one_case("TC_BP_RXP_BV_03-1-1-1-1", make=LosesOneBlock).verdict is Verdict.PASS

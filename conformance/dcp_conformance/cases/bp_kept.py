@@ -228,7 +228,8 @@ def one_place(bench: Bench, mode: QueueingMode) -> None:
         bench.check(numbers == [1, 1], "one payload each time", f"{numbers}", "BP-QRY-02", shown=True)
         bench.until_quiet(client.in_frame, since=start)
         client.transmit(payloads[2], must=False)
-        bench.until_quiet(client.in_frame, since=start)
+        client.until_sent(payloads[2])
+        bench.wait(1)
         sent = [each for each in client.sent(start) if each in payloads]
         right = [payloads[0 if mode is DROPTAIL else 1], payloads[2]]
         lost = part_of(sent, right)

@@ -222,7 +222,7 @@ def description_length_beside_values(bench: Bench) -> None:
 @case(
     "TC_VD_PAR_BI_04",
     "The bounds of VARDISPAR_MAX_REPETITIONS",
-    requirements="VD-PAR-04",
+    requirements="VD-PAR-04 VD-PAR-10",
     stimulus="set 1, 15, 0 and 16",
     expect="the first two are taken, the others not; 1.1 has no upper bound (X25)",
     needs=_PARAMETERS,
