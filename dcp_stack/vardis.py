@@ -101,6 +101,8 @@ class Vardis(VariableServices):
             BP_PROTID_VARDIS,
             f"VarDis -- Variable Dissemination Protocol V{self._core.config.named_version}",
             size,
+            ##= VD-INI-07
+            ##= VD-INI-08
             self._core.features.vardis_queueing_mode,
             self._core.settings.bp_queue_entries,
             False,

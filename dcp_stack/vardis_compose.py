@@ -44,6 +44,7 @@ class Composer:
             ICType.UPDATES: database.update_q,
             ICType.REQUEST_VARUPDATES: database.req_upd_q,
         }
+        ##= VD-PAY-07
         ##= VD-PAY-01
         self._order = tuple([(kind, self._queues[kind]) for kind in config.features.container_order])
         ##= VD-IC-02

@@ -118,7 +118,8 @@ class Database:
         return entry
 
     def store(self, entry: DBEntry, value: bytes, seqno: int, *, now: int, wall: int) -> None:
-        """A newer value: repeat its VarUpdate."""
+        """A newer value: repeat its VarUpdate. The specification, and the producer with it, stays."""
+        ##= VD-TYP-09
         ##= VD-UPD-08
         ##= VD-PU-07
         entry.value = value
@@ -150,6 +151,7 @@ class Database:
     def after_last_delete(self, var_id: int) -> None:
         """All repetitions of a VarDelete have been sent."""
         ##= VD-DEL-06
+        ##= VD-DEL-08
         if self.remove_deleted:
             del self.entries[var_id]
 

@@ -101,6 +101,7 @@ class Receiver:
 
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
         """Whether a VarCreate is of a later creation than the one known; nothing tells that before 2.0."""
+        ##= VD-PC-11
         received, stored = record.spec.creation_time, entry.spec.creation_time
         return self._core.features.creation_time and received is not None and stored is not None and received > stored
 

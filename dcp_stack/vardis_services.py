@@ -205,6 +205,9 @@ class VariableServices:
 
     def _confirm(self, status: VardisStatus) -> Confirm:
         """With the code that the version has for it: two were renamed."""
+        ##= VD-DEL-09
+        ##= VD-UPD-12
+        ##= VD-REA-06
         ##= VD-SRV-02
         ##= VD-SRV-03
         ##= DATA-10

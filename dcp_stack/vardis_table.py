@@ -215,10 +215,13 @@ def table(config: NodeConfig) -> Table:
     found = dict(_TABLE)
     if not config.features.creation_time:
         # Nothing tells creations of a variable apart: what is known stays as it is.
+        ##= VD-CRE-16
         found[Event.APP_CREATE] = (_CREATE, _EXISTS, _EXISTS, _EXISTS, _EXISTS)
     elif config.reading("X20") == "by-description":
         found[Event.APP_CREATE] = (_CREATE, _EXISTS, _EXISTS, _CREATE, _CREATE)
     if not config.features.rerequest_unknown:
+        ##= VD-RU-05
+        ##= VD-RC-04
         for event, reason in (
             (Event.RX_REQUEST_UPDATE_BEHIND, "update-request-unknown"),
             (Event.RX_REQUEST_UPDATE_OTHER, "update-request-unknown"),

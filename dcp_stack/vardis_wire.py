@@ -63,6 +63,7 @@ class Extractor:
                 break
             partial: tuple[Container, ...] = error.partial or ()
             bad = self._collect(partial, start, records)
+            ##= VD-RX-11
             if self._policy == "keep-prefix":
                 self._collect(self._complete_records(payload[start:], error, bad - start), bad, records)
                 break
@@ -71,6 +72,7 @@ class Extractor:
             # end is not known: types tell sizes, and a record that is cut off is the last.
             if error.problem.reason != "zero-count":
                 break
+            ##= VD-RX-10
             start = bad + self._sizes.ic_header
             try:
                 self._collect(self._codec.decode_containers(payload[start:]), start, records)

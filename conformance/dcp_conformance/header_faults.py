@@ -131,6 +131,8 @@ def _all_faults(codec: Codec) -> Iterator[Fault]:
     def with_header(names: tuple[str, ...]) -> Profile:
         return replace(profile, bp=replace(profile.bp, header=names))
 
+    if "length" not in header:
+        yield from _counts(codec)
     yield from _orders(codec)
     # What a version had or had not comes first: it is also what a wrong profile looks like.
     for name in sorted(
@@ -160,6 +162,31 @@ def _all_faults(codec: Codec) -> Iterator[Fault]:
         names[index : index + 2] = reversed(names[index : index + 2])
         text = f"{names[index]} stands before {names[index + 1]}"
         yield Fault("BP-HDR-10", f"the header {', '.join(header)}", text, header[index], with_header(tuple(names)))
+
+
+def _counts(codec: Codec) -> Iterator[Fault]:
+    """More payloads counted than there are: without a length only numPayloads tells where a beacon ends."""
+    group = next((each for each in getattr(codec.envelope_plan, "members", ()) if each.name == "bp"), None)
+    if not isinstance(group, Group):
+        return
+    place = 0
+    for member in group.members:
+        if not isinstance(member, Scalar):
+            return
+        if member.name == "numPayloads":
+            break
+        place += member.size
+
+    def mended(octets: bytes) -> bytes:
+        return (
+            octets
+            if place >= len(octets)
+            else octets[:place] + bytes([max(0, octets[place] - 1)]) + octets[place + 1 :]
+        )
+
+    yield Fault(
+        "BP-HDR-07", "numPayloads is the number of payload blocks", "there is one less", "numPayloads", mended=mended
+    )
 
 
 def _orders(codec: Codec) -> Iterator[Fault]:

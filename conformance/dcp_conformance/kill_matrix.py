@@ -7,6 +7,7 @@ from itertools import groupby
 
 from dcp_spec.requirements import requirements
 
+from .mutants import all_mutants
 from .selftest import Finding, SelftestResult, Trial
 
 _SHOWN = 4
@@ -16,7 +17,8 @@ _PROTOCOLS = {"DATA": "Data types", "UWB": "Bearer", "BP": "BP", "SRP": "SRP", "
 
 def markdown(result: SelftestResult) -> str:
     """The section ``mutants`` of the document; the same for the same suite and mutants, whenever it is made."""
-    killed = sum(trial.killed for trial in result.mutants)
+    there = {trial.mutant for trial in result.mutants}
+    killed = len(there) - len({trial.mutant for trial in result.survivors})
     lines = [
         "## Mutants",
         "",
@@ -28,7 +30,9 @@ def markdown(result: SelftestResult) -> str:
         "Cases that fail with checks that name only other requirements are counted as *also*; they follow from the",
         "fault, too, but do not point at it.",
         "",
-        f"{killed} of {len(result.mutants)} mutants are killed by a case that names the violated requirement.",
+        f"{killed} of {len(there)} mutants are killed by a case that names the violated requirement, on each version",
+        "that has it. Cases are counted on the newest of them. A version in brackets is one on which a mutant is not",
+        "tried, because it is no fault there or cannot be seen; the mutant says why.",
         "",
         "### The node as it is",
         "",
@@ -43,7 +47,8 @@ def markdown(result: SelftestResult) -> str:
 
 def _grouped(trials: Sequence[Trial]) -> Iterator[tuple[str, list[Trial]]]:
     order = {each: number for number, each in enumerate(requirements())}
-    listed = sorted(trials, key=lambda each: (order[each.requirements[0]], each.mutant, each.profile))
+    # The trials of a mutant stay in their order, newest version first.
+    listed = sorted(trials, key=lambda each: (order[each.requirements[0]], each.mutant))
     for protocol, group in groupby(listed, key=lambda each: each.requirements[0].partition("-")[0]):
         yield _PROTOCOLS[protocol], list(group)
 
@@ -51,16 +56,22 @@ def _grouped(trials: Sequence[Trial]) -> Iterator[tuple[str, list[Trial]]]:
 def _table(trials: Sequence[Trial], result: SelftestResult) -> Iterator[str]:
     yield "| mutant | the node ... | violates | on | killed by | also |"
     yield "|---|---|---|---|---|---:|"
-    for each in trials:
-        violates = ", ".join(each.requirements)
-        cells = [f"`{each.mutant}`", each.what, violates, each.profile, _killers(each, counted=result.every)]
+    known = all_mutants()
+    for name, group in groupby(trials, key=lambda each: each.mutant):
+        tried = list(group)
+        each = tried[0]
+        on = [one.profile.removeprefix("dcp-") for one in reversed(tried)]
+        unseen = known[name].unseen if name in known else {}
+        where = ", ".join([*on, *(f"({version})" for version in sorted(unseen))])
+        cells = [f"`{name}`", each.what, ", ".join(each.requirements), where, _killers(tried, counted=result.every)]
         cells.append(str(len(each.also)) if each.also else "-")
         yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
-def _killers(trial: Trial, *, counted: bool) -> str:
-    if not trial.killers:
-        return "**nobody**"
+def _killers(tried: Sequence[Trial], *, counted: bool) -> str:
+    if alive := [each.profile for each in tried if not each.killed]:
+        return f"**nobody** on {', '.join(alive)}"
+    trial = tried[0]
     number = f"{len(trial.killers)} of {trial.candidates}: " if counted else ""
     return number + _names(trial.killers)
 

@@ -105,15 +105,15 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
     duration: float = 0.0
     """Seconds."""
     full: bool = False
-    """Whether every mutant met every case."""
+    """Whether every mutant met every case, on its newest version or on the profiles that were asked for."""
     every: bool = False
-    """Whether every mutant met all cases that name its requirement; otherwise those until one killed it."""
+    """Whether every mutant met all cases that name its requirement, likewise; otherwise those until one killed it."""
     baselines: tuple[Baseline, ...] = ()
     mutants: tuple[Trial, ...] = ()
 
     @property
     def survivors(self) -> tuple[Trial, ...]:
-        """Mutants that no case noticed which names the requirement."""
+        """Mutants that no case noticed which names the requirement, each on the version where that is so."""
         return tuple(each for each in self.mutants if not each.killed)
 
     @property
@@ -197,14 +197,36 @@ def is_declared(result: CaseResult, profile: Profile) -> bool:
     return bool(declared) and failed == set(declared or ())
 
 
-def trial(mutant: Mutant, *, profile: str | None = None, full: bool = False, every: bool = False) -> Trial:
+def trials(
+    mutant: Mutant, profiles: Sequence[str] | None = None, *, full: bool = False, every: bool = False
+) -> list[Trial]:
+    """Try ``mutant`` on each of ``profiles``, by default on one profile for each version that it is tried on.
+
+    By default, ``full`` and ``every`` (as for :func:`trial`) hold for the newest version only. The case that killed it
+    on one version is the first one on the next, where it mostly does so as well.
+    """
+    found: list[Trial] = []
+    first = ""
+    for profile in mutant.profiles if profiles is None else profiles:
+        whole = profiles is not None or not found
+        found.append(trial(mutant, profile=profile, full=full and whole, every=every and whole, first=first))
+        first = found[-1].killers[0].case if found[-1].killers else first
+    return found
+
+
+def trial(
+    mutant: Mutant, *, profile: str | None = None, full: bool = False, every: bool = False, first: str = ""
+) -> Trial:
     """Run the cases that name a requirement of ``mutant`` until one kills it.
 
-    ``every``: all of these cases; ``full``: the whole suite. ``profile`` is by default the mutant's own.
+    ``every``: all of these cases; ``full``: the whole suite. ``profile`` is by default the mutant's own. ``first``:
+    the case to begin with, if the others need not be run.
     """
     begun = time.monotonic()
     name = profile or mutant.profile
     named = [case for case in _cases() if set(case.requirements) & set(mutant.requirements)]
+    if first and not full and not every:
+        named.sort(key=lambda case: case.id != first)
     killers: list[Finding] = []
     also: list[Finding] = []
     errors: list[Finding] = []
@@ -275,10 +297,10 @@ def _baseline_task(profile: str) -> Baseline:
     return baseline(profile)
 
 
-def _trial_task(mutant: str, profile: str, full: bool, every: bool) -> Trial:
+def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
     # A mutant may fail in a service: that is an answer, and nobody needs to read its traceback.
     logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
-    return trial(_mutants()[mutant], profile=profile, full=full, every=every)
+    return trials(_mutants()[mutant], profiles, full=full, every=every)
 
 
 Progress = Callable[[Baseline | Trial], None]
@@ -296,8 +318,8 @@ def selftest(
 ) -> SelftestResult:
     """Our node as it is, then each of ``mutants``. Raises :class:`UsageError` for a profile that there is not.
 
-    ``profiles``: instead of those in :data:`PROFILES` for the node and its own for each mutant; a mutant is tried on
-    those of them in whose version it is a fault. ``jobs``: processes, by default one for each processor.
+    ``profiles``: instead of those in :data:`PROFILES` for the node and one for each version for each mutant; a mutant
+    is tried on those of them in whose version it is a fault. ``jobs``: processes, by default one for each processor.
     """
     for name in profiles:
         try:
@@ -306,10 +328,11 @@ def selftest(
             raise UsageError(str(error)) from None
     begun, started = time.monotonic(), timestamp()
     baselines: dict[str, Baseline] = {}
-    trials: dict[tuple[str, str], Trial] = {}
-    pairs = list(_pairs(mutants, profiles))
+    outcomes: dict[str, list[Trial]] = {}
+    wanted = {each.id: _profiles(each, profiles) for each in mutants}
+    wanted = {each: names for each, names in wanted.items() if names}
     if on_start is not None:
-        on_start(len(profiles or PROFILES) + len(pairs))
+        on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
     # Before the processes are forked, so that each of them has it.
     _cases(), _mutants()
     with process_pool(jobs or os.cpu_count() or 1) as pool:
@@ -319,29 +342,29 @@ def selftest(
             baselines[result.profile] = result
             if on_result is not None:
                 on_result(result)
-        tried = [pool.submit(_trial_task, each.id, profile, full, every) for each, profile in pairs]
+        tried = [
+            pool.submit(_trials_task, each, names if profiles else None, full, every) for each, names in wanted.items()
+        ]
         for each in as_completed(tried):
-            outcome = each.result()
-            trials[outcome.mutant, outcome.profile] = outcome
-            if on_result is not None:
-                on_result(outcome)
+            for outcome in each.result():
+                outcomes.setdefault(outcome.mutant, []).append(outcome)
+                if on_result is not None:
+                    on_result(outcome)
     return SelftestResult(
         started=started,
         duration=round(time.monotonic() - begun, 1),
         full=full,
         every=every or full,
         baselines=tuple(baselines[profile] for profile in profiles or PROFILES),
-        mutants=tuple(trials[each.id, profile] for each, profile in pairs),
+        mutants=tuple(outcome for each in wanted for outcome in outcomes[each]),
     )
 
 
-def _pairs(mutants: Sequence[Mutant], profiles: Sequence[str]) -> Iterator[tuple[Mutant, str]]:
-    for each in mutants:
-        if not profiles:
-            yield each, each.profile
-        for profile in profiles:
-            if each.exists_in(_codec(profile).profile.spec_version):
-                yield each, profile
+def _profiles(mutant: Mutant, profiles: Sequence[str]) -> tuple[str, ...]:
+    """Those of ``profiles`` on which a mutant is tried; by default one for each version."""
+    if not profiles:
+        return mutant.profiles
+    return tuple(each for each in profiles if mutant.exists_in(_codec(each).profile.spec_version))
 
 
 @contextmanager

@@ -323,6 +323,7 @@ _VARDIS: Final = (
         unit="repetitions",
         requirement="VD-PAR-04",
         meaning="Largest repetition count of a variable.",
+        ##= VD-PAR-10
         bounds=(_at_least(1), _at_most(15, not_in=(_V.V1_1,))),
     ),
     Parameter(

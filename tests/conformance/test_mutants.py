@@ -13,7 +13,7 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.kill_matrix import markdown
 from dcp_conformance.mutants import Mutant, all_mutants, mutant, node_with
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial, chosen, selftest, trial
+from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial, chosen, selftest, trial, trials
 from dcp_conformance.verdict import Verdict
 from dcp_spec.constants import SpecVersion
 from dcp_spec.requirements import requirements
@@ -27,11 +27,34 @@ EQUAL = "M-VD-RU-03-equal-answered"
 
 
 @pytest.mark.parametrize("identifier", MUTANTS)
-def test_a_mutant_is_killed_by_a_case_that_names_its_requirement(identifier):
-    outcome = trial(MUTANTS[identifier])
-    assert not outcome.errors, [(each.case, each.reason) for each in outcome.errors]
-    also = [each.case for each in outcome.also[:5]]
-    assert outcome.killed, f"{outcome.what}: none of {outcome.candidates} cases; others that fail: {also}"
+def test_a_mutant_is_killed_on_each_version_by_a_case_that_names_its_requirement(identifier):
+    outcomes = trials(MUTANTS[identifier])
+    assert outcomes
+    for outcome in outcomes:
+        assert not outcome.errors, [(each.case, each.reason) for each in outcome.errors]
+        also = [each.case for each in outcome.also[:5]]
+        what = f"{outcome.profile}: {outcome.what}: none of {outcome.candidates} cases; others that fail: {also}"
+        assert outcome.killed, what
+
+
+@pytest.mark.parametrize("identifier", [each.id for each in MUTANTS.values() if each.unseen])
+def test_a_mutant_that_is_not_tried_on_a_version_has_a_reason_and_would_survive(identifier):
+    made = MUTANTS[identifier]
+    for version, why in made.unseen.items():
+        assert why
+        assert version not in made.versions
+        assert not trial(made, profile=f"dcp-{version}", every=True).killed
+
+
+def test_a_mutant_is_tried_on_each_version_that_has_its_requirement():
+    for made in MUTANTS.values():
+        holding = {each for each in SpecVersion if requirements()[made.requirement].holds_in(each)}
+        assert holding <= {*made.versions, *made.unseen}, made.id
+
+
+def test_a_version_that_is_neither_tried_nor_excused_is_refused():
+    with pytest.raises(ValueError, match=r"not tried on 1\.0, which has VD-RU-03: say why in unseen"):
+        mutant("x", "VD-RU-03", "nothing", since=SpecVersion.V1_1)
 
 
 def test_a_profile_that_there_is_not_is_told():
@@ -103,6 +126,12 @@ def test_a_node_that_dies_is_a_kill_and_the_next_case_meets_a_living_one():
     assert len(outcome.killers) < outcome.candidates
 
 
+def test_what_killed_a_mutant_on_one_version_is_tried_first_on_the_next():
+    first, *rest = trials(MUTANTS["M-VD-RC-02-deletion-answered"])
+    assert [each.profile for each in (first, *rest)] == ["dcp-2.0", "dcp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0"]
+    assert all(each.cases == 2 for each in rest), "the sanity case and the killer"
+
+
 def test_parts_find_their_place():
     class Other(Receiver):
         pass
@@ -134,7 +163,7 @@ def test_mutants_are_chosen_by_name_requirement_or_glob():
 
 
 def test_a_mutant_is_tried_where_it_is_a_fault():
-    old = MUTANTS["M-VD-SCP-01-update-requested"]
+    old = MUTANTS["M-VD-RU-05-requested"]
     assert old.profile == "dcp-1.0"
     result = selftest([old, MUTANTS[EQUAL]], profiles=["cpp-2.0"], jobs=1)
     assert [(each.mutant, each.profile) for each in result.mutants] == [(EQUAL, "cpp-2.0")]
@@ -185,7 +214,7 @@ def test_the_matrix_does_not_depend_on_time_and_names_survivors():
     two = SelftestResult(started="then", duration=9.0, full=True, baselines=(GOOD,), mutants=(survivor,))
     text = markdown(one)
     assert text == markdown(two)
-    assert "**nobody**" in text
+    assert "**nobody** on dcp-2.0" in text
     assert "answers \\| everything" in text
     assert "0 of 1 mutants" in text
 

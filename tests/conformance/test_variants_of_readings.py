@@ -68,7 +68,7 @@ def test_an_alternative_has_a_variant(reading: str, name: str, followed: dict[tu
 
 def test_a_choice_that_the_node_ignores_is_no_variant():
     """A configuration can choose any reading of the catalogue; only those that the node asks for change anything."""
-    asked = set(re.findall(r'reading\("([A-Z]\d+)"\)', _source_of_the_node()))
+    asked = set(re.findall(r'readings?\("([A-Z]\d+)"\)', _source_of_the_node()))
     elsewhere = {match[1] for each in _beside_the_node() if (match := re.match(r"V-([A-Z]\d+)-", each.id))}
     ignored = {reading for reading, _ in ALTERNATIVES} - asked - elsewhere
     assert ignored == {each.partition(" ")[0] for each in EXEMPT} & ignored

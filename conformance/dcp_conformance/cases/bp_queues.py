@@ -67,6 +67,35 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
 
 
 @case(
+    "TC_BP_QM_BV_15",
+    "A queue of 1.0 has no bound: it keeps 66 payloads in their order, and BP says how many",
+    requirements="BP-QM-03 BP-QM-10 BP-QRY-02",
+    stimulus="a client with mode BP_QMODE_QUEUE submits 66 payloads between two beacons",
+    expect="BP-QueryNumberBufferedPayloads answers 66; each payload on the air, once and in order",
+    window=80,
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY)),
+)
+def unbounded(bench: Bench) -> None:
+    count = _MANY + _BEYOND
+    with BPClient(bench, QueueingMode.QUEUE) as client:
+
+        def act() -> tuple[list[bytes], int | None]:
+            payloads = [client.payload() for _ in range(count)]
+            for payload in payloads:
+                client.transmit(payload)
+            return payloads, client.number()
+
+        start = bench.mark()
+        what = f"{count} payloads are submitted"
+        payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * count)
+        bench.check(number == count, f"{count} payloads are buffered", f"{number} are", "BP-QRY-02", shown=True)
+        bench.until_quiet(client.in_frame, 2 * count, start)
+        places = [payloads.index(each) for each in client.sent(start) if each in payloads]
+        ordered = places == list(range(count))
+        bench.check(ordered, "each once, in the order of submission", f"payloads {places}", "BP-QM-03", shown=True)
+
+
+@case(
     "TC_BP_REG_BV_05",
     "A queue may have 1 and 64 entries; how many more it may have is reported",
     requirements="BP-REG-05 BP-QM-09",

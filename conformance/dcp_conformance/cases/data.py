@@ -309,7 +309,12 @@ def check_passed_on(bench: Bench, value: bytes, descr: bytes, *requirements: str
     stimulus="a VarCreate with a value of {variant} length, of octets that mean something elsewhere",
     expect="the same VarCreate in a beacon of the implementation",
     needs=Needs(since=V1_1),
-    variants={"least": 1, "medium": 7, "greatest": None},
+    variants={
+        "least": 1,
+        "medium": 7,
+        "greatest": None,
+        "greatest-1.0": Variant(None, requirements="VD-PC-07 VD-PC-10", needs=Needs(until=SpecVersion.V1_0)),
+    },
 )
 def memory_blocks(bench: Bench, length: int | None) -> None:
     # One octet any maximum allows.

@@ -19,7 +19,9 @@ from dcp_conformance.services import (
     UNKNOWN,
     create_request,
     deleted_status,
+    expect_any,
     longest_description,
+    max_repetitions,
     produced,
     settled,
     taught,
@@ -33,8 +35,13 @@ def _too_long(bench: Bench) -> str:
     return (b"v" * (bench.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)).hex()
 
 
+def _several(bench: Bench) -> int:
+    """Repetitions after which a deleted variable is still there for a while, up to 1.3."""
+    return min(5, max_repetitions(bench))
+
+
 def _own_deleted(bench: Bench) -> int:
-    var_id = produced(bench)
+    var_id = produced(bench, rep_cnt=_several(bench))
     settled(bench, var_id)
     bench.must("RTDB-Delete", varId=var_id)
     return var_id
@@ -42,7 +49,7 @@ def _own_deleted(bench: Bench) -> int:
 
 def _foreign_deleted(bench: Bench) -> int:
     peer = bench.peer()
-    var_id = taught(bench, peer)
+    var_id = taught(bench, peer, rep_cnt=_several(bench))
     untaught(bench, peer, var_id)
     return var_id
 
@@ -51,17 +58,22 @@ def _foreign(bench: Bench) -> int:
     return taught(bench, bench.peer())
 
 
-def _asked(bench: Bench, status: str, method: str, *requirements: str, **params: Any) -> None:
+def _or_gone(bench: Bench, status: str) -> tuple[str, ...]:
+    """The status, or up to 1.3 that a deleted variable has left the database by now."""
+    return (status, UNKNOWN) if bench.features.removed_after_deletion else (status,)
+
+
+def _asked(bench: Bench, statuses: tuple[str, ...], method: str, *requirements: str, **params: Any) -> None:
     """Check the status of a request with two mistakes, unless the profile cannot express it."""
     answer = bench.call(method, **params)
     if answer.code == NOT_EXPRESSIBLE:
         bench.info("a request that the profile cannot express", str(answer))
         return
-    bench.check_status(answer, (status,), method, *requirements)
+    bench.check_status(answer, statuses, method, *requirements)
 
 
 _Two = tuple[str, Callable[[Bench], int], Callable[[Bench], str] | str]
-_V2 = SpecVersion.V2_0
+_DELETED = Needs(ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
 
 
 @case(
@@ -76,21 +88,19 @@ _V2 = SpecVersion.V2_0
         "unknown+empty": (UNKNOWN, Bench.unknown_id, ""),
         "foreign+long": (NOT_PRODUCER, _foreign, _too_long),
         "foreign+empty": (NOT_PRODUCER, _foreign, ""),
-        "foreign+deleted": Variant((NOT_PRODUCER, _foreign_deleted, "00"), needs=Needs(since=_V2, ut=("RTDB-Update",))),
-        "deleted+long": Variant(
-            ("", _own_deleted, _too_long), needs=Needs(since=_V2, ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
-        ),
-        "deleted+empty": Variant(
-            ("", _own_deleted, ""), needs=Needs(since=_V2, ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
-        ),
+        "foreign+deleted": (NOT_PRODUCER, _foreign_deleted, "00"),
+        "deleted+long": Variant(("", _own_deleted, _too_long), needs=_DELETED),
+        "deleted+empty": Variant(("", _own_deleted, ""), needs=_DELETED),
     },
 )
 def update(bench: Bench, mistakes: _Two) -> None:
     status, variable, value = mistakes
     octets = value if isinstance(value, str) else value(bench)
+    status = status or deleted_status(bench)
+    statuses = _or_gone(bench, status) if variable in (_own_deleted, _foreign_deleted) else (status,)
     # Whatever the maximum is, the first mistake is not about lengths.
     bench.assumptions.clear()
-    _asked(bench, status or deleted_status(bench), "RTDB-Update", varId=variable(bench), value=octets)
+    _asked(bench, statuses, "RTDB-Update", varId=variable(bench), value=octets)
 
 
 @case(
@@ -99,10 +109,10 @@ def update(bench: Bench, mistakes: _Two) -> None:
     requirements="VD-DEL-07",
     stimulus="RTDB-Delete of a deleted variable of a peer",
     expect="VARDIS-STATUS-NOT-PRODUCER",
-    needs=Needs(since=_V2, ut=("RTDB-Delete",)),
+    needs=Needs(ut=("RTDB-Delete",)),
 )
 def delete(bench: Bench) -> None:
-    bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=_foreign_deleted(bench))
+    expect_any(bench, _or_gone(bench, NOT_PRODUCER), "RTDB-Delete", varId=_foreign_deleted(bench))
 
 
 def _create_mistakes(bench: Bench) -> list[dict[str, Any]]:
@@ -119,21 +129,24 @@ def _create_mistakes(bench: Bench) -> list[dict[str, Any]]:
 
 def _mistaken(bench: Bench) -> list[int]:
     """Variables that are unknown, another node's, and deleted ones, as far as the upper tester makes them."""
-    found = [bench.unknown_id(), _foreign(bench)]
-    if not bench.features.removed_after_deletion:
-        found.append(_foreign_deleted(bench))
-        if bench.session.upper is not None and {"RTDB-Create", "RTDB-Delete"} <= bench.session.upper.methods:
-            found.append(_own_deleted(bench))
+    upper = bench.session.upper
+    deletes = upper is not None and {"RTDB-Create", "RTDB-Delete"} <= upper.methods
+    own = [produced(bench, rep_cnt=_several(bench))] if deletes else []
+    for each in own:
+        settled(bench, each)
+    found = [bench.unknown_id(), _foreign(bench), _foreign_deleted(bench), *own]
+    for each in own:
+        # Last, as up to 1.3 it is there only while its deletion is repeated.
+        bench.must("RTDB-Delete", varId=each)
     return found
 
 
 def _update_mistakes(bench: Bench) -> list[dict[str, Any]]:
-    variables = _mistaken(bench)
-    alive = [{"varId": _foreign(bench), "value": each} for each in (_too_long(bench), "")]
+    alive: list[dict[str, Any]] = [{"varId": _foreign(bench), "value": each} for each in (_too_long(bench), "")]
     if bench.session.upper is not None and "RTDB-Create" in bench.session.upper.methods:
         own = produced(bench)
         alive += [{"varId": own, "value": each} for each in (_too_long(bench), "")]
-    return [*({"varId": each, "value": "00"} for each in variables), *alive]
+    return [*alive, *({"varId": each, "value": "00"} for each in _mistaken(bench))]
 
 
 def _by_variable(bench: Bench) -> list[dict[str, Any]]:
@@ -177,4 +190,4 @@ def inactive_first(bench: Bench, variant: tuple[str, Callable[[Bench], list[dict
     bench.assumptions.clear()
     with bench.deactivated("VD"):
         for request in requests:
-            _asked(bench, INACTIVE, method, **request)
+            _asked(bench, (INACTIVE,), method, **request)

@@ -13,7 +13,7 @@ from dcp_conformance.filling import PAYLOAD_SIZE, longest
 from dcp_conformance.heard import Heard, Instruction
 from dcp_conformance.services import produced
 
-from .vardis_payload import check_order_of_queue, stock
+from .vardis_payload import check_filled, check_order_of_queue, stock
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SUMMARY, _ASK_UPDATE, _ASK_CREATE = ICType.SUMMARIES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
@@ -197,9 +197,9 @@ def create_requested_once(bench: Bench) -> None:
 @case(
     "TC_VD_CMP_BV_09",
     "Requests for many variables go out once each, in one payload if they fit ({variant})",
-    requirements="VD-CMP-11 VD-CMP-12",
+    requirements="VD-CMP-11 VD-CMP-12 VD-PAY-02",
     stimulus="summaries of twelve variables, {variant}, in one beacon",
-    expect="one request for each of them, none twice",
+    expect="one request for each of them, none twice, and no second payload while the first has room",
     window=10,
     variants={"outdated": _ASK_UPDATE, "unknown": _ASK_CREATE},
 )
@@ -221,6 +221,9 @@ def many_requests(bench: Bench, kind: ICType) -> None:
         frames=found[:24],
         shown=len(came) > len(set(came)),
     )
+    frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
+    if frames:
+        check_filled(bench, kind, frames, "VD-PAY-02")
     if kind is _ASK_UPDATE:
         wrong = [each for each in found if each.record.seqno != names.index(each.var_id)]
         bench.check(

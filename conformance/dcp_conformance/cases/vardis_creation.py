@@ -298,7 +298,7 @@ def two_identifiers(bench: Bench) -> None:
 @case(
     "TC_VD_CRT_BO_04",
     "Up to 1.3 a VarCreate of a known variable is ignored, whoever sends it",
-    requirements="VD-SCP-03",
+    requirements="VD-PC-11 VD-SCP-03",
     stimulus="VarCreates of a known variable by its producer and by another one, with newer numbers and other values",
     expect="nothing is repeated, and the first one stays stored",
     needs=Needs(until=SpecVersion.V1_3),

@@ -144,7 +144,7 @@ def stays(bench: Bench) -> None:
 @case(
     "TC_VD_DEL_BV_05",
     "Up to 1.3 a deleted variable leaves the database after its last VarDelete",
-    requirements="VD-DEL-06",
+    requirements="VD-DEL-08",
     stimulus="RTDB-Create and RTDB-Delete; after the last VarDelete RTDB-DescribeVariable and RTDB-Delete",
     expect="VARIABLE-DOES-NOT-EXIST",
     window=20,
@@ -219,7 +219,7 @@ def foreign_deleted(bench: Bench) -> None:
 @case(
     "TC_VD_DEL_BO_03",
     "A variable cannot be deleted twice, neither at once nor later",
-    requirements="VD-DEL-04",
+    requirements="VD-DEL-04 VD-DEL-09",
     stimulus="RTDB-Create with the most repetitions, RTDB-Delete, RTDB-Delete at once, and after the last VarDelete",
     expect="VARIABLE-IS-DELETED both times, and no further VarDelete; up to 1.3 VARIABLE-BEING-DELETED, then "
     "VARIABLE-DOES-NOT-EXIST",

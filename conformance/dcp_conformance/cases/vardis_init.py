@@ -33,7 +33,7 @@ def name(bench: Bench) -> None:
 @case(
     "TC_VD_INI_BV_02",
     "VarDis is registered with the size, mode and queue of its version",
-    requirements="VD-INI-02",
+    requirements="VD-INI-02 VD-INI-07 VD-INI-08",
     stimulus="BP-ListRegisteredProtocols",
     expect="maxPayloadSize is VARDISPAR_MAX_PAYLOAD_SIZE, mode DROPHEAD (1.1 DROPTAIL, 1.0 ONCE), maxEntries positive, "
     "no multiple payloads",

@@ -88,6 +88,9 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
         bench.check(
             came == record, "the VarCreate is accepted and repeated as it came", f"{came}", shown=came is not None
         )
+        if came is not None:
+            held = ask(bench, var_id)
+            bench.check(held.record == record, "it is stored as it came", str(held), shown=held.record is not None)
         return
     bench.require_alive("the VarCreate")
     bench.beacons(2, 2.5)
@@ -154,6 +157,10 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
         bench.check(
             came == record, "the VarUpdate is accepted and repeated as it came", f"{came}", shown=came is not None
         )
+        if came is not None:
+            held = ask(bench, var_id)
+            stored = held.record is not None and held.record.upd == record
+            bench.check(stored, "it is stored as it came", str(held), shown=held.record is not None)
         return
     bench.require_alive("the VarUpdate")
     bench.beacons(1, 1.5)

@@ -211,7 +211,8 @@ def description_length(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
 )
 def description_length_beside_values(bench: Bench) -> None:
-    value, bound = bench.parameter(_VALUE) + 8, bench.parameter(_DESCR) + 12
+    value, bound = bench.parameter(_VALUE), bench.parameter(_DESCR) + 12
+    value += 8 if value + 8 <= _largest_length(bench) else -8
     payload = _bare_create(bench) + value + bound
     with parameters_set(bench, "VD", **{_PAYLOAD: payload, _VALUE: value, _REPETITIONS: 2}), _kept(bench, _DESCR):
         _check_refused(bench, _DESCR, bound + 1)
@@ -221,7 +222,7 @@ def description_length_beside_values(bench: Bench) -> None:
 @case(
     "TC_VD_PAR_BI_04",
     "The bounds of VARDISPAR_MAX_REPETITIONS",
-    requirements="VD-PAR-04",
+    requirements="VD-PAR-04 VD-PAR-10",
     stimulus="set 1, 15, 0 and 16",
     expect="the first two are taken, the others not; 1.1 has no upper bound (X25)",
     needs=_PARAMETERS,

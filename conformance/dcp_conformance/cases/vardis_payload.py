@@ -111,7 +111,7 @@ def _room_for_all_kinds(bench: Bench) -> str | None:
 @case(
     "TC_VD_PAY_BV_01",
     "The containers of a payload stand in the order of the specification, all six kinds together",
-    requirements="VD-PAY-01 VD-PAY-02 VD-IC-02",
+    requirements="VD-PAY-01 VD-PAY-07 VD-PAY-02 VD-IC-02",
     stimulus="one beacon that creates, deletes and updates a variable, summarises an unknown and a newer one",
     expect="one payload with all six kinds of containers, in the order that the version prescribes",
     needs=Needs(when=_room_for_all_kinds),
@@ -157,6 +157,7 @@ def order_of_containers(bench: Bench) -> None:
             "containers in the order " + ", ".join(each.label for each in order),
             ", ".join(_kind(bench, each).label for each in numbers),
             "VD-PAY-01",
+            "VD-PAY-07",
             frames=[heard],
             shown=True,
         )
@@ -166,6 +167,7 @@ def order_of_containers(bench: Bench) -> None:
         "summaries beside everything else",
         f"none in {len(without)}",
         "VD-PAY-01",
+        "VD-PAY-07",
         frames=without[:4],
         shown=True,
     )

@@ -6,10 +6,15 @@ from collections.abc import Callable
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_codec.values import VardisRecord
 from dcp_conformance.bench import Bench
-from dcp_conformance.case import Needs, case
-from dcp_conformance.services import max_repetitions, taught
-from dcp_conformance.variables import named, traces
+from dcp_conformance.case import Needs, Variant, case
+from dcp_conformance.peers import Peer
+from dcp_conformance.services import entry_of, max_repetitions, produced, settled, several_repetitions, taught
+from dcp_conformance.variables import named, stepped, traces
+
+_DELETE = ICType.DELETE_VARIABLES
+_OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
 
 
 def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observed: str) -> None:
@@ -78,7 +83,11 @@ def create_request_dropped(bench: Bench) -> None:
 def pending_dropped(bench: Bench) -> None:
     def attempt() -> bool:
         peer = bench.peer()
-        var_id = taught(bench, peer, seqno=5)
+        # Up to 1.3 the variable is unknown after the last VarDelete, and nothing could be sent of it anyway.
+        several = bench.features.removed_after_deletion and not bench.one_by_one
+        var_id = taught(bench, peer, seqno=5, rep_cnt=min(3, max_repetitions(bench)) if several else 1)
+        if several:
+            settled(bench, var_id)
         since = bench.mark()
         peer.send(peer.summary(var_id, 6), peer.request_create(var_id), peer.request_update(var_id, 4))
         peer.send(peer.delete(var_id))
@@ -165,3 +174,64 @@ def request_overtaken(bench: Bench) -> None:
         return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
 
     _check_once(bench, attempt, "no VarReqUpdate for what is there anew", "there is one every time")
+
+
+_Event = Callable[[Peer, int, Callable[[int], int]], VardisRecord]
+#: What is received about a deleted variable, with the requirements that say that it changes nothing; the function
+#: gives a sequence number by its distance from the stored one.
+_EVENTS: dict[str, tuple[_Event, str]] = {
+    "VarDelete": (lambda peer, var_id, _: peer.delete(var_id), "VD-PD-02 VD-SCP-03"),
+    "newer-VarUpdate": (lambda peer, var_id, seqno: peer.update(var_id, seqno(1), b"w"), "VD-PU-02"),
+    "older-VarUpdate": (lambda peer, var_id, seqno: peer.update(var_id, seqno(-1), b"w"), "VD-PU-02"),
+    "newer-VarSumm": (lambda peer, var_id, seqno: peer.summary(var_id, seqno(1)), "VD-PS-02"),
+    "older-VarSumm": (lambda peer, var_id, seqno: peer.summary(var_id, seqno(-1)), "VD-PS-02"),
+    "VarReqUpdate": (lambda peer, var_id, seqno: peer.request_update(var_id, seqno(-1)), "VD-RU-02"),
+    "VarReqCreate": (lambda peer, var_id, _: peer.request_create(var_id), "VD-RC-02"),
+}
+
+
+@case(
+    "TC_VD_PEND_BV_07",
+    "What comes while a deletion is repeated neither lengthens nor changes it ({variant})",
+    requirements="VD-PD-02",
+    stimulus="a variable is deleted by its producer, and after the first VarDelete comes: {variant}",
+    expect="repCnt VarDelete, no other instruction, and (by RTDB-DescribeVariable) the sequence number as before",
+    window=20,
+    needs=Needs(when=several_repetitions),
+    variants={
+        **{name: Variant((event, False), requirements=ids) for name, (event, ids) in _EVENTS.items()},
+        **{
+            f"own-{name}": Variant(
+                (event, True),
+                requirements=ids.replace("VD-PD-02", "VD-PD-03"),
+                needs=Needs(ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+            )
+            for name, (event, ids) in _EVENTS.items()
+        },
+    },
+)
+def deletion_goes_on(bench: Bench, variant: tuple[_Event, bool]) -> None:
+    event, own = variant
+    peer, count = bench.peer(), min(5, max_repetitions(bench))
+    var_id = produced(bench, rep_cnt=count) if own else taught(bench, peer, rep_cnt=count, seqno=5)
+    settled(bench, var_id)
+    since, stored = bench.mark(), 0 if own else 5
+    if own:
+        bench.must("RTDB-Delete", varId=var_id)
+    else:
+        peer.send(peer.delete(var_id))
+    bench.require(bench.until_instruction(_DELETE, var_id), "the VarDelete is sent", "it is not")
+    record = event(peer, var_id, lambda distance: stepped(bench, stored, distance))
+    peer.send(record)
+    bench.require_alive(type(record).__name__)
+    upper = bench.session.upper
+    entry = entry_of(bench, var_id) if upper is not None and "RTDB-DescribeVariable" in upper.methods else None
+    if entry is not None:
+        bench.check(entry.get("seqno") == stored, f"seqno is {stored}", f"it is {entry.get('seqno')}", shown=True)
+    deletions = bench.check_repeated(_DELETE, var_id, count, since)
+    first, last = (bench.heard.index(each.heard) for each in (deletions[0], deletions[-1]))
+    late = traces(bench, var_id, first, _OTHERS)
+    if bench.features.removed_after_deletion:
+        # Once the last VarDelete is out, the variable is unknown, and may be requested.
+        late = [each for each in late if bench.heard.index(each.heard) <= last]
+    bench.check(not late, "nothing else is sent about it", f"{named(late)} came", frames=late, shown=True)

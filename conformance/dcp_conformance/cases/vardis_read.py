@@ -115,7 +115,7 @@ def unknown(bench: Bench) -> None:
 @case(
     "TC_VD_REA_BO_01",
     "A deleted variable cannot be read",
-    requirements="VD-REA-03",
+    requirements="VD-REA-03 VD-REA-06",
     stimulus="an own variable is deleted, and a peer's by the peer; RTDB-Read of both",
     expect="VARIABLE-IS-DELETED and no value (up to 1.3 VARIABLE-BEING-DELETED)",
     window=12,

@@ -64,7 +64,7 @@ def foreign_deleted(bench: Bench) -> None:
 @case(
     "TC_VD_CRE_BO_03",
     "Up to 1.3 an identifier of the own node is refused while its variable exists",
-    requirements="VD-CRE-02",
+    requirements="VD-CRE-16 VD-CRE-02",
     stimulus="RTDB-Create twice with the same identifier",
     expect="OK, then VARIABLE-EXISTS; the value is the first",
     needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Read")),
@@ -222,7 +222,7 @@ def ends_repetitions(bench: Bench) -> None:
 @case(
     "TC_VD_CRE_BO_07",
     "Up to 1.3 an identifier can be used again once its variable is gone",
-    requirements="VD-CRE-02",
+    requirements="VD-DEL-08 VD-CRE-02",
     stimulus="RTDB-Create, RTDB-Delete; after the last VarDelete RTDB-Create again",
     expect="OK, and a VarCreate with seqno 0",
     window=20,
@@ -247,7 +247,7 @@ def used_again(bench: Bench) -> None:
 @case(
     "TC_VD_CRE_BO_08",
     "Up to 1.3 an identifier is refused while its variable is being deleted",
-    requirements="VD-CRE-02",
+    requirements="VD-CRE-16 VD-CRE-02",
     stimulus="RTDB-Create and RTDB-Delete with the most repetitions, and RTDB-Create at once",
     expect="VARIABLE-EXISTS",
     needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),

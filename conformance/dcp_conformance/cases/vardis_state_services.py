@@ -194,25 +194,25 @@ _EFFECTS = {"RTDB-Create": _created, "RTDB-Update": _updated, "RTDB-Delete": _de
 
 _DECIDED = {
     "unknown.RTDB-Create": "VD-CRE-10 VD-CRE-12",
-    "alive-producer.RTDB-Create": "VD-CRE-03",
-    "alive-consumer.RTDB-Create": "VD-CRE-02",
-    "deleted-producer.RTDB-Create": "VD-CRE-03",
-    "deleted-consumer.RTDB-Create": "VD-CRE-02",
+    "alive-producer.RTDB-Create": "VD-CRE-03 VD-CRE-16",
+    "alive-consumer.RTDB-Create": "VD-CRE-02 VD-CRE-16",
+    "deleted-producer.RTDB-Create": "VD-CRE-03 VD-CRE-16",
+    "deleted-consumer.RTDB-Create": "VD-CRE-02 VD-CRE-16",
     "unknown.RTDB-Update": "VD-UPD-02",
     "alive-producer.RTDB-Update": "VD-UPD-07",
     "alive-consumer.RTDB-Update": "VD-UPD-03",
-    "deleted-producer.RTDB-Update": "VD-UPD-04",
+    "deleted-producer.RTDB-Update": "VD-UPD-04 VD-UPD-12",
     "deleted-consumer.RTDB-Update": "VD-UPD-03",
     "unknown.RTDB-Delete": "VD-DEL-02",
     "alive-producer.RTDB-Delete": "VD-DEL-05",
     "alive-consumer.RTDB-Delete": "VD-DEL-03",
-    "deleted-producer.RTDB-Delete": "VD-DEL-04",
+    "deleted-producer.RTDB-Delete": "VD-DEL-04 VD-DEL-09",
     "deleted-consumer.RTDB-Delete": "VD-DEL-03",
     "unknown.RTDB-Read": "VD-REA-02",
     "alive-producer.RTDB-Read": "VD-REA-04",
     "alive-consumer.RTDB-Read": "VD-REA-04",
-    "deleted-producer.RTDB-Read": "VD-REA-03",
-    "deleted-consumer.RTDB-Read": "VD-REA-03",
+    "deleted-producer.RTDB-Read": "VD-REA-03 VD-REA-06",
+    "deleted-consumer.RTDB-Read": "VD-REA-03 VD-REA-06",
 }
 
 

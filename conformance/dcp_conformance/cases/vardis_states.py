@@ -99,14 +99,14 @@ UNKNOWN: list[_Row] = [
     ("rx-request-create", "VD-RC-01", requests_variable, _SINCE_1_1),
 ]
 UNKNOWN_1_0: list[_Row] = [
-    ("rx-request-update", "VD-SCP-01", None, _ONLY_1_0),
-    ("rx-request-create", "VD-SCP-01", None, _ONLY_1_0),
+    ("rx-request-update", "VD-RU-05 VD-SCP-01", None, _ONLY_1_0),
+    ("rx-request-create", "VD-RC-04 VD-SCP-01", None, _ONLY_1_0),
 ]
 ALIVE_CONSUMER: list[_Row] = [
     ("rx-create-later", "VD-PC-01", stores, _SINCE_2_0),
     ("rx-create-same", "VD-PC-01", None, _SINCE_2_0),
     ("rx-create-earlier", "VD-PC-01", None, _SINCE_2_0),
-    ("rx-create", "VD-SCP-03", None, _UNTIL_1_3),
+    ("rx-create", "VD-PC-11 VD-SCP-03", None, _UNTIL_1_3),
     ("rx-create-own", "VD-PC-03", None, _ALL),
     ("rx-delete", "VD-PD-04", deletes, _ALL),
     ("rx-newer-update", "VD-PU-07", stores, _ALL),
@@ -124,7 +124,7 @@ ALIVE_PRODUCER: list[_Row] = [
     ("rx-create-later", "VD-PC-01", taken_over, _SINCE_2_0),
     ("rx-create-same", "VD-PC-01", None, _SINCE_2_0),
     ("rx-create-earlier", "VD-PC-01", None, _SINCE_2_0),
-    ("rx-create", "VD-SCP-03", None, _UNTIL_1_3),
+    ("rx-create", "VD-PC-11 VD-SCP-03", None, _UNTIL_1_3),
     ("rx-create-own", "VD-PC-03", None, _ALL),
     ("rx-delete", "VD-PD-03", None, _ALL),
     ("rx-newer-update", "VD-PU-03", None, _ALL),
@@ -142,7 +142,7 @@ DELETED: list[_Row] = [
     ("rx-create-later", "VD-PC-02", stores, _SINCE_2_0),
     ("rx-create-same", "VD-PC-01", None, _SINCE_2_0),
     ("rx-create-earlier", "VD-PC-01", None, _SINCE_2_0),
-    ("rx-create", "VD-SCP-03", None, _DELETING),
+    ("rx-create", "VD-PC-11 VD-SCP-03", None, _DELETING),
     ("rx-create-own", "VD-PC-03", None, _ALL),
     ("rx-delete", "VD-PD-02", None, _ALL),
     ("rx-newer-update", "VD-PU-02", None, _ALL),
@@ -270,7 +270,7 @@ def producer_ignores(bench: Bench, cell: Cell) -> None:
 @case(
     "TC_VD_STATE_BV_04",
     "Up to 1.3 a variable is unknown again once its deletion has been repeated",
-    requirements="VD-PD-04",
+    requirements="VD-DEL-08 VD-PD-04",
     stimulus="a VarDelete; after its repetitions a summary of the variable",
     expect="a request for it",
     needs=_UNTIL_1_3,

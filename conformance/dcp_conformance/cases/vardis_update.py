@@ -320,7 +320,7 @@ def foreign_deleted(bench: Bench) -> None:
 @case(
     "TC_VD_UPD_BO_03",
     "A deleted variable cannot be updated",
-    requirements="VD-UPD-04",
+    requirements="VD-UPD-04 VD-UPD-12",
     stimulus="RTDB-Create and RTDB-Delete; RTDB-Update, also with a value that is too long",
     expect="VARIABLE-IS-DELETED both times (up to 1.3 VARIABLE-BEING-DELETED)",
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete")),

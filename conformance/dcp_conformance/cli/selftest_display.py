@@ -40,9 +40,11 @@ def print_selftest(result: SelftestResult, *, verbose: bool, quiet: bool) -> Non
         for finding in trial.errors:
             reason = data(finding.reason)
             out.print(f"[bold magenta]error[/] {finding.case} with {trial.mutant}: {reason}", soft_wrap=True)
-    killed = len(result.mutants) - len(result.survivors)
+    there = {each.mutant for each in result.mutants}
+    killed = len(there) - len({each.mutant for each in result.survivors})
     how = "every case" if result.full else "the cases that name the requirement"
-    out.print(f"\n{killed} of {len(result.mutants)} mutants killed, by {how}, in {result.duration:.1f} s")
+    tried = f"in {len(result.mutants)} trials"
+    out.print(f"\n{killed} of {len(there)} mutants killed {tried}, by {how}, in {result.duration:.1f} s")
 
 
 def _baselines(baselines: Sequence[Baseline]) -> Table:
@@ -60,7 +62,7 @@ def _sections(trials: Sequence[Trial]) -> Table:
     """By group of requirements: enough where all is well."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("mutants of", no_wrap=True)
-    for heading in ("there", "killed", "survive"):
+    for heading in ("there", "tried", "killed", "survive"):
         table.add_column(heading, justify="right", no_wrap=True)
     groups: dict[str, list[Trial]] = {}
     for trial in trials:
@@ -68,7 +70,8 @@ def _sections(trials: Sequence[Trial]) -> Table:
     for name, group in sorted(groups.items()):
         killed = sum(each.killed for each in group)
         alive = len(group) - killed
-        table.add_row(name, str(len(group)), str(killed), f"[bold red]{alive}[/]" if alive else "[dim].[/]")
+        there = len({each.mutant for each in group})
+        table.add_row(name, str(there), str(len(group)), str(killed), f"[bold red]{alive}[/]" if alive else "[dim].[/]")
     return table
 
 
@@ -82,10 +85,14 @@ def _mutants(result: SelftestResult, width: int) -> Table:
     table.add_column("killed by", overflow="fold")
     if result.full:
         table.add_column("also", justify="right", no_wrap=True)
+    several = len({each.profile for each in result.mutants}) > 1
     for trial in result.mutants:
         killers = [each.case for each in trial.killers]
         more = f" and {len(killers) - 1} more" if len(killers) > 1 else ""
-        cells = [trial.mutant, *([trial.requirements[0]] if wide else [])]
+        cells = [
+            f"{trial.mutant} ({trial.profile})" if several else trial.mutant,
+            *([trial.requirements[0]] if wide else []),
+        ]
         cells.append(f"[green]{data(killers[0])}[/]{more}" if killers else "[bold red]nobody[/]")
         table.add_row(*cells, *([str(len(trial.also)) if trial.also else "."] if result.full else []))
     return table

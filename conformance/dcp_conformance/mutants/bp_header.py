@@ -12,6 +12,7 @@ from dcp_stack.effects import SendBeacon
 
 from .air import Air
 from .mutant import mutant
+from .unseen import NO_LENGTH, NO_NETWORK
 
 Blocks = list[tuple[int, bytes]]
 
@@ -46,7 +47,7 @@ class SwappedMagic(Wire):
     field = "magicNo"
 
 
-@mutant("swapped-length", "DATA-01 BP-HDR-06", "sends the length least significant octet first")
+@mutant("swapped-length", "DATA-01 BP-HDR-06", "sends the length least significant octet first", unseen=NO_LENGTH)
 class SwappedLength(Wire):
     field = "length"
 
@@ -56,7 +57,12 @@ class SwappedSeqno(Wire):
     field = "seqno"
 
 
-@mutant("swapped-network", "DATA-01 BP-HDR-04", "sends the network identifier least significant octet first")
+@mutant(
+    "swapped-network",
+    "DATA-01 BP-HDR-04",
+    "sends the network identifier least significant octet first",
+    unseen=NO_NETWORK,
+)
 class SwappedNetwork(Wire):
     field = "networkId"
 
@@ -268,7 +274,11 @@ class Survives(Air):
 # -- what is in a beacon -----------------------------------------------------------------------------------------------
 
 
-@mutant("no-limit", "BP-FMT-02 BP-PAR-02", "fills beacons to the bearer's limit, whatever the maximum packet size is")
+@mutant(
+    "no-limit",
+    "BP-FMT-02 BP-PAR-02",
+    "fills beacons to the bearer's limit, whatever the maximum packet size is",
+)
 class NoLimit(BeaconingProtocol):
     def _room(self) -> int:
         return self._parameters.uwb_max_packet_size - self._wire.header_size

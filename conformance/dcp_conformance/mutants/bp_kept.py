@@ -16,6 +16,7 @@ from dcp_stack.bp_services import ListConfirm, RegisterConfirm, Registration, St
 from dcp_stack.bp_wire import Block, BPWire, Reception
 
 from .mutant import mutant
+from .unseen import BP_ALWAYS_ACTIVE
 
 
 def _others(clients: ClientList) -> list[Client]:
@@ -135,7 +136,7 @@ class NothingInOnePlace(BeaconingProtocol):
     "arrears",
     "BP-TX-01 BP-MGT-05",
     "sends the beacons of its inactive time when it is activated",
-    since=SpecVersion.V1_2,
+    unseen=BP_ALWAYS_ACTIVE,
 )
 class Arrears(BeaconingProtocol):
     debt = 0

@@ -13,6 +13,7 @@ from dcp_stack.bp_services import StatusConfirm
 
 from .air import Air
 from .mutant import mutant
+from .unseen import OTHERS_ACTIVE
 
 OK = StatusConfirm(BPStatus.OK)
 
@@ -77,7 +78,12 @@ class StartsOver(BeaconingProtocol):
         return super().activate(now)
 
 
-@mutant("on-the-side", "BP-TX-01", "has no timer of its own and sends when another protocol has something to do")
+@mutant(
+    "on-the-side",
+    "BP-TX-01",
+    "has no timer of its own and sends when another protocol has something to do",
+    unseen=OTHERS_ACTIVE,
+)
 class OnTheSide(BeaconingProtocol):
     def poll_timeout(self) -> int | None:
         return None

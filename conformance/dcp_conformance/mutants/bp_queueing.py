@@ -16,6 +16,7 @@ from dcp_stack.bp_services import NumberConfirm, RegisterConfirm
 from dcp_stack.bp_timing import BeaconSchedule
 
 from .mutant import mutant
+from .unseen import NO_MODE, NO_QUEUE
 
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
@@ -40,22 +41,35 @@ class HeadDiscardsNew(BeaconingProtocol):
     queueing = rule(DROPHEAD, when_full="discard-new")
 
 
-@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue again and again")
+@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue again and again", unseen=NO_MODE)
 class QueueRepeats(BeaconingProtocol):
     queueing = rule(DROPTAIL, when_sent="keep")
 
 
-@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue again and again")
+@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue again and again", unseen=NO_MODE)
 class HeadQueueRepeats(BeaconingProtocol):
     queueing = rule(DROPHEAD, when_sent="keep")
 
 
-@mutant("bounded", "BP-QM-03", "keeps one payload in a QUEUE", until=SpecVersion.V1_0)
+@mutant("bounded", "BP-QM-03", "keeps one payload in a QUEUE", until=SpecVersion.V1_0, unseen=NO_QUEUE)
 class QueueBounded(BeaconingProtocol):
     queueing = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
 
 
-@mutant("bounded-by-entries", "BP-QM-03", "drops what exceeds maxEntries, unknown to 1.0", until=SpecVersion.V1_0)
+@mutant(
+    "queue-repeats", "BP-QM-03", "sends the head of a QUEUE again and again", until=SpecVersion.V1_0, unseen=NO_QUEUE
+)
+class OldQueueRepeats(BeaconingProtocol):
+    queueing = rule(QueueingMode.QUEUE, when_sent="keep")
+
+
+@mutant(
+    "bounded-by-entries",
+    "BP-QM-03",
+    "drops what exceeds maxEntries, unknown to 1.0",
+    until=SpecVersion.V1_0,
+    unseen=NO_QUEUE,
+)
 class QueueBoundedByEntries(BeaconingProtocol):
     queueing = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
 
@@ -125,7 +139,7 @@ class SixBitsOfPlaces(OwnQueue):
             super().__init__(rule, max_entries % 64 or 1)
 
 
-@mutant("wraps-at-32", "BP-QM-03", "sends the 33rd and later payloads of a queue first", since=SpecVersion.V1_1)
+@mutant("wraps-at-32", "BP-QM-03", "sends the 33rd and later payloads of a queue first")
 class WrapsAt32(OwnQueue):
     class queue(PayloadQueue):  # noqa: N801 - as above
         def submit(self, payload: bytes) -> Submission:
@@ -254,7 +268,7 @@ class OneAtMost(Query):
 @mutant("one-more", "BP-QRY-02 BP-QRY-03", "counts the payload that was sent last as buffered")
 class OneMore(Query):
     def number(self, number: int, queue: PayloadQueue) -> int:
-        return number + (queue.rule.several and number > 0)
+        return number + (queue.rule not in (QUEUEING[ONCE], QUEUEING[REPEAT]) and number > 0)
 
 
 @mutant("repeat-empty", "BP-QRY-03", "answers 0 for a REPEAT buffer that is occupied")

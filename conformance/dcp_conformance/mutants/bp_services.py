@@ -19,6 +19,7 @@ from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, PayloadTransmitted
 
 from .mutant import mutant
+from .unseen import RIGHT_SINCE_1_1
 
 OK = StatusConfirm(BPStatus.OK)
 
@@ -65,7 +66,13 @@ class SizeOfNothing(Registrations):
         return BPStatus.OK if not registration.max_payload_size else status
 
 
-@mutant("something", "BP-REG-06", "refuses a maximum payload size of 0, which 1.0 allows", until=SpecVersion.V1_0)
+@mutant(
+    "something",
+    "BP-REG-06",
+    "refuses a maximum payload size of 0, which 1.0 allows",
+    until=SpecVersion.V1_0,
+    unseen=RIGHT_SINCE_1_1,
+)
 class SizeOfSomething(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         return status if registration.max_payload_size else BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
@@ -323,6 +330,7 @@ class EmptyRefused(BeaconingProtocol):
     "BP-QM-03",
     "empties a queue when an empty payload is submitted, which in 1.0 empties buffers only",
     until=SpecVersion.V1_0,
+    unseen={"1.1 1.2 1.3 2.0": "an empty payload is refused since 1.1"},
 )
 class EmptyClearsQueues(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:

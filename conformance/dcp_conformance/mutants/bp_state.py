@@ -11,6 +11,7 @@ from dcp_stack.bp_services import StatusConfirm
 from dcp_stack.bp_wire import Block, BPWire, Reception
 
 from .mutant import mutant
+from .unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
 
 
 class _Dummy(ClientList):
@@ -30,7 +31,12 @@ class EmptyHeartbeat(_Dummy):
     dummy = b""
 
 
-@mutant("several", "BP-FMT-02 BP-TX-04", "puts a whole queue into a beacon if several payloads are allowed")
+@mutant(
+    "several",
+    "BP-FMT-02 BP-TX-04",
+    "puts a whole queue into a beacon if several payloads are allowed",
+    unseen=ONE_PAYLOAD,
+)
 class SeveralIgnoresRoom(ClientList):
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         chosen = super().take(room, size, most)
@@ -42,7 +48,7 @@ class SeveralIgnoresRoom(ClientList):
         return chosen
 
 
-@mutant("activated", "BP-HDR-08", "starts sequence numbers again when it is activated")
+@mutant("activated", "BP-HDR-08", "starts sequence numbers again when it is activated", unseen=BP_ALWAYS_ACTIVE)
 class SeqnoRestarts(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:
         self._seqno = 0

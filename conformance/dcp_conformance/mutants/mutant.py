@@ -9,8 +9,8 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import random
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
@@ -78,6 +78,18 @@ class Mutant:
     since: SpecVersion = SpecVersion.V1_0
     until: SpecVersion = SpecVersion.V2_0
     """First and last version of the specification in which it is a fault."""
+    unseen: Mapping[SpecVersion, str] = field(default_factory=dict)
+    """Why it is no fault on a version that has the requirement, or cannot be seen there."""
+
+    @property
+    def versions(self) -> tuple[SpecVersion, ...]:
+        """The versions of the specification on which the suite must notice it, oldest first."""
+        return tuple(each for each in SpecVersion if self.exists_in(each))
+
+    @property
+    def profiles(self) -> tuple[str, ...]:
+        """The profiles on which it is tried: one for each of its versions, newest first."""
+        return tuple(f"dcp-{each}" for each in reversed(self.versions))
 
     @property
     def requirements(self) -> tuple[str, ...]:
@@ -86,12 +98,12 @@ class Mutant:
 
     @property
     def profile(self) -> str:
-        """The profile on which it is tried: of the newest version in which it is a fault."""
-        return f"dcp-{self.until}"
+        """The profile of the newest version in which it is a fault."""
+        return self.profiles[0]
 
     def exists_in(self, version: SpecVersion) -> bool:
-        """Whether it is a fault in a version."""
-        return self.since <= version <= self.until
+        """Whether it is a fault in a version, and one that can be seen."""
+        return self.since <= version <= self.until and version not in self.unseen
 
 
 def mutant(
@@ -101,21 +113,28 @@ def mutant(
     *,
     since: SpecVersion | None = None,
     until: SpecVersion | None = None,
+    unseen: Mapping[str, str] | None = None,
 ) -> Callable[[Part], Part]:
     """Make a mutant of a subclass of a part of the node.
 
     ``requirements`` are ids separated by spaces, the violated one first. ``since`` and ``until`` are by default the
-    first and the last version that has this requirement. Raises ``UnknownRequirementError`` for an id that is none,
-    ``TypeError`` for a class that is no part of the node.
+    first and the last version that has this requirement. ``unseen`` gives the reason for each version that has it and
+    on which the mutant is nevertheless not tried; its keys are versions separated by spaces. Raises
+    ``UnknownRequirementError`` for an id that is none, ``TypeError`` for a class that is no part of the node,
+    ``ValueError`` for a version that has the requirement and is neither tried nor excused.
     """
     first, *also = requirements.split()
     for each in also:
         requirement(each)
     begin = requirement(first).since if since is None else since
     end = until or requirement(first).until or SpecVersion.V2_0
+    excused = {SpecVersion(each): why for names, why in (unseen or {}).items() for each in names.split()}
+    for version in SpecVersion:
+        if requirement(first).holds_in(version) and not begin <= version <= end and version not in excused:
+            raise ValueError(f"M-{first}-{fault} is not tried on {version}, which has {first}: say why in unseen")
 
     def decorate(part: Part) -> Part:
-        made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, _maker(node_with(part)), begin, end)
+        made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, _maker(node_with(part)), begin, end, excused)
         setattr(part, _ATTRIBUTE, made)
         return part
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Literal
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, QueueingMode
 from dcp_spec.parameters import Violation
 from dcp_spec.status import SRPStatus
 
@@ -20,6 +20,7 @@ from dcp_stack.srp import BPPort, StateReporting, UpdateSafetyDataConfirm
 from .air import Air
 from .mutant import mutant
 from .port import Port, registration
+from .unseen import NO_MODE
 
 # -- reports -----------------------------------------------------------------------------------------------------------
 
@@ -42,9 +43,7 @@ class Milliseconds(Air):
         return msgspec.structs.replace(report, t_stamp=report.t_stamp // 1_000_000)
 
 
-@mutant(
-    "srp-swapped-time", "DATA-01", "sends the time of reports least significant octet first", since=SpecVersion.V1_1
-)
+@mutant("srp-swapped-time", "DATA-01", "sends the time of reports least significant octet first")
 class SwappedTime(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         octets = report.t_stamp.to_bytes(8, "big")
@@ -123,7 +122,9 @@ class Once(Reporting):
             return self.bp.register(*registration(args, mode=QueueingMode.ONCE), **times)
 
 
-@mutant("queue", "SRP-TYP-07 SRP-INI-03", "registers with a queue, and sends old reports before new ones")
+@mutant(
+    "queue", "SRP-TYP-07 SRP-INI-03", "registers with a queue, and sends old reports before new ones", unseen=NO_MODE
+)
 class Queues(Reporting):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
@@ -137,7 +138,9 @@ class OtherName(Reporting):
             return self.bp.register(*registration(args, name="VarDis -- Variable Dissemination Protocol V2.0"), **times)
 
 
-@mutant("small", "SRP-INI-02", "registers with less than the size of a report, which it sends in two halves")
+@mutant(
+    "small", "SRP-INI-02", "registers with less than the size of a report, which it sends in two halves", unseen=NO_MODE
+)
 class Small(Reporting):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:

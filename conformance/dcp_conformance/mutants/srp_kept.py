@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import msgspec
-from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import ExtendedSafetyData, SafetyData
 from dcp_stack.neighbours import NeighbourTable
 from dcp_stack.srp import StateReporting, UpdateSafetyDataConfirm
 
 from .mutant import mutant
+from .unseen import BP_ALWAYS_ACTIVE
 
 
 @mutant("touches-others", "SRP-RX-03", "takes every report for a sign of life of all neighbours")
@@ -48,7 +48,7 @@ class ShortNumbers(NeighbourTable):
 
 
 @mutant(
-    "paused-forgets", "SRP-RX-03 SRP-RUN-02", "forgets its neighbours when BP is deactivated", since=SpecVersion.V1_2
+    "paused-forgets", "SRP-RX-03 SRP-RUN-02", "forgets its neighbours when BP is deactivated", unseen=BP_ALWAYS_ACTIVE
 )
 class PausedForgets(StateReporting):
     @property
@@ -61,7 +61,7 @@ class PausedForgets(StateReporting):
         return table
 
 
-@mutant("paused-stands", "SRP-SEQ-01", "does not count reports while BP is deactivated", since=SpecVersion.V1_2)
+@mutant("paused-stands", "SRP-SEQ-01", "does not count reports while BP is deactivated", unseen=BP_ALWAYS_ACTIVE)
 class PausedStands(StateReporting):
     def update_safety_data(
         self, data: SafetyData | Mapping[str, Any], *, now: int, wall: int

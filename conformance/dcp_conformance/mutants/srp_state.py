@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from dcp_spec.constants import SpecVersion
 from dcp_spec.parameters import Violation
 from dcp_spec.status import SRPStatus
 
@@ -14,6 +13,7 @@ from dcp_stack.neighbours import NeighbourTable
 from dcp_stack.srp import StateReporting, UpdateSafetyDataConfirm
 
 from .mutant import mutant
+from .unseen import BP_ALWAYS_ACTIVE, OTHERS_ACTIVE
 
 
 @mutant("stamp-filter", "SRP-RX-03", "ignores a report whose tStamp is older than that of the entry")
@@ -36,7 +36,7 @@ class CapacityFour(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
 
-@mutant("bp-inactive", "SRP-SRV-01 SRP-SRV-03", "answers INACTIVE while BP is deactivated", since=SpecVersion.V1_2)
+@mutant("bp-inactive", "SRP-SRV-01 SRP-SRV-03", "answers INACTIVE while BP is deactivated", unseen=BP_ALWAYS_ACTIVE)
 class InactiveWithBP(StateReporting):
     def update_safety_data(
         self, data: SafetyData | Mapping[str, Any], *, now: int, wall: int
@@ -55,7 +55,12 @@ class Postponed(StateReporting):
         self._traversed = now
 
 
-@mutant("on-the-side", "SRP-RUN-01 SRP-RUN-02", "traverses the table only when another protocol has something to do")
+@mutant(
+    "on-the-side",
+    "SRP-RUN-01 SRP-RUN-02",
+    "traverses the table only when another protocol has something to do",
+    unseen=OTHERS_ACTIVE,
+)
 class OnTheSide(StateReporting):
     def poll_timeout(self) -> int | None:
         return None

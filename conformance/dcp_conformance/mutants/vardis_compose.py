@@ -101,13 +101,7 @@ class RequestsLate(Ordered):
     order = (C, D, S, RC, U, RU)
 
 
-@mutant(
-    "later-order",
-    "VD-PAY-01",
-    "composes in the order of later versions",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_0,
-)
+@mutant("later-order", "VD-PAY-07", "composes in the order of later versions")
 class LaterOrder(Ordered):
     """Which is that of the class it derives from."""
 
@@ -147,6 +141,12 @@ class OneRecord(Fitting):
 class FiveRecords(Fitting):
     def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
         return chosen if kind is S else chosen[:5]
+
+
+@mutant("one-request", "VD-PAY-02", "sends one request of each kind in a payload")
+class OneRequest(Fitting):
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
+        return chosen[:1] if kind in (RC, RU) else chosen
 
 
 @mutant("sorted", "VD-PAY-06", "sends records in the order of their identifiers")

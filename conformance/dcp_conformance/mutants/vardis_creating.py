@@ -18,6 +18,7 @@ from dcp_stack.vardis_table import Action, Cell, Event, State
 
 from .cells import Cells
 from .mutant import mutant
+from .unseen import NOT_ANEW
 
 V2 = SpecVersion.V2_0
 PRODUCED, CONSUMED = State.ALIVE_PRODUCER, State.ALIVE_CONSUMER
@@ -63,7 +64,7 @@ class Creates(Vardis):
 # -- RTDB-Create -------------------------------------------------------------------------------------------------------
 
 
-@mutant("foreign", "VD-CRE-02", "creates a variable that another node produces", since=V2)
+@mutant("foreign", "VD-CRE-02", "creates a variable that another node produces")
 class CreatesForeign(Cells):
     cells: ClassVar = {(Event.APP_CREATE, CONSUMED): Cell(Action.CREATE)}
 
@@ -78,15 +79,14 @@ class DeletedNotAnew(Cells):
     cells: ClassVar = _refused(Event.APP_CREATE, EXISTS, DELETED_OWN)
 
 
-@mutant(
-    "accepted",
-    "VD-CRE-02 VD-CRE-03",
-    "creates a variable that it has anew, as only 2.0 does",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_3,
-)
+@mutant("accepted", "VD-CRE-16 VD-CRE-02", "creates a variable that it has anew, as only 2.0 does")
 class CreatesAnew(Cells):
     cells: ClassVar = {(Event.APP_CREATE, PRODUCED): Cell(Action.CREATE)}
+
+
+@mutant("deleting-accepted", "VD-CRE-16 VD-CRE-02", "creates a variable anew while its deletion is being repeated")
+class CreatesWhileDeleting(Cells):
+    cells: ClassVar = {(Event.APP_CREATE, DELETED_OWN): Cell(Action.CREATE)}
 
 
 class Limits(VardisParameters):
@@ -222,7 +222,7 @@ class FromOne(Creates):
         return confirm
 
 
-@mutant("goes-on", "VD-CRE-10 VD-CRE-03", "goes on with the number of a variable that is created anew", since=V2)
+@mutant("goes-on", "VD-CRE-10 VD-CRE-03", "goes on with the number of a variable that is created anew", unseen=NOT_ANEW)
 class GoesOn(Creates):
     def create(self, *args: Any, **times: Any) -> Confirm:
         var_id: int = args[0]
@@ -279,21 +279,19 @@ class OnlySummarised(Creates):
         return confirm
 
 
-@mutant("repcnt-first", "VD-CRE-13 DATA-11", "looks at the repetition count first", since=SpecVersion.V1_1)
+@mutant("repcnt-first", "VD-CRE-13 DATA-11", "looks at the repetition count first")
 class RepcntFirst(Creates):
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
         return None if 1 <= rep_cnt <= self._parameters.max_repetitions else VardisStatus.ILLEGAL_REPCOUNT
 
 
-@mutant(
-    "value-first", "VD-CRE-13 DATA-11", "looks at the value before it looks at the description", since=SpecVersion.V1_1
-)
+@mutant("value-first", "VD-CRE-13 DATA-11", "looks at the value before it looks at the description")
 class ValueFirst(Creates):
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
         return None if self._database.lookup(var_id) is not None else self._refused_value(value)
 
 
-@mutant("exists-last", "VD-CRE-13 DATA-11", "looks last whether the variable exists", since=SpecVersion.V1_1)
+@mutant("exists-last", "VD-CRE-13 DATA-11", "looks last whether the variable exists")
 class ExistsLast(Creates):
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
         if len(descr) > self._parameters.longest_description:
@@ -301,12 +299,7 @@ class ExistsLast(Creates):
         return self._refused_value(value)
 
 
-@mutant(
-    "inactive-last",
-    "VD-CRE-13 VD-CRE-01",
-    "looks at the value before it looks whether it is active",
-    since=SpecVersion.V1_2,
-)
+@mutant("inactive-last", "VD-CRE-13 VD-CRE-01", "looks at the value before it looks whether it is active")
 class InactiveLast(Vardis):
     def create(self, *args: Any, **times: Any) -> Confirm:
         if status := self._refused_value(args[4]):

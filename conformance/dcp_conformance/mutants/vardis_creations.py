@@ -76,16 +76,22 @@ class OwnKept(Receiver):
         return super()._is_later(record, entry) and entry.spec.prod_id != self._core.own_id
 
 
-@mutant(
-    "known-taken",
-    "VD-SCP-03",
-    "takes a VarCreate of a variable that it knows",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_3,
-)
+@mutant("known-taken", "VD-SCP-03", "takes a VarCreate of a variable that it knows")
 class KnownTaken(Receiver):
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:  # noqa: ARG002 - always
         return True
+
+
+@mutant("other-producer", "VD-PC-11", "takes a VarCreate of a variable that it knows if it names another producer")
+class OtherProducerTaken(Receiver):
+    def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
+        return record.spec.prod_id != entry.spec.prod_id
+
+
+@mutant("revives", "VD-PC-11", "takes a VarCreate of a variable that is being deleted")
+class DeletedTaken(Receiver):
+    def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:  # noqa: ARG002 - whatever it says
+        return entry.is_deleted
 
 
 @mutant("not-revived", "VD-PC-02", "does not create a deleted variable anew", since=V2)

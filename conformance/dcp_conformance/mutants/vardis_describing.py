@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import msgspec
-from dcp_spec.constants import SpecVersion
 from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarSpec
@@ -13,8 +12,7 @@ from dcp_stack.vardis import Vardis
 from dcp_stack.vardis_confirms import DescribeDatabaseConfirm, DescribeVariableConfirm, ReadConfirm
 
 from .mutant import mutant
-
-V2 = SpecVersion.V2_0
+from .unseen import NO_TIMES
 
 
 class OtherField(Vardis):
@@ -57,9 +55,9 @@ def _others(
     for field, value in fields.items():
         name = f"{base.__name__}{field.title().replace('_', '')}"
         each = type(name, (base,), {"__module__": __name__, "field": field, "value": value})
-        since = V2 if field in ("creation_time", "timeout", "is_deleted") else None
+        unseen = NO_TIMES if field in ("creation_time", "timeout") else None
         what = f"tells a wrong {field} in {where}"
-        made[name] = mutant(f"other-{field.replace('_', '-')}", requirement, what, since=since)(each)
+        made[name] = mutant(f"other-{field.replace('_', '-')}", requirement, what, unseen=unseen)(each)
     return made
 
 
@@ -71,7 +69,7 @@ globals().update(
 )
 
 
-@mutant("alive-deleted", "VD-DVA-03 VD-DB-02", "tells of every variable that it is deleted", since=V2)
+@mutant("alive-deleted", "VD-DVA-03 VD-DB-02", "tells of every variable that it is deleted")
 class AliveDeleted(OtherEntry):
     field = "is_deleted"
     value = True

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from dcp_spec.constants import SpecVersion
 from dcp_spec.status import VardisStatus
 
 from dcp_stack.vardis import Vardis
 from dcp_stack.vardis_confirms import Confirm, DescribeVariableConfirm, ReadConfirm
 
 from .mutant import mutant
-
-V2 = SpecVersion.V2_0
-V1_2 = SpecVersion.V1_2
+from .unseen import ALWAYS_ACTIVE
 
 EMPTY, TOO_LONG = VardisStatus.EMPTY_VALUE, VardisStatus.VALUE_TOO_LONG
 DESCRIPTION = VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG
@@ -92,7 +89,7 @@ INACTIVE = VardisStatus.INACTIVE
 
 
 def _hasty(
-    service: str, first: VardisStatus, before: VardisStatus, requirement: str, since: SpecVersion
+    service: str, first: VardisStatus, before: VardisStatus, requirement: str, unseen: dict[str, str] | None
 ) -> type[Hasty]:
     names = (first.value, before.value)
     short = [name.removeprefix("VARDIS-STATUS-").removeprefix("VARIABLE-").lower() for name in names]
@@ -102,10 +99,10 @@ def _hasty(
         {"__module__": __name__, "service": service, "first": first, "before": before},
     )
     what = f"answers {names[0]} where both that and {names[1]} hold (RTDB-{service.title()})"
-    return mutant(f"{short[0]}-before-{short[1]}", requirement, what, since=since)(made)
+    return mutant(f"{short[0]}-before-{short[1]}", requirement, what, unseen=unseen)(made)
 
 
-def _pairs(service: str, requirement: str, since: SpecVersion, *order: VardisStatus) -> dict[str, type[Hasty]]:
+def _pairs(service: str, requirement: str, *order: VardisStatus) -> dict[str, type[Hasty]]:
     """A mutant for each two conditions that can hold together."""
     never = [{UNKNOWN, NOT_PRODUCER}, {UNKNOWN, DELETED}, {EMPTY, TOO_LONG}]
     made: dict[str, type[Hasty]] = {}
@@ -113,17 +110,16 @@ def _pairs(service: str, requirement: str, since: SpecVersion, *order: VardisSta
         for first in order[index + 1 :]:
             if {first, before} in never:
                 continue
-            begin = V2 if DELETED in (first, before) else V1_2 if before is INACTIVE else since
-            each = _hasty(service, first, before, requirement, begin)
+            unseen = ALWAYS_ACTIVE if before is INACTIVE else None
+            each = _hasty(service, first, before, requirement, unseen)
             made[each.__name__] = each
     return made
 
 
-V1_1 = SpecVersion.V1_1
 globals().update(
-    _pairs("create", "VD-CRE-13", V1_1, INACTIVE, EXISTS, DESCRIPTION, TOO_LONG, EMPTY, REPCOUNT)
-    | _pairs("update", "VD-UPD-11", V1_1, INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED, TOO_LONG, EMPTY)
-    | _pairs("delete", "VD-DEL-07", V1_1, INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED)
-    | _pairs("read", "VD-REA-05", V1_1, INACTIVE, UNKNOWN, DELETED)
-    | _pairs("describe", "VD-DVA-01", V1_1, INACTIVE, UNKNOWN)
+    _pairs("create", "VD-CRE-13", INACTIVE, EXISTS, DESCRIPTION, TOO_LONG, EMPTY, REPCOUNT)
+    | _pairs("update", "VD-UPD-11", INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED, TOO_LONG, EMPTY)
+    | _pairs("delete", "VD-DEL-07", INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED)
+    | _pairs("read", "VD-REA-05", INACTIVE, UNKNOWN, DELETED)
+    | _pairs("describe", "VD-DVA-01", INACTIVE, UNKNOWN)
 )

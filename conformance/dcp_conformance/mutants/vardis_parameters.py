@@ -63,16 +63,29 @@ class DescriptionUnbound(Unbound):
     name = DESCRIPTION_LENGTH
 
 
-@mutant("zero", "VD-PAR-04", "takes 0 as the highest repetition count")
+@mutant("zero", "VD-PAR-04", "takes 0 as the highest repetition count", unseen={"1.1": "VD-PAR-10 says it there"})
 class RepetitionsZero(Unbound):
     name = REPETITIONS
     wrong = range(1)
 
 
-@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255", since=V1_2)
+@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255", unseen={"1.1": "1.1 has no upper bound"})
 class RepetitionsUnbound(Unbound):
     name = REPETITIONS
     wrong = range(16, 256)
+
+
+@mutant("fifteen", "VD-PAR-10", "takes no repetition counts above 15, as all other versions")
+class RepetitionsBound(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        if name == REPETITIONS and isinstance(value, int) and value > 15:
+            return super().set(name, 0)
+        return super().set(name, value)
+
+
+@mutant("zero", "VD-PAR-10", "takes 0 as the highest repetition count")
+class RepetitionsZeroToo(RepetitionsZero):
+    """Which is the fault of the class it derives from, in 1.1."""
 
 
 @mutant("zero", "VD-PAR-05", "takes 0 as the largest payload")
@@ -182,7 +195,7 @@ class NoCheckPeriod(VardisParameters):
     "beside-the-first-value-length",
     "VD-PAR-03",
     "checks the description length against the value length that it was started with",
-    since=SpecVersion.V1_1,
+    unseen={"1.0": "1.0 bounds the sum of both lengths apart from the parameters"},
 )
 class FormerValueLength(VardisParameters):
     def set(self, name: str, value: object) -> Violation | None:

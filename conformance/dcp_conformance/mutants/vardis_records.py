@@ -23,6 +23,7 @@ from dcp_stack.vardis_db import Database, DBEntry
 
 from .air import Air
 from .mutant import mutant
+from .unseen import NO_TIMES
 
 C = ICType.CREATE_VARIABLES
 S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -278,7 +279,7 @@ def swapped(number: int, width: int) -> int:
     return int.from_bytes(number.to_bytes(width, "big"), "little")
 
 
-@mutant("creation-time-swapped", "DATA-01", "sends creationTime least significant octet first", since=SpecVersion.V2_0)
+@mutant("creation-time-swapped", "DATA-01", "sends creationTime least significant octet first", unseen=NO_TIMES)
 class SwappedCreationTime(OwnSpec):
     def members(self, record: VarCreate) -> dict[str, Any]:
         return {"creation_time": swapped(record.spec.creation_time or 0, 8)}
@@ -288,16 +289,14 @@ class SwappedCreationTime(OwnSpec):
     "timeout-swapped",
     "DATA-01 VD-TYP-04 VD-TYP-06",
     "sends timeouts least significant octet first",
-    since=SpecVersion.V2_0,
+    unseen=NO_TIMES,
 )
 class SwappedTimeout(OwnSpec):
     def members(self, record: VarCreate) -> dict[str, Any]:
         return {"timeout": swapped(record.spec.timeout or 0, 2)}
 
 
-@mutant(
-    "creation-time-ms", "DATA-05 VD-CRE-09", "sends creationTime in ms where the profile has ns", since=SpecVersion.V2_0
-)
+@mutant("creation-time-ms", "DATA-05 VD-CRE-09", "sends creationTime in ms where the profile has ns", unseen=NO_TIMES)
 class CreationMilliseconds(OwnSpec):
     def members(self, record: VarCreate) -> dict[str, Any]:
         return {"creation_time": (record.spec.creation_time or 0) // 1_000_000}

@@ -13,6 +13,7 @@ from dcp_stack.vardis_parameters import VardisParameters
 from dcp_stack.vardis_receive import Receiver
 
 from .mutant import mutant
+from .unseen import ALWAYS_ACTIVE
 
 V2 = SpecVersion.V2_0
 V1_2 = SpecVersion.V1_2
@@ -116,7 +117,9 @@ class ScrubbingEnds(Vardis):
             super()._scrub(now)
 
 
-@mutant("no-check-after", "VD-RUN-02 VD-MGT-05", "looks at the buffer no more once it was deactivated", since=V1_2)
+@mutant(
+    "no-check-after", "VD-RUN-02 VD-MGT-05", "looks at the buffer no more once it was deactivated", unseen=ALWAYS_ACTIVE
+)
 class CheckingEnds(Vardis):
     _ended = False
 
@@ -156,7 +159,7 @@ class ReceivedByDescription(Receiver):
         return too_long or (self._check_empty_and_repcnt and not value)
 
 
-@mutant("left-in-reqCreateQ", "VD-CRE-11", "goes on requesting a variable that its application has created", since=V2)
+@mutant("left-in-reqCreateQ", "VD-CRE-11", "goes on requesting a variable that its application has created")
 class RequestsItsOwn(Vardis):
     def create(self, var_id: int, *args: Any, **more: Any) -> Confirm:
         wanted = var_id in self._database.req_create_q

@@ -14,6 +14,7 @@ from dcp_stack.vardis_receive import Receiver
 from dcp_stack.vardis_wire import Extracted
 
 from .mutant import mutant
+from .unseen import ALWAYS_ACTIVE, NOT_ANEW, NOT_REPLACED
 
 V2 = SpecVersion.V2_0
 V1_2 = SpecVersion.V1_2
@@ -158,7 +159,12 @@ class RefusedUpdateRenews(Vardis):
         return confirm
 
 
-@mutant("activation-renews", "VD-DB-03 VD-MGT-05", "renews tStamp of all variables when it is activated", since=V1_2)
+@mutant(
+    "activation-renews",
+    "VD-DB-03 VD-MGT-05",
+    "renews tStamp of all variables when it is activated",
+    unseen=ALWAYS_ACTIVE,
+)
 class ActivationRenews(Vardis):
     _times = (0, 0)
 
@@ -190,12 +196,17 @@ class StaleAge(Database):
     "own-age-kept",
     "VD-CRE-10 VD-SCR-03 VD-DB-03",
     "keeps tStamp when its application creates a variable again",
-    since=V2,
+    unseen=NOT_ANEW,
 )
 class OwnAgeKept(StaleAge):
     own = True
 
 
-@mutant("age-kept", "VD-PC-07 VD-SCR-03 VD-DB-03", "keeps tStamp when a later VarCreate replaces a variable", since=V2)
+@mutant(
+    "age-kept",
+    "VD-PC-07 VD-SCR-03 VD-DB-03",
+    "keeps tStamp when a later VarCreate replaces a variable",
+    unseen=NOT_REPLACED,
+)
 class AgeKept(StaleAge):
     own = False

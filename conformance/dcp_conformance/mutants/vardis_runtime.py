@@ -25,6 +25,7 @@ from .air import Air
 from .cells import Cells
 from .mutant import mutant
 from .port import Port, registration
+from .unseen import ALWAYS_ACTIVE
 
 V2 = SpecVersion.V2_0
 V1_2 = SpecVersion.V1_2
@@ -57,7 +58,19 @@ class OldMode(Ported):
             return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
 
 
-@mutant("several", "VD-INI-02", "registers for several payloads in a beacon", since=SpecVersion.V1_1)
+@mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
+class RepeatMode(OtherMode):
+    """Which is the fault of the class it derives from, in 1.0."""
+
+
+@mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as later versions do")
+class LaterMode(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPHEAD), **times)
+
+
+@mutant("several", "VD-INI-02 VD-INI-08", "registers for several payloads in a beacon", since=SpecVersion.V1_1)
 class OtherSeveral(Ported):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
@@ -77,7 +90,12 @@ class OtherSize(Vardis):
         return super()._register(size // 2, now, wall)
 
 
-@mutant("other-id", "VD-INI-05 VD-CRE-08", "creates variables with another identifier than the one that BP told")
+@mutant(
+    "other-id",
+    "VD-INI-05 VD-CRE-08",
+    "creates variables with another identifier than the one that BP told",
+    unseen={"1.1": "the application names the producer up to 1.1"},
+)
 class OtherIdentifier(Vardis):
     def _register(self, size: int, now: int, wall: int) -> Any:
         status = super()._register(size, now, wall)
@@ -107,7 +125,7 @@ class QueueSurvives(Air):
 # -- activation --------------------------------------------------------------------------------------------------------
 
 
-@mutant("sends", "VD-MGT-02 VD-RUN-03", "goes on composing payloads while it is inactive", since=V1_2)
+@mutant("sends", "VD-MGT-02 VD-RUN-03", "goes on composing payloads while it is inactive", unseen=ALWAYS_ACTIVE)
 class SendsInactive(Vardis):
     def _generate(self, now: int, wall: int) -> None:
         active, self._core.active = self._core.active, self.registered

@@ -21,6 +21,7 @@ from dcp_stack.vardis_table import Action, Cell, Event, State
 
 from .cells import Cells
 from .mutant import mutant
+from .unseen import ALWAYS_ACTIVE
 
 V2 = SpecVersion.V2_0
 CONSUMED = State.ALIVE_CONSUMER
@@ -31,6 +32,11 @@ OK = VardisStatus.OK
 
 def _refused(event: Event, status: VardisStatus, *states: State) -> dict[tuple[Event, State], Cell]:
     return {(event, state): Cell(Action.REFUSE, status=status) for state in states}
+
+
+def _later(confirm: Confirm) -> Confirm:
+    """A confirm with the status that 2.0 has for deleted variables."""
+    return Confirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
 
 
 # -- RTDB-Delete, RTDB-Update, RTDB-Read -------------------------------------------------------------------------------
@@ -48,7 +54,7 @@ class DeletesForeign(Cells):
     cells: ClassVar = {(Event.APP_DELETE, CONSUMED): Cell(Action.DELETE)}
 
 
-@mutant("status", "VD-DEL-03", "says of a deleted variable of another node that it is deleted", since=V2)
+@mutant("status", "VD-DEL-03", "says of a deleted variable of another node that it is deleted")
 class DeleteStatus(Cells):
     cells: ClassVar = _refused(Event.APP_DELETE, IS_DELETED, DELETED)
 
@@ -88,9 +94,28 @@ class UpdatesForeign(Cells):
     cells: ClassVar = {(Event.APP_UPDATE, CONSUMED): Cell(Action.UPDATE)}
 
 
-@mutant("status", "VD-UPD-03", "says of a deleted variable of another node that it is deleted", since=V2)
+@mutant("status", "VD-UPD-03", "says of a deleted variable of another node that it is deleted")
 class UpdateStatus(Cells):
     cells: ClassVar = _refused(Event.APP_UPDATE, IS_DELETED, DELETED)
+
+
+@mutant("later-status", "VD-UPD-12", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+class UpdateLaterStatus(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        return _later(super().update(var_id, value, now=now, wall=wall))
+
+
+@mutant("later-status", "VD-DEL-09", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+class DeleteLaterStatus(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        return _later(super().delete(var_id, now=now, wall=wall))
+
+
+@mutant("later-status", "VD-REA-06", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+class ReadLaterStatus(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        return ReadConfirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
 
 
 @mutant("ok", "VD-UPD-04", "confirms updates of its own deleted variables with OK", since=V2)
@@ -233,9 +258,7 @@ class ReadsNoStamp(Vardis):
 # -- descriptions ------------------------------------------------------------------------------------------------------
 
 
-@mutant(
-    "hides-deleted", "VD-DDB-02 VD-DB-02", "leaves deleted variables out of the database that it describes", since=V2
-)
+@mutant("hides-deleted", "VD-DDB-02 VD-DB-02", "leaves deleted variables out of the database that it describes")
 class HidesDeleted(Vardis):
     def describe_database(self) -> DescribeDatabaseConfirm:
         confirm = super().describe_database()
@@ -259,7 +282,7 @@ class DescribesUnknown(Vardis):
         return DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
 
 
-@mutant("deleted", "VD-DVA-03", "says of a deleted variable that it cannot describe it", since=V2)
+@mutant("deleted", "VD-DVA-03", "says of a deleted variable that it cannot describe it")
 class HidesEntry(Vardis):
     def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
         confirm = super().describe_variable(var_id)
@@ -299,39 +322,37 @@ class Inactive(Vardis):
         return served
 
 
-@mutant("served", "VD-DDB-01 VD-MGT-04", "describes the database while it is inactive", since=SpecVersion.V1_2)
+@mutant("served", "VD-DDB-01 VD-MGT-04", "describes the database while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveDatabase(Inactive):
     serves = "describe_database"
 
 
-@mutant("served", "VD-DVA-01 VD-MGT-04", "describes variables while it is inactive", since=SpecVersion.V1_2)
+@mutant("served", "VD-DVA-01 VD-MGT-04", "describes variables while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveVariable(Inactive):
     serves = "describe_variable"
 
 
-@mutant("served", "VD-CRE-01 VD-MGT-04", "creates variables while it is inactive", since=SpecVersion.V1_2)
+@mutant("served", "VD-CRE-01 VD-MGT-04", "creates variables while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveCreate(Inactive):
     serves = "create"
 
 
-@mutant("served", "VD-DEL-01 VD-MGT-04", "deletes variables while it is inactive", since=SpecVersion.V1_2)
+@mutant("served", "VD-DEL-01 VD-MGT-04", "deletes variables while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveDelete(Inactive):
     serves = "delete"
 
 
-@mutant("served", "VD-UPD-01 VD-MGT-04", "updates variables while it is inactive", since=SpecVersion.V1_2)
+@mutant("served", "VD-UPD-01 VD-MGT-04", "updates variables while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveUpdate(Inactive):
     serves = "update"
 
 
-@mutant("served", "VD-REA-01 VD-MGT-04", "reads variables while it is inactive", since=SpecVersion.V1_2)
+@mutant("served", "VD-REA-01 VD-MGT-04", "reads variables while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveRead(Inactive):
     serves = "read"
 
 
-@mutant(
-    "silently", "VD-MGT-04 VD-CRE-01", "says INACTIVE, and creates the variable all the same", since=SpecVersion.V1_2
-)
+@mutant("silently", "VD-MGT-04 VD-CRE-01", "says INACTIVE, and creates the variable all the same", unseen=ALWAYS_ACTIVE)
 class InactiveSilently(Inactive):
     def create(self, *args: Any, **times: Any) -> Confirm:
         if self.active or not self.registered:

@@ -14,6 +14,7 @@ from dcp_stack.vardis_table import Action, Cell, Event
 
 from .cells import CONSUMED, DELETED, DELETED_OWN, PRODUCED, UNKNOWN, Cells, within
 from .mutant import mutant
+from .unseen import PURGED
 
 V2 = SpecVersion.V2_0
 
@@ -56,7 +57,7 @@ class UpdateIgnored(Cells):
     cells: ClassVar = within((UNKNOWN,), Action.IGNORE, *UPDATES)
 
 
-@mutant("requests-deleted", "VD-PU-02", "requests a deleted variable when it hears an update of it", since=V2)
+@mutant("requests-deleted", "VD-PU-02", "requests a deleted variable when it hears an update of it")
 class UpdateRequests(Cells):
     cells: ClassVar = within((DELETED,), Action.REQUEST_CREATE, *UPDATES)
 
@@ -142,7 +143,7 @@ class SummaryIgnored(Cells):
     cells: ClassVar = within((UNKNOWN,), Action.IGNORE, *SUMMARIES)
 
 
-@mutant("requests-deleted", "VD-PS-02", "requests a deleted variable when it hears a summary of it", since=V2)
+@mutant("requests-deleted", "VD-PS-02", "requests a deleted variable when it hears a summary of it")
 class SummaryOfDeleted(Cells):
     cells: ClassVar = within((DELETED,), Action.REQUEST_CREATE, *SUMMARIES)
 
@@ -207,17 +208,15 @@ class UnknownUpdateRequest(Cells):
 
 
 @mutant(
-    "update-requested",
-    "VD-SCP-01",
+    "requested",
+    "VD-RU-05 VD-SCP-01",
     "requests an unknown variable that another node asks an update of, as only later versions do",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_0,
 )
 class UnknownUpdateRequested(Cells):
     cells: ClassVar = within((UNKNOWN,), Action.REQUEST_CREATE, *REQUESTS)
 
 
-@mutant("deleted-answered", "VD-RU-02", "answers requests for updates of deleted variables", since=V2)
+@mutant("deleted-answered", "VD-RU-02", "answers requests for updates of deleted variables", unseen=PURGED)
 class DeletedAnswered(Cells):
     cells: ClassVar = within((DELETED, DELETED_OWN), Action.SEND_UPDATE, *REQUESTS)
 
@@ -270,22 +269,20 @@ class UnknownRequest(Cells):
 
 
 @mutant(
-    "create-requested",
-    "VD-SCP-01",
+    "requested",
+    "VD-RC-04 VD-SCP-01",
     "requests an unknown variable that another node asks for, as only later versions do",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_0,
 )
 class UnknownRequested(Cells):
     cells: ClassVar = within((UNKNOWN,), Action.REQUEST_CREATE, Event.RX_REQUEST_CREATE)
 
 
-@mutant("deleted-answered", "VD-RC-02", "answers requests for deleted variables", since=V2)
+@mutant("deleted-answered", "VD-RC-02", "answers requests for deleted variables", unseen=PURGED)
 class DeletedSent(Cells):
     cells: ClassVar = within((DELETED, DELETED_OWN), Action.SEND_CREATE, Event.RX_REQUEST_CREATE)
 
 
-@mutant("deletion-answered", "VD-RC-02", "answers requests for deleted variables with their deletion", since=V2)
+@mutant("deletion-answered", "VD-RC-02", "answers requests for deleted variables with their deletion")
 class DeletionSent(Cells):
     cells: ClassVar = within((DELETED, DELETED_OWN), Action.DELETE, Event.RX_REQUEST_CREATE)
 

@@ -14,6 +14,7 @@ from dcp_stack.vardis_db import Database, DBEntry
 from dcp_stack.vardis_receive import Receiver
 
 from .mutant import mutant
+from .unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_REPLACED, PURGED
 
 # -- what is stored ----------------------------------------------------------------------------------------------------
 
@@ -50,7 +51,6 @@ class NulValue(Stores):
     "producer",
     "VD-PC-10 VD-TYP-06",
     "puts itself as the producer into variables that it sends on",
-    since=SpecVersion.V1_0,
 )
 class OtherProducer(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
@@ -62,7 +62,7 @@ class OtherProducer(Stores):
     "creation-time",
     "VD-PC-10 VD-TYP-06",
     "gives variables that it sends on a creationTime of its own",
-    since=SpecVersion.V2_0,
+    unseen=NO_TIMES,
 )
 class OtherTime(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:
@@ -77,7 +77,7 @@ class CountsHops(Stores):
         return self.changed(record, rep_cnt=max(record.spec.rep_cnt - 1, 1)) if record.spec.rep_cnt <= 15 else record
 
 
-@mutant("timeout-lost", "VD-TYP-06 VD-TYP-04", "sends variables on without their timeout", since=SpecVersion.V2_0)
+@mutant("timeout-lost", "VD-TYP-06 VD-TYP-04", "sends variables on without their timeout", unseen=NO_TIMES)
 class TimeoutLost(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
         return self.changed(record, timeout=0)
@@ -129,17 +129,17 @@ CREATED = "VD-PC-08 VD-CRE-11"
 DELETED = "VD-PD-04 VD-DEL-05"
 
 
-@mutant("deleteQ", CREATED, "leaves a variable in deleteQ that is created anew", since=SpecVersion.V2_0)
+@mutant("deleteQ", CREATED, "leaves a variable in deleteQ that is created anew", unseen=NOT_REPLACED)
 class CreateKeepsDelete(Inserts):
     forgets = "deleteQ"
 
 
-@mutant("updateQ", CREATED, "leaves a variable in updateQ that is created anew", since=SpecVersion.V2_0)
+@mutant("updateQ", CREATED, "leaves a variable in updateQ that is created anew", unseen=NOT_REPLACED)
 class CreateKeepsUpdate(Inserts):
     forgets = "updateQ"
 
 
-@mutant("reqUpdQ", CREATED, "leaves a variable in reqUpdQ that is created anew", since=SpecVersion.V2_0)
+@mutant("reqUpdQ", CREATED, "leaves a variable in reqUpdQ that is created anew", unseen=NOT_REPLACED)
 class CreateKeepsRequest(Inserts):
     forgets = "reqUpdQ"
 
@@ -149,22 +149,22 @@ class CreateKeepsCreate(Inserts):
     forgets = "reqCreateQ"
 
 
-@mutant("createQ", DELETED, "leaves a variable in createQ that is deleted", since=SpecVersion.V1_3)
+@mutant("createQ", DELETED, "leaves a variable in createQ that is deleted")
 class DeleteKeepsCreate(Inserts):
     forgets, at = "createQ", "delete"
 
 
-@mutant("updateQ", DELETED, "leaves a variable in updateQ that is deleted", since=SpecVersion.V1_3)
+@mutant("updateQ", DELETED, "leaves a variable in updateQ that is deleted")
 class DeleteKeepsUpdate(Inserts):
     forgets, at = "updateQ", "delete"
 
 
-@mutant("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ that is deleted", since=SpecVersion.V2_0)
+@mutant("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ that is deleted", unseen=PURGED)
 class DeleteKeepsSummary(Inserts):
     forgets, at = "summaryQ", "delete"
 
 
-@mutant("reqUpdQ", DELETED, "leaves a variable in reqUpdQ that is deleted", since=SpecVersion.V2_0)
+@mutant("reqUpdQ", DELETED, "leaves a variable in reqUpdQ that is deleted", unseen=PURGED)
 class DeleteKeepsRequest(Inserts):
     forgets, at = "reqUpdQ", "delete"
 
@@ -267,13 +267,7 @@ class ForgetsDeleted(Core):
         self.database.remove_deleted = True
 
 
-@mutant(
-    "remembers",
-    "VD-DEL-06 VD-DB-02",
-    "keeps deleted variables, as only later versions do",
-    since=SpecVersion.V1_0,
-    until=SpecVersion.V1_3,
-)
+@mutant("remembers", "VD-DEL-08", "keeps deleted variables, as only later versions do")
 class RemembersDeleted(Core):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -309,13 +303,13 @@ class RelaysCreateRequests(Receiver):
             self._database.req_create_q.append(record.var_id)
 
 
-@mutant("while-inactive", "VD-MGT-03", "processes payloads while it is inactive", since=SpecVersion.V1_2)
+@mutant("while-inactive", "VD-MGT-03", "processes payloads while it is inactive", unseen=ALWAYS_ACTIVE)
 class ReceivesInactive(Vardis):
     def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
 
-@mutant("later", "VD-MGT-03", "processes what came while it was inactive when it is activated", since=SpecVersion.V1_2)
+@mutant("later", "VD-MGT-03", "processes what came while it was inactive when it is activated", unseen=ALWAYS_ACTIVE)
 class ReceivesLater(Vardis):
     def __init__(self, *args: Any, **times: Any) -> None:
         super().__init__(*args, **times)
