@@ -150,7 +150,12 @@ class OtherIdentifier(BeaconingProtocol):
         return confirm if prot_id <= 2 or own is None else RegisterConfirm(confirm.status, own[:-1] + b"\x77")
 
 
-@mutant("size-first", "BP-REG-09", "looks at the size of a registration before it looks for a duplicate")
+@mutant(
+    "size-first",
+    "BP-REG-09",
+    "looks at the size of a registration before it looks for a duplicate",
+    unseen={"1.0": "1.0 refuses neither a size nor a number of entries of 0"},
+)
 class SizeFirst(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         if registration.max_payload_size <= 0 and self._features.version >= SpecVersion.V1_1:
@@ -158,7 +163,12 @@ class SizeFirst(Registrations):
         return status
 
 
-@mutant("queue-first", "BP-REG-09", "looks at maxEntries of a registration before it looks at the size")
+@mutant(
+    "queue-first",
+    "BP-REG-09",
+    "looks at maxEntries of a registration before it looks at the size",
+    unseen={"1.0": "1.0 refuses neither a size nor a number of entries of 0"},
+)
 class QueueFirst(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         wrong = registration.max_entries <= 0 and self.queueing[registration.queue_mode].several  # type: ignore[index]
