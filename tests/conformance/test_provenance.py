@@ -75,7 +75,7 @@ ANCHORED = {
     "weight > 20": "BP-RX-02",
     "into the bag": "BP-RX-06",
     "as posted": "BP-RX-07",
-    "at most 50": "VD-PAR-04",
+    "at most 50": "VD-PAR-01",
     "at least 2 kilograms": "SRP-TYP-01",
     "number of 8 digits": "SRP-TYP-02",
     "into its book": "SRP-TYP-03",
@@ -183,10 +183,10 @@ def test_a_line_break_and_lines_above_change_nothing(specification, baseline):
 def test_a_changed_number(specification, baseline):
     edit(specification, "dcp-bp.md", "at most 50", "at most 60")
     result = compare(read_checkout(specification), baseline)
-    assert touched(result) == {"VD-PAR-04": "changed"}
+    assert touched(result) == {"VD-PAR-01": "changed"}
     assert of(result, "changed") == ["A bag holds at most 60 letters."]
     (entry,) = result.touched
-    assert "TC_VD_PAR_BI_04" in entry.cases
+    assert "TC_VD_PAR_BV_02" in entry.cases
     assert any(each.startswith("dcp_stack/vardis_parameters.py:") for each in entry.code)
     assert result.exit_status() == 1
 
@@ -285,11 +285,11 @@ def repository(tmp_path, specification) -> Path:
 
 def test_a_bare_repository_and_its_revisions(repository, specification, baseline):
     assert touched(compare(read_checkout(repository), baseline)) == {}
-    assert touched(compare(read_checkout(repository, "v1"), baseline)) == {"VD-PAR-04": "changed"}
+    assert touched(compare(read_checkout(repository, "v1"), baseline)) == {"VD-PAR-01": "changed"}
     assert read_checkout(repository).files == read_checkout(specification).files
     edit(specification, "dcp-bp.md", "at most 50", "at most 70")
     work_tree = specification.parents[1]
-    assert touched(compare(read_checkout(work_tree), baseline)) == {"VD-PAR-04": "changed"}
+    assert touched(compare(read_checkout(work_tree), baseline)) == {"VD-PAR-01": "changed"}
     assert touched(compare(read_checkout(work_tree, "HEAD"), baseline)) == {}
 
 
@@ -333,9 +333,9 @@ class TestCommand:
         edit(specification, "dcp-srp.md", "## Tracking", "## Following Parcels")
         done = dcp_conformance("provenance", specification)
         assert done.status == 1
-        assert "dcp-bp.md:25  Limits\n    | A bag holds at most 60 letters.\n    VD-PAR-04\n" in done.out
+        assert "dcp-bp.md:25  Limits\n    | A bag holds at most 60 letters.\n    VD-PAR-01\n" in done.out
         assert "dcp-srp.md, Tracking -> dcp-srp.md, Following Parcels\n    SRP-TYP-02 SRP-TYP-03\n" in done.out
-        assert "TC_VD_PAR_BI_04" in done.out
+        assert "TC_VD_PAR_BV_02" in done.out
         assert "dcp_stack/vardis_parameters.py:" in done.out
         # The folder may have any length; everything else is wrapped.
         assert max(len(line) for line in done.out.splitlines() if str(specification) not in line) <= 80
@@ -348,11 +348,11 @@ class TestCommand:
         assert data["schema"] == report.SCHEMA
         (change,) = data["statements"]
         assert change["change"] == "changed"
-        assert change["requirements"] == ["VD-PAR-04"]
+        assert change["requirements"] == ["VD-PAR-01"]
         assert change["before"]["line"] == change["now"]["line"] == 25
         (entry,) = [each for each in data["requirements"] if each["change"] != "unchanged"]
-        assert entry["id"] == "VD-PAR-04"
-        assert "TC_VD_PAR_BI_04" in entry["cases"]
+        assert entry["id"] == "VD-PAR-01"
+        assert "TC_VD_PAR_BV_02" in entry["cases"]
 
     def test_text_that_is_no_rule_is_shown_on_demand(self, dcp_conformance: Command, specification):
         edit(specification, "dcp-bp.md", "Some **words** about letters.", "Some words about letters. People like them.")
@@ -385,7 +385,7 @@ revision = "v2"
 version = "1.3"
 revision = "v1"
 
-[requirement.VD-PAR-04]
+[requirement.VD-PAR-01]
 "2.0" = ["{bag}"]
 
 [requirement.BP-RX-16]
@@ -403,25 +403,25 @@ def anchors_file(tmp_path: Path, specification: Path, text: str = ANCHORS) -> Pa
 def test_anchors_are_followed_into_older_versions(tmp_path, repository, specification):
     recording = record(repository, read_anchors(anchors_file(tmp_path, specification)))
     file = msgspec.json.decode(recording.files["origins.json"], type=OriginsFile)
-    new, old = (file.origins["VD-PAR-04"][version] for version in (SpecVersion("2.0"), SpecVersion("1.3")))
+    new, old = (file.origins["VD-PAR-01"][version] for version in (SpecVersion("2.0"), SpecVersion("1.3")))
     assert new[0][:3] == old[0][:3], "the place is the same"
     assert new[0][3] != old[0][3], "the number is another"
     assert file.why == {"BP-RX-16": "a general rule"}
     assert "holds at most" not in recording.files["origins.json"] + recording.files["statements.json"]
-    assert all("VD-PAR-04" not in each for each in recording.remarks)
+    assert all("VD-PAR-01" not in each for each in recording.remarks)
     assert any(each.startswith("BP-RX-01 has no entry") for each in recording.remarks)
 
 
 def test_a_statement_that_is_not_found_in_an_older_version_is_asked_for(tmp_path, repository, specification):
     text = ANCHORS.replace('"2.0" = ["{bag}"]', '"2.0" = ["{bag}"]\n"1.3" = []')
     recording = record(repository, read_anchors(anchors_file(tmp_path, specification, text)))
-    assert any(each.startswith("VD-PAR-04 holds in 1.3, but none") for each in recording.remarks)
+    assert any(each.startswith("VD-PAR-01 holds in 1.3, but none") for each in recording.remarks)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("VD-PAR-04", "VD-PAR-999", "has no requirement VD-PAR-999"),
+        ("VD-PAR-01", "VD-PAR-999", "has no requirement VD-PAR-999"),
         ('"2.0" = [', '"2.2" = [', "'2.2' is neither a version"),
         ('version = "1.3"', 'version = "2.0"', "not ordered"),
         ("{bag}", "dcp-bp.md:1 000000000000", "has no statement"),
@@ -441,4 +441,4 @@ def test_anchors_are_followed_into_newer_versions(tmp_path, repository, specific
     path.write_text(text)
     recording = record(repository, read_anchors(path))
     file = msgspec.json.decode(recording.files["origins.json"], type=OriginsFile)
-    assert file.origins["VD-PAR-04"][SpecVersion("2.0")][0][1] == old.line
+    assert file.origins["VD-PAR-01"][SpecVersion("2.0")][0][1] == old.line
