@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import pytest
 from dcp_conformance.verdict import Verdict
-from dcp_spec.constants import BP_PROTID_SRP, ICType
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 from dcp_spec.status import VardisStatus
 
 from dcp_codec import Codec
-from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload
+from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload, VarReqCreate
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, SendBeacon
 from dcp_stack.node import Node
@@ -79,6 +79,11 @@ class Wrong:
             elif not isinstance(content, bytes):
                 content = self.codec.encode_containers(content)
             blocks.append(Payload(each.protocol_id, content))
+        if not blocks:
+            # A beacon without payloads cannot be sent, and one that is not sent looks like a loss of the tester.
+            kind = self.codec.profile.vardis.container_types.by_name()["REQUEST-VARCREATES"]
+            harmless = self.codec.encode_containers((Container(kind, (VarReqCreate(0),)),))
+            blocks.append(Payload(BP_PROTID_VARDIS, harmless))
         octets = self.codec.encode_envelope(Beacon(beacon.bp, tuple(blocks)))
         return SendBeacon(octets, effect.seqno, len(blocks))
 
@@ -252,8 +257,9 @@ class FirstValue(Wrong):
     def contains(self, container: Container) -> Container:
         if not self.is_of(ICType.CREATE_VARIABLES, container):
             return container
-        self.first = self.first or container
-        return self.first
+        self.first = self.first or {}
+        records = [self.first.setdefault(each.spec, each) for each in container.records]
+        return Container(container.ic_type, tuple(records))
 
 
 class NoProducer(Wrong):

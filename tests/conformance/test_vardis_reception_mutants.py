@@ -255,11 +255,20 @@ class LaterOrSame(Receiver):
 
 
 class ByLittleEndian(Receiver):
+    """Has the octets of creation times in the other order, which a run tells once, under DATA-01."""
+
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
         def turned(spec: VarSpec) -> int:
             return int.from_bytes((spec.creation_time or 0).to_bytes(8, "big"), "little")
 
         return turned(record.spec) > turned(entry.spec)
+
+
+class ByLastOctet(Receiver):
+    """Compares one octet of creation times."""
+
+    def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
+        return (record.spec.creation_time or 0) % 256 > (entry.spec.creation_time or 0) % 256
 
 
 class OwnTime(Receiver):
@@ -375,7 +384,7 @@ MUTANTS: list[tuple[str, Make, str]] = [
     ("TC_VD_LEN_BI_01-repCnt-255", node_with(receiver=NoRepCntCheck), "dcp-1.2"),
     ("TC_VD_LEN_BI_01-description-max", node_with(receiver=ShorterDescriptions), "dcp-1.0"),
     ("TC_VD_CRT_BO_01-the-same", node_with(receiver=LaterOrSame), "dcp-2.0"),
-    ("TC_VD_CRT_BV_03-255-256", node_with(receiver=ByLittleEndian), "dcp-2.0"),
+    ("TC_VD_CRT_BV_03-255-256", node_with(receiver=ByLastOctet), "dcp-2.0"),
     ("TC_VD_CRT_BV_01-plain", node_with(receiver=OwnTime), "dcp-2.0"),
     ("TC_VD_SEQ_BV_01-1", node_with(core=core_with(sequence=PlainComparison)), "dcp-2.0"),
     ("TC_VD_SEQ_BV_02-M-1", node_with(core=core_with(sequence=PlainComparison)), "dcp-2.0"),
@@ -398,3 +407,9 @@ MUTANTS: list[tuple[str, Make, str]] = [
 )
 def test_a_wrong_node_is_noticed(case_id: str, make: Make, profile: str) -> None:
     assert verdict_of(case_id, make, profile) is Verdict.FAIL
+
+
+def test_creation_times_with_swapped_octets_are_a_fault_of_the_data_type() -> None:
+    result = one_case("TC_VD_CRT_BV_03-255-256", "dcp-2.0", node_with(receiver=ByLittleEndian))
+    assert result.verdict is Verdict.INCONCLUSIVE
+    assert "DATA-01" in result.reason
