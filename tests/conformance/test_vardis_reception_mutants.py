@@ -264,11 +264,11 @@ class ByLittleEndian(Receiver):
         return turned(record.spec) > turned(entry.spec)
 
 
-class ByLastOctet(Receiver):
-    """Compares one octet of creation times."""
+class ByHighBits(Receiver):
+    """Compares creation times without their lowest nine bits."""
 
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
-        return (record.spec.creation_time or 0) % 256 > (entry.spec.creation_time or 0) % 256
+        return (record.spec.creation_time or 0) >> 9 > (entry.spec.creation_time or 0) >> 9
 
 
 class OwnTime(Receiver):
@@ -384,7 +384,7 @@ MUTANTS: list[tuple[str, Make, str]] = [
     ("TC_VD_LEN_BI_01-repCnt-255", node_with(receiver=NoRepCntCheck), "dcp-1.2"),
     ("TC_VD_LEN_BI_01-description-max", node_with(receiver=ShorterDescriptions), "dcp-1.0"),
     ("TC_VD_CRT_BO_01-the-same", node_with(receiver=LaterOrSame), "dcp-2.0"),
-    ("TC_VD_CRT_BV_03-255-256", node_with(receiver=ByLastOctet), "dcp-2.0"),
+    ("TC_VD_CRT_BV_03-255-256", node_with(receiver=ByHighBits), "dcp-2.0"),
     ("TC_VD_CRT_BV_01-plain", node_with(receiver=OwnTime), "dcp-2.0"),
     ("TC_VD_SEQ_BV_01-1", node_with(core=core_with(sequence=PlainComparison)), "dcp-2.0"),
     ("TC_VD_SEQ_BV_02-M-1", node_with(core=core_with(sequence=PlainComparison)), "dcp-2.0"),
