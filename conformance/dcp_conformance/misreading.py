@@ -58,9 +58,14 @@ def misread_fields(bench: Bench) -> dict[Field, str]:
 
 
 def _takes_creations(bench: Bench) -> bool:
-    """Whether a VarCreate is passed on (VD-PC-09): who lays a VarSpecT out otherwise takes none."""
+    """Whether VarCreates are taken (VD-PC-09): an implementation that lays a VarSpecT out otherwise takes none.
+
+    Such an implementation asks for the variable as soon as a summary speaks of it. If it does not ask either, what it
+    lacks is something else than the layout, and excuses nothing.
+    """
     if not bench.has_unknown_ids():
         return True
+    asked = False
     for _ in range(_ATTEMPTS):
         peer, since = bench.peer(), bench.mark()
         create = peer.create(bench.var_id())
@@ -69,7 +74,9 @@ def _takes_creations(bench: Bench) -> bool:
             peer.send(peer.delete(create.spec.var_id))
             bench.until_quiet(lambda heard: heard.instructions(ICType.DELETE_VARIABLES), since=since)
             return True
-    return False
+        peer.send(peer.summary(create.spec.var_id, 0))
+        asked |= bench.until_instruction(ICType.REQUEST_VARCREATES, create.spec.var_id) is not None
+    return not asked
 
 
 # -- creation times ----------------------------------------------------------------------------------------------------

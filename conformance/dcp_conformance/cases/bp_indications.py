@@ -9,7 +9,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
 
-from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode, SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode
 
 from dcp_conformance.bench import Bench
 from dcp_conformance.case import DENIED, Needs, Variant, case
@@ -190,7 +190,7 @@ def each_block(bench: Bench, layout: Sequence[int]) -> None:
     requirements="BP-REG-10 BP-DRG-04",
     stimulus="beacons with a block of a protocol before it is registered, meanwhile, and after it is deregistered",
     expect="an indication of the second payload only",
-    needs=Needs(since=SpecVersion.V1_1, entities=(), ut=("UT-Subscribe", REGISTER, DEREGISTER)),
+    needs=Needs(entities=(), ut=("UT-Subscribe", REGISTER, DEREGISTER)),
 )
 def while_registered(bench: Bench) -> None:
     client, peer = BPClient(bench, ONCE), bench.peer()

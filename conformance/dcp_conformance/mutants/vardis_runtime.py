@@ -168,7 +168,8 @@ class NeverChecks(Vardis):
         super().handle_timeout(now, wall)
 
 
-@mutant("always", "VD-RUN-02", "composes a payload at every look, whatever is in the buffer")
+# What it composes too early replaces the answer to a probe: to the tester VarDis may seem to have stopped.
+@mutant("always", "VD-RUN-02 VD-ROB-01", "composes a payload at every look, whatever is in the buffer")
 class AlwaysComposes(Ported):
     class port(Port):  # noqa: N801 - as above
         def query_number_buffered(self, prot_id: int) -> Any:
