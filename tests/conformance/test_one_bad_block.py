@@ -6,6 +6,7 @@ What fails names the requirement of what is wrong, and nothing that merely stand
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.cases.bp_client_reception import broken_by
 from dcp_conformance.mutants import all_mutants
 from dcp_conformance.selftest import Finding, Trial, trial
 
@@ -41,6 +42,26 @@ def test_a_fault_in_the_header_fails_what_asks_for_that_field(identifier: str) -
     outcome = trial(MUTANTS[identifier], full=True)
     assert outcome.killed
     assert failed(outcome) == HEADERS[identifier]
+
+
+@pytest.mark.parametrize(
+    ("head", "requirements"),
+    [
+        ("19 70 02 01", {"DATA-01"}),
+        ("19 70 01 02", {"DATA-01"}),
+        ("70 19 02 01", {"DATA-01"}),
+        ("70 19 01 06", {"BP-FMT-01"}),
+        ("19 70 01 06", {"DATA-01", "BP-FMT-01"}),
+        ("70 19 00 02", {"BP-HDR-11"}),
+        ("00 19 01 02", {"BP-HDR-11"}),
+        ("01 70 19 02", {"BP-HDR-11"}),
+        ("", {"BP-HDR-11"}),
+    ],
+)
+def test_each_difference_in_the_header_of_a_block_is_the_fault_of_its_own_rule(
+    head: str, requirements: set[str]
+) -> None:
+    assert set(broken_by(bytes.fromhex(head), bytes.fromhex("70 19 01 02"))) == requirements
 
 
 def test_a_bad_container_hides_neither_those_before_it_nor_bp() -> None:

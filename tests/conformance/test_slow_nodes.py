@@ -22,8 +22,10 @@ SLOW: Mapping[str, dict[str, Any]] = {
     "buffer check period of 2 s": {"buffer_check_period_ms": 2000},
     "500 ms for each call": {"call_ms": 500},
 }
-#: Variables whose timeout is over before a slow implementation first speaks, and stimuli that it takes one by one.
-MOST_UNDECIDED = 28
+#: Variables whose timeout is over before a slow implementation first speaks, and what slow calls come too late for.
+MOST_UNDECIDED = 8
+#: Up to 1.1 BP cannot be deactivated while stimuli are made that must fall between two beacons.
+TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon came in between each time; calls take up to 500 ms"
 
 
 @pytest.mark.parametrize(
@@ -40,7 +42,10 @@ def test_nobody_fails_for_being_slow(how: str, profile: str):
     results = [runner.run(each) for each in ordered(known_cases().values()) if each.id not in (DECLARED, DENIED)]
     wrong = [(each.id, each.reason) for each in results if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
     assert wrong == []
-    assert sum(each.verdict is Verdict.INCONCLUSIVE for each in results) <= MOST_UNDECIDED
+    undecided = [(each.id, each.reason) for each in results if each.verdict is Verdict.INCONCLUSIVE]
+    if profile == "dcp-1.1":
+        undecided = [(case_id, reason) for case_id, reason in undecided if TOO_SLOW_FOR_A_GAP not in reason]
+    assert len(undecided) <= MOST_UNDECIDED, undecided
     assert sum(each.verdict is Verdict.PASS for each in results) > 650
 
 

@@ -108,7 +108,14 @@ def test_only_a_status_of_the_specification_is_success(status: str):
 _UNJUDGED = frozenset({"UT-Reset", "UT-Subscribe", "BP-DeregisterProtocol"})
 #: Cases in which any refusal is right.
 _ANY_REFUSAL = frozenset(
-    {"TC_BP_REG_BI_05", "TC_BP_PAR_BI_02", "TC_VD_CRE_BV_07", "TC_DCP_DATA_BI_01", "TC_VD_DB_BV_06"}
+    {
+        "TC_BP_REG_BI_05",
+        "TC_BP_PAR_BI_02",
+        "TC_SRP_PAR_BI_01",
+        "TC_VD_CRE_BV_07",
+        "TC_DCP_DATA_BI_01",
+        "TC_VD_DB_BV_06",
+    }
 )
 
 
@@ -122,6 +129,12 @@ def test_no_case_passes_on_odd_answers(case_id: str):
         made = any(each.direction == "call" and each.text.startswith(f"{method} ") for each in result.evidence)
         verdict = result.verdict
         assert not made or verdict not in (Verdict.PASS, Verdict.ERROR), f"{method}: {result.error_detail}"
+
+
+@pytest.mark.parametrize("code", [-32003, -32602])
+def test_a_timeout_that_the_upper_tester_could_not_ask_for_was_not_refused(code: int):
+    result = result_of("TC_SRP_PAR_BI_01", "SRP-SetParameter", Answer(code=code, message="no"))
+    assert [each.verdict for each in result.checks] == [Verdict.INFO, Verdict.INFO], result.reason
 
 
 # -- readings ----------------------------------------------------------------------------------------------------------

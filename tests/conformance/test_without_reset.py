@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import DECLARED, Case, Kind
+from dcp_conformance.case import DECLARED, DENIED, Case, Kind
 from dcp_conformance.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.results import CaseResult
@@ -15,13 +15,15 @@ from dcp_conformance.runner import Runner
 from dcp_conformance.selection import ordered
 from dcp_conformance.upper import Answer
 from dcp_conformance.verdict import Verdict
-from dcp_spec.constants import ICType
+from dcp_spec.constants import ICType, SpecVersion
 
 from .rig import codec_of, known_cases
 
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
 #: What the user is told to provide when identifiers are used up.
 REMEDIES = ("UT-Reset", "--start", "--restart", 'reset = "restart"')
+#: What a PICS or a profile says is no behaviour of our node.
+ON_PAPER = (DECLARED, DENIED)
 
 
 class NoReset(VirtualUpperTester):
@@ -43,21 +45,35 @@ def runner_of(profile: str) -> Runner:
     return runner
 
 
-def odd(results: Iterator[CaseResult]) -> list[str]:
+def still_reporting(profile: str, result: CaseResult) -> bool:
+    """Whether there was no pause because a report that an earlier case has handed down is repeated.
+
+    Up to 1.2 SRP repeats it in every beacon until a reset.
+    """
+    return (
+        codec_of(profile).profile.spec_version < SpecVersion.V1_3
+        and result.id == "TC_BP_HDR_BV_09"
+        and result.verdict is Verdict.INCONCLUSIVE
+        and result.reason.startswith("a pause in which it has nothing to send: ")
+    )
+
+
+def odd(results: Iterator[CaseResult], profile: str) -> list[str]:
     """What a right implementation should not be told."""
     return [
         f"{each.id}: {each.verdict}: {each.reason} {each.error_detail}"
         for each in results
         if each.verdict not in FINE
         and not (each.verdict is Verdict.INCONCLUSIVE and all(remedy in each.reason for remedy in REMEDIES))
+        and not still_reporting(profile, each)
     ]
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.0", "cpp-2.0"])
 def test_the_whole_suite_in_one_life_of_the_node(profile: str):
     runner = runner_of(profile)
-    cases = [each for each in ordered(known_cases().values()) if not each.needs.restart and each.id != DECLARED]
-    assert odd(runner.run(each) for each in cases) == []
+    cases = [each for each in ordered(known_cases().values()) if not each.needs.restart and each.id not in ON_PAPER]
+    assert odd((runner.run(each) for each in cases), profile) == []
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.3", "dcp-1.0"])
@@ -66,7 +82,8 @@ def test_up_to_1_3_identifiers_are_never_used_up(profile: str):
     runner = runner_of(profile)
     cases = [each for each in ordered(known_cases().values()) if not each.needs.restart]
     results = [runner.run(each) for each in cases]
-    assert [f"{each.id}: {each.reason}" for each in results if each.verdict not in FINE] == []
+    wrong = [each for each in results if each.verdict not in FINE and not still_reporting(profile, each)]
+    assert [f"{each.id}: {each.reason}" for each in wrong] == []
 
 
 def _case(body: Callable[[Bench], None]) -> Case:
@@ -96,4 +113,4 @@ def test_a_case_where_many_identifiers_have_been_used(case_id: str):
     runner = runner_of("dcp-2.0")
     assert runner.run(_case(used)).verdict is Verdict.PASS
     assert runner.run(_case(idle)).verdict is Verdict.PASS
-    assert odd(iter([runner.run(known_cases()[case_id])])) == []
+    assert odd(iter([runner.run(known_cases()[case_id])]), "dcp-2.0") == []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
 
@@ -382,7 +382,7 @@ def idle_clients(bench: Bench) -> None:
 @case(
     "TC_BP_HDR_BV_13",
     "protocolId and length of a block are two octets each, as the payload of a client shows",
-    requirements="BP-HDR-11",
+    requirements="BP-HDR-11 BP-FMT-01 DATA-01",
     stimulus="a payload of 258 octets under a protocol identifier of two different octets",
     expect="both octets of the identifier, both octets of the length, and the payload, one behind the other",
     needs=Needs(
@@ -400,9 +400,23 @@ def block_header(bench: Bench) -> None:
         assert found is not None
         place = found.octets.index(payload)
         head, right = found.octets[place - 4 : place], client.prot_id.to_bytes(2) + len(payload).to_bytes(2)
-        bench.check(
-            head == right, f"octets {right.hex(' ')} before the payload", head.hex(" "), frames=[found], shown=True
-        )
+        expected = f"octets {right.hex(' ')} before the payload"
+        broken = () if head == right else broken_by(head, right)
+        bench.check(head == right, expected, head.hex(" "), *broken, frames=[found], shown=True)
+
+
+def broken_by(head: bytes, right: bytes) -> Iterator[str]:
+    """The rules that a block header breaks with other octets, each difference by its own rule."""
+    (prot_id, length), (right_id, right_length) = ((each[:2], each[2:]) for each in (head, right))
+    if prot_id not in (right_id, right_id[::-1]):
+        # The octets are not those of two fields of two octets: nothing can be said of their meaning.
+        yield "BP-HDR-11"
+        return
+    if right_id[::-1] == prot_id or right_length[::-1] == length:
+        yield "DATA-01"
+    if length not in (right_length, right_length[::-1]):
+        # Another number of 16 bits is the wrong one; one that eight bits can hold may have lost the upper octet.
+        yield "BP-FMT-01" if length[0] else "BP-HDR-11"
 
 
 @case(

@@ -79,8 +79,8 @@ VARIANTS = (
         "has beacons of at most 200 octets",
         "BP-PAR-04",
         _bp(200, max_payload_size=140),
-        # No client can register for payloads of 255 or 256 octets.
-        explains=(r"^TC_BP_(RXP|TXP)_BV_01-25[56]: .*ILLEGAL-MAX-PAYLOAD-SIZE",),
+        # No client can register for payloads of 255, 256 or 258 octets.
+        explains=(r"^TC_BP_((RXP|TXP)_BV_01-25[56]|HDR_BV_13): .*ILLEGAL-MAX-PAYLOAD-SIZE",),
     ),
     Variant("V-LIM-queue-5", "registers VarDis with room for 5 payloads", "VD-INI-02", _vardis(bp_queue_entries=5)),
     Variant("V-LIM-queue-20", "registers VarDis with room for 20 payloads", "VD-INI-02", _vardis(bp_queue_entries=20)),
