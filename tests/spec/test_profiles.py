@@ -282,8 +282,10 @@ def test_extends_what_is_not_there(write: WriteProfile, tmp_path: Path) -> None:
             "spec_version = '3.0' is no known version of the specification: known are 1.0, 1.1, 1.2, 1.3, 2.0",
         ),
         ("spec_version = 2.0", 'spec_version = 2.0 is no known version of the specification: write "2.0"'),
-        ("spec_version = 2.1", "spec_version = 2.1 is no known version of the specification: known are 1.0"),
-        ("spec_version = 2.0", "spec_version: Expected `str`, got `float`"),
+        (
+            "spec_version = 2.1",
+            "spec_version = 2.1 is no known version of the specification: known are 1.0, 1.1, 1.2, 1.3, 2.0",
+        ),
         ("name = 1", "name: Expected `str`, got `int`"),
         ('[bp]\nheader = "version"', "bp.header: Expected `array`, got `str`"),
         ("[bp]\npayload_area = 65536", "bp.payload_area: Expected `int` <= 65535"),
