@@ -29,9 +29,9 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 unit: $(STAMP) $(KAITAI)
-	@echo "About 6 minutes of tests on two processors, longer on a busy machine."
+	@echo "About 7 minutes of tests on two processors, longer on a busy machine."
 	$(BIN)/pytest -n auto -m "not real_time"
-	@echo "Tests in real time, by themselves: about one minute."
+	@echo "Tests in real time, by themselves: about three minutes."
 	$(BIN)/pytest -n 3 --dist loadfile -m real_time
 
 FOR  ?= 3600
