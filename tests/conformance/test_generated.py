@@ -177,7 +177,7 @@ def _in_new_processes(work, *calls):
 
 def test_a_node_that_does_not_work_by_itself_ends_the_run(monkeypatch):
     """Otherwise every change would count as killed, as it once did beside an unfinished edit."""
-    monkeypatch.setattr(campaign, "_ask", lambda *_: (msgspec.json.encode(Outcome("", "broken", "SyntaxError: x")), ""))
+    monkeypatch.setattr(campaign, "ask", lambda *_: (msgspec.json.encode(Outcome("", "broken", "SyntaxError: x")), ""))
     with pytest.raises(ConformanceError, match="does not work without a change: SyntaxError: x"):
         run(sites()[:1])
 

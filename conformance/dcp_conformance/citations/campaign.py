@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import ast
-import multiprocessing
-import os
-import signal
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from fnmatch import fnmatchcase
-from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Final, Literal
@@ -19,6 +14,7 @@ import msgspec
 from dcp_spec.version import __version__
 
 from dcp_conformance.errors import UsageError
+from dcp_conformance.generated.isolation import ask, concurrently, process_context
 from dcp_conformance.generated.trial import limit
 
 from .changes import CodeChange, changes_under
@@ -31,8 +27,6 @@ SCHEMA: Final = "dcp-conformance-citations/1"
 #: Changes of one place that are tried with the cases, and with the tests.
 _TRIED: Final = 16
 _TESTED: Final = 4
-#: Seconds by the clock that one change may take.
-_PATIENCE: Final = 600.0
 
 Proof = Literal["case", "test", "breaks", "none", "no change"]
 
@@ -112,19 +106,16 @@ def run(
     order = {each: number for number, each in enumerate(picked)}
     for each in order:
         places.setdefault((each.path, each.first, each.last), []).append(each)
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["dcp_conformance.generated.preload"])
+    context = process_context()
     verdicts: list[Verdict] = []
-    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        waiting = [pool.submit(_check, context, group, root) for group in places.values()]
-        try:
-            for done in as_completed(waiting):
-                for verdict in done.result():
-                    verdicts.append(verdict)
-                    if on_result is not None:
-                        on_result(verdict)
-        except KeyboardInterrupt:
-            pool.shutdown(cancel_futures=True)
+
+    def done(group: list[Verdict]) -> None:
+        for verdict in group:
+            verdicts.append(verdict)
+            if on_result is not None:
+                on_result(verdict)
+
+    concurrently(lambda cited: _check(context, cited, root), places.values(), jobs, done)
     verdicts.sort(key=lambda each: order[each.citation])
     return CitationsResult(duration=round(time.monotonic() - began, 1), verdicts=tuple(verdicts))
 
@@ -138,7 +129,7 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
         names = [each.requirement for each in group if each.requirement not in found]
         if not names:
             break
-        noticed = _in_process(context, change, names)
+        noticed = _noticed(context, change, names)
         for each in group:
             name = each.requirement
             if name not in noticed.by:
@@ -171,29 +162,11 @@ def _one_of_each(citation: Citation) -> list[CodeChange]:
     return list({each.operator: each for each in reversed(changes_under(citation))}.values())[::-1][:_TESTED]
 
 
-def _in_process(context: ForkServerContext, change: CodeChange, names: list[str]) -> Noticed:
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(theirs, change, names), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        if ours.poll(_PATIENCE):
-            return msgspec.json.decode(ours.recv_bytes(), type=Noticed)
-    except (EOFError, OSError):
-        pass
-    finally:
-        process.kill()
-        process.join()
-        ours.close()
-    return Noticed({}, crippled=True)
+def _noticed(context: ForkServerContext, change: CodeChange, names: list[str]) -> Noticed:
+    answer, _ = ask(context, _try, change, names)
+    return msgspec.json.decode(answer, type=Noticed) if answer else Noticed({}, crippled=True)
 
 
-def _child(to: Connection, change: CodeChange, names: list[str]) -> None:
-    # What a broken node says of itself is not ours to show: there may be any amount of it.
-    with Path(os.devnull).open("r+b") as nowhere:
-        for descriptor in (1, 2):
-            os.dup2(nowhere.fileno(), descriptor)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _try(change: CodeChange, names: list[str]) -> bytes:
     limit()
-    to.send_bytes(msgspec.json.encode(try_change(change, names)))
-    to.close()
+    return msgspec.json.encode(try_change(change, names))

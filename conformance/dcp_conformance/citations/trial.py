@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.abc
-import importlib.machinery
-import importlib.util
-import sys
 from collections.abc import Iterable, Iterator, Sequence
-from types import CodeType, ModuleType
 from typing import Final
 
 import msgspec
@@ -15,6 +10,7 @@ from dcp_spec.constants import SpecVersion
 from dcp_spec.requirements import requirement
 
 from dcp_conformance.errors import ConformanceError
+from dcp_conformance.generated.isolation import import_changed
 from dcp_conformance.verdict import Verdict
 
 from .changes import CodeChange
@@ -29,32 +25,13 @@ class Noticed(msgspec.Struct, frozen=True):
     """Whether the node does not start, dies, or does not even pass the sanity case: then many cases fail."""
 
 
-class _Importer(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Imports one module from a changed tree."""
-
-    def __init__(self, change: CodeChange) -> None:
-        self._name = change.module
-        self._code: CodeType = compile(change.tree(), f"<changed {change.module}>", "exec")
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> importlib.machinery.ModuleSpec | None:
-        """The changed module; None for every other."""
-        del path, target
-        return importlib.util.spec_from_loader(fullname, self) if fullname == self._name else None
-
-    def exec_module(self, module: ModuleType) -> None:
-        """Run the changed code."""
-        exec(self._code, module.__dict__)  # noqa: S102 - our own source with one change
-
-
 #: Cases per requirement and profile: a citation that dozens of cases do not notice stands in the wrong place.
 _CASES: Final = 25
 
 
 def try_change(change: CodeChange, names: Iterable[str]) -> Noticed:
     """Run the cases of requirements until each is noticed. For a new process that has not imported ``dcp_stack``."""
-    sys.meta_path.insert(0, _Importer(change))
+    import_changed(change.module, compile(change.tree(), f"<changed {change.module}>", "exec"))
     noticed: dict[str, str] = {}
     crippled = False
     for profile, group in _profiles(names):

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import random
-import signal
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from multiprocessing.connection import Connection
-from pathlib import Path
+from multiprocessing.context import ForkServerContext
 from typing import Final
 
 import msgspec
@@ -19,14 +16,13 @@ from dcp_spec.version import __version__
 
 from dcp_conformance.errors import ConformanceError
 
+from .isolation import ask, concurrently, process_context
 from .ledger import Entry, ledger
 from .reach import Reach, measure
 from .sites import Site, sites
 from .trial import NODES, PROFILES, Outcome, Step, limit, steps, try_site
 
 SCHEMA: Final = "dcp-conformance-generated/1"
-#: Seconds that a process may take by the clock: the processors may have other work.
-_PATIENCE: Final = 600.0
 #: Changes from which on it pays to find out first which cases execute them.
 _MANY: Final = 40
 
@@ -91,13 +87,7 @@ def draw(count: int, seed: int, *, patterns: Sequence[str] = ()) -> list[Site]:
 def reach(*, jobs: int | None = None) -> tuple[Reach, ...]:
     """What the cases execute on each node. Takes about ten runs of the suite for each."""
     with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        return tuple(pool.map(partial(_measured, _context()), NODES))
-
-
-def _context() -> multiprocessing.context.ForkServerContext:
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([f"{__package__}.preload"])
-    return context
+        return tuple(pool.map(partial(_measured, process_context()), NODES))
 
 
 def run(
@@ -118,7 +108,7 @@ def run(
     """
     began = time.monotonic()
     excuses = ledger()
-    context = _context()
+    context = process_context()
     _require_working(context)
 
     def attempt(site: Site) -> Trial:
@@ -133,15 +123,13 @@ def run(
     if reached is None:
         reached = reach(jobs=jobs) if len(chosen) >= _MANY else ()
     known = tuple(reached)
-    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        waiting = [pool.submit(attempt, site) for site in chosen]
-        try:
-            for done in as_completed(waiting):
-                trials.append(done.result())
-                if on_result is not None:
-                    on_result(trials[-1])
-        except KeyboardInterrupt:
-            pool.shutdown(cancel_futures=True)
+
+    def done(trial: Trial) -> None:
+        trials.append(trial)
+        if on_result is not None:
+            on_result(trial)
+
+    concurrently(attempt, chosen, jobs, done)
     order = {site.key: number for number, site in enumerate(sites())}
     return GeneratedResult(
         seed=seed,
@@ -153,19 +141,19 @@ def run(
     )
 
 
-def _require_working(context: multiprocessing.context.ForkServerContext) -> None:
+def _require_working(context: ForkServerContext) -> None:
     """Run the sanity case against the node as it is. Raises :class:`ConformanceError` if it fails."""
-    answer, fate = _ask(context, _try, None, (Step(PROFILES[0], (0,)),))
+    answer, fate = ask(context, _try, None, (Step(PROFILES[0], (0,)),))
     outcome = msgspec.json.decode(answer, type=Outcome) if answer else None
     if outcome is None or outcome.fate != "survived":
         raise ConformanceError(f"the node does not work without a change: {outcome.by if outcome else fate}")
 
 
-def _in_process(context: multiprocessing.context.ForkServerContext, site: Site, plan: Sequence[Step]) -> Outcome:
+def _in_process(context: ForkServerContext, site: Site, plan: Sequence[Step]) -> Outcome:
     if not plan:
         return Outcome(site.key, "survived", "no case executes this code")
     began = time.monotonic()
-    answer, fate = _ask(context, _try, site, plan)
+    answer, fate = ask(context, _try, site, plan)
     if answer:
         outcome: Outcome = msgspec.json.decode(answer, type=Outcome)
         return outcome
@@ -173,42 +161,11 @@ def _in_process(context: multiprocessing.context.ForkServerContext, site: Site, 
     return Outcome(site.key, "broken", fate, "", round(time.monotonic() - began, 2))
 
 
-def _measured(context: multiprocessing.context.ForkServerContext, node: str) -> Reach:
-    answer, fate = _ask(context, _measure, node)
+def _measured(context: ForkServerContext, node: str) -> Reach:
+    answer, fate = ask(context, _measure, node)
     if not answer:
         raise RuntimeError(f"what the cases execute on {node}: {fate}")
     return msgspec.msgpack.decode(answer, type=Reach)
-
-
-def _ask(
-    context: multiprocessing.context.ForkServerContext, work: Callable[..., bytes], *arguments: object
-) -> tuple[bytes, str]:
-    """What ``work`` returns in a process of its own; if nothing, how that process ended."""
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(theirs, work, *arguments), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        if ours.poll(_PATIENCE):
-            return ours.recv_bytes(), ""
-        return b"", f"did not come to an end within {_PATIENCE:g} s"
-    except (EOFError, OSError):
-        process.join(5)
-        return b"", f"its process ended with status {process.exitcode}"
-    finally:
-        process.kill()
-        process.join()
-        ours.close()
-
-
-def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> None:
-    # A broken node may write any amount of messages.
-    with Path(os.devnull).open("r+b") as nowhere:
-        for descriptor in (1, 2):
-            os.dup2(nowhere.fileno(), descriptor)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    to.send_bytes(work(*arguments))
-    to.close()
 
 
 def _try(site: Site | None, plan: Sequence[Step]) -> bytes:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import gc
-import importlib.abc
-import importlib.machinery
-import importlib.util
 import itertools
 import resource
 import sys
@@ -13,7 +10,6 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
@@ -26,6 +22,7 @@ from dcp_conformance.errors import ConformanceError
 from dcp_conformance.selection import ordered
 from dcp_conformance.verdict import Verdict
 
+from .isolation import import_changed
 from .reach import Reach
 from .sites import Site, cited, mutated
 
@@ -66,25 +63,6 @@ class Outcome(msgspec.Struct, frozen=True):
     """The first case that noticed, and why."""
     profile: str = ""
     seconds: float = 0.0
-
-
-class _Mutator(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Imports one module of the node from changed source."""
-
-    def __init__(self, site: Site) -> None:
-        self._name = f"dcp_stack.{site.module}"
-        self._code: CodeType = compile(mutated(site), f"<changed {site.module}.py>", "exec")
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> importlib.machinery.ModuleSpec | None:
-        """The changed module; None for every other."""
-        del path, target
-        return importlib.util.spec_from_loader(fullname, self) if fullname == self._name else None
-
-    def exec_module(self, module: ModuleType) -> None:
-        """Run the changed code."""
-        exec(self._code, module.__dict__)  # noqa: S102 - our own source with one change
 
 
 @cache
@@ -163,7 +141,7 @@ def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
     began = time.monotonic()
     key = "" if site is None else site.key
     if site is not None:
-        sys.meta_path.insert(0, _Mutator(site))
+        import_changed(f"dcp_stack.{site.module}", compile(mutated(site), f"<changed {site.module}.py>", "exec"))
 
     def outcome(fate: Fate, by: str, profile: str) -> Outcome:
         return Outcome(key, fate, by[:300], profile, round(time.monotonic() - began, 2))
