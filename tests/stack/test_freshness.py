@@ -32,10 +32,10 @@ def mean_delay(jitter: float, summaries: int, *, lines: int = 14, updates: int =
         )
         rng = random.Random(seed)
         for index in range(HOPS + 1):
-            net.at(rng.randrange(PERIOD), lambda index=index: net.start(index))
-        net.run_until(SECOND)
+            net.at(rng.randrange(PERIOD), lambda net=net, index=index: net.start(index))
+        net.run_until(2 * PERIOD)
         net.call(0, lambda node, now, wall: node.vardis.create(1, None, 1, b"value", b"0", now=now, wall=wall))
-        net.run_until(4 * SECOND)
+        net.run_until(2 * SECOND)
         born: dict[bytes, int] = {}
 
         def changed(time: int, index: int, effect: VariableChanged, born: dict[bytes, int] = born) -> None:
@@ -44,11 +44,11 @@ def mean_delay(jitter: float, summaries: int, *, lines: int = 14, updates: int =
 
         net.listen(VariableChanged, changed)
         for number in range(updates):
-            net.run_until(net.now + 2 * SECOND + rng.randrange(PERIOD))
+            net.run_until(net.now + SECOND + rng.randrange(PERIOD))
             value = str(number).encode()
             born[value] = net.now
             net.call(0, lambda node, now, wall, value=value: node.vardis.update(1, value, now=now, wall=wall))
-        net.run_until(net.now + 3 * SECOND)
+        net.run_until(net.now + SECOND)
     assert len(delays) == lines * updates
     return sum(delays) / len(delays) / PERIOD / HOPS
 
