@@ -85,7 +85,10 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     readings: Mapping[str, str] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raises ``ValueError`` for a node id of the wrong width, an unknown reading or one that is no alternative."""
+        """Raises ``ValueError`` for a node id of the wrong width or a choice that a reading does not have.
+
+        Raises ``UnknownReadingError`` for an id that is not a reading's.
+        """
         layout = self.profile.types.node_id
         if layout.length is None and len(self.node_id) != layout.width:
             raise ValueError(f"node id {self.node_id.hex(':')} has {len(self.node_id)} octets, not {layout.width}")
