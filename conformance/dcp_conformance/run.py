@@ -199,7 +199,9 @@ class ConformanceRun:
             self.take(case, result)
 
         executor = SideBySide(self._runner, self.cases[SANITY], self.side_by_side)
-        executor.run(together, on_result)
+        executor.run([case for case in together if not case.destructive], on_result)
+        if self._runner.session.can_restart:
+            executor.run([case for case in together if case.destructive], on_result)
         self._notes.append(
             f"{len(passed)} cases were executed side by side and passed; the others were executed one after the other"
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
@@ -21,11 +21,14 @@ from dcp_conformance.verdict import Verdict
 
 from .scheduler import Scheduler, Task
 from .shared import SharedLink, SharedSession, SharedUpper
+from .sharing import group
 
 #: Cases at a time, unless the user says otherwise.
-WIDTH: Final = 16
+WIDTH: Final = 12
 #: ns after which the executor looks at the implementation's process, whatever the cases wait for.
 _LOOK: Final = 200_000_000
+#: Waves in which a case may find all identifiers used up by others, before it is left to be executed alone.
+_ATTEMPTS: Final = 4
 #: Cases in a row that are no pass, after which the implementation is asked whether it still answers.
 _DOUBTFUL: Final = 6
 
@@ -43,16 +46,19 @@ class SideBySide:
         self._runner = runner
         self._sanity = sanity
         self._session = runner.session
-        self._width = width
+        self.width = width
         self._waiting: deque[Case] = deque()
+        """Cases that need VarDis, and so identifiers of variables."""
+        self._light: deque[Case] = deque()
+        """Cases that need hardly any identifiers: they are begun while a wave ends."""
         self._live: dict[str, Bench] = {}
         """The benches of the cases that are being executed."""
         self.left: list[Case] = []
         """The cases that are no plain pass, in the order in which they ended."""
         self.reasons: dict[str, str] = {}
         """By case: why it is repeated alone."""
-        self._again: set[str] = set()
-        """Cases that have found all identifiers used up once."""
+        self._used_up_in: Counter[str] = Counter()
+        """By case: how often it has found all identifiers used up."""
         self._draining = False
         """Whether no further case begins in this wave."""
         self._doubtful = False
@@ -77,8 +83,9 @@ class SideBySide:
 
         Raises ``KeyboardInterrupt`` and the like, after all cases have undone what they have changed.
         """
-        self._waiting.extend(cases)
-        while self._waiting:
+        for case in cases:
+            (self._waiting if "vardis" in case.needs.entities else self._light).append(case)
+        while self._waiting or self._light:
             self._wave(on_result)
 
     def _wave(self, on_result: Callable[[Case, CaseResult], None]) -> None:
@@ -87,7 +94,7 @@ class SideBySide:
         if why := self._runner.initial_state(self._sanity, used=self._used_up):
             self._give_up(why)
             return
-        scheduler = Scheduler(session.lower, session.upper, self._take)
+        scheduler = Scheduler(session.lower, session.upper, self._account)
         session.identifiers.in_use = self._in_use
         session.passive.begin_side_by_side(session.lower.now())
         self._draining = self._used_up = self._doubtful = False
@@ -96,9 +103,11 @@ class SideBySide:
         ended: list[tuple[Case, Trial]] = []
         looked = session.lower.now()
         try:
-            while scheduler.tasks or (self._waiting and not self._draining):
-                while self._waiting and not self._draining and len(scheduler.tasks) < self._width:
-                    self._start(scheduler, self._waiting.popleft(), ended)
+            while True:
+                while len(scheduler.tasks) < self.width and (case := self._next()) is not None:
+                    self._start(scheduler, case, ended)
+                if not scheduler.tasks:
+                    break
                 scheduler.step(session.lower.now() + _LOOK)
                 for case, trial in ended:
                     self._end(case, trial, on_result)
@@ -141,6 +150,25 @@ class SideBySide:
                 on_result(case, result)
         self._unconfirmed.clear()
 
+    def _next(self) -> Case | None:
+        """The next case of this wave; None if no further one is to begin now."""
+        if self._doubtful:
+            return None
+        if not self._draining and (case := self._take_from(self._waiting)) is not None:
+            return case
+        # While others end, those that need no identifiers; not for longer than that, if cases wait for the next wave.
+        heavy = any("vardis" in bench.case.needs.entities for bench in self._live.values())
+        return self._take_from(self._light) if heavy or not self._waiting else None
+
+    def _take_from(self, queue: deque[Case]) -> Case | None:
+        """The first case of a queue beside which no other of its group is executed."""
+        busy = {group(bench.case) for bench in self._live.values()} - {""}
+        for place, case in enumerate(queue):
+            if group(case) not in busy:
+                del queue[place]
+                return case
+        return None
+
     def _start(self, scheduler: Scheduler, case: Case, ended: list[tuple[Case, Trial]]) -> None:
         def body(task: Task) -> None:
             ended.append((case, self._execute(scheduler, task, case)))
@@ -169,10 +197,10 @@ class SideBySide:
     def _end(self, case: Case, trial: Trial, on_result: Callable[[Case, CaseResult], None]) -> None:
         """Take the outcome of a case into account."""
         session = self._session
-        if trial.used_up and case.id not in self._again:
+        if trial.used_up and self._used_up_in[case.id] < _ATTEMPTS:
             # The next wave begins with all identifiers.
-            self._again.add(case.id)
-            self._waiting.appendleft(case)
+            self._used_up_in[case.id] += 1
+            (self._waiting if "vardis" in case.needs.entities else self._light).appendleft(case)
             self._draining = self._used_up = True
             return
         if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.spoilt:
@@ -191,7 +219,7 @@ class SideBySide:
             self._draining = self._doubtful = True
             self._suspects = self._suspects or [case.id, *self._live]
 
-    def _take(self, arrival: Arrival) -> None:
+    def _account(self, arrival: Arrival) -> None:
         """Take a frame into account for the session, once for all cases."""
         session, observer = self._session, self._observer
         heard = Heard(session.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
@@ -208,10 +236,11 @@ class SideBySide:
 
     def _give_up(self, why: str) -> None:
         """Leave all remaining cases to be executed alone."""
-        for case in self._waiting:
-            self.reasons.setdefault(case.id, why)
-        self.left.extend(self._waiting)
-        self._waiting.clear()
+        for queue in (self._waiting, self._light):
+            for case in queue:
+                self.reasons.setdefault(case.id, why)
+            self.left.extend(queue)
+            queue.clear()
 
 
 def _reason(trial: Trial) -> str:

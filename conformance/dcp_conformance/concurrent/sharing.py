@@ -22,15 +22,34 @@ ALONE: Final = frozenset(
 )
 """Services that change the implementation as a whole."""
 
-_MEASURES: Final = ((r"TC_DCP_SANITY_.*", "it shows that the implementation is there"),)
-"""Patterns of case identifiers, each with the reason."""
+_FILLS: Final = "it fills payloads, and counts on the room in them"
+_LISTENS: Final = "it judges what is in beacons as a whole, or in none"
+_MEASURES: Final = (
+    (r"TC_DCP_SANITY_.*", "it shows that the implementation is there"),
+    (r"TC_VD_ROOM_.*", _FILLS),
+    (r"TC_NET_CROWD_.*", _FILLS),
+    (r"TC_VD_PAY_BV_0[67].*", _FILLS),
+    (r"TC_VD_CMP_BV_(01|02|04-creates|06|09|12|13|14|15).*", _FILLS),
+    (r"TC_VD_SUM_BV_0[235].*", _FILLS),
+    (r"TC_VD_SPLIT_BV_0[34]", _FILLS),
+    (r"TC_VD_SCR_TI_15", _FILLS),
+    (r"TC_VD_ID_BV_01-.*", _FILLS),
+    (r"TC_SRP_NT_BV_04", "it fills the neighbour table"),
+    (r"TC_BP_HDR_BV_(02|09|12)", _LISTENS),
+    (r"TC_BP_FMT_BV_02", _LISTENS),
+    (r"TC_BP_TX_(BV_03|TI_03)", _LISTENS),
+    (r"TC_BP_QM_BV_06", _LISTENS),
+    (r"TC_BP_RXP_BV_02", _LISTENS),
+    (r"TC_VD_RUN_TI_01", _LISTENS),
+)
 _PATTERNS: Final = tuple((re.compile(pattern), reason) for pattern, reason in _MEASURES)
 
 
 def why_alone(case: Case) -> str:
-    """Why the case cannot be executed beside others, in words; empty if it can."""
-    if case.destructive:
-        return "it may end the implementation"
+    """Why the case cannot be executed beside others, in words; empty if it can.
+
+    Destructive cases can be executed beside each other where the implementation can be started again.
+    """
     if case.needs.restart or case.needs.link:
         return "it restarts the implementation, or takes its link down"
     if methods := ALONE.intersection(case.needs.ut):
@@ -38,3 +57,8 @@ def why_alone(case: Case) -> str:
     if case.long:
         return "it takes long"
     return next((reason for pattern, reason in _PATTERNS if pattern.fullmatch(case.id)), "")
+
+
+def group(case: Case) -> str:
+    """Of the cases with the same group only one is executed at a time; empty for those without."""
+    return "safety data" if "SRP-UpdateSafetyData" in case.needs.ut else ""
