@@ -19,7 +19,7 @@ from dcp_spec.version import __version__
 from mcap.reader import make_reader
 
 from dcp_codec import Codec, get_codec
-from dcp_codec.capture import Frame, create_capture
+from dcp_codec.capture import Frame, create_capture, rawframe
 from dcp_codec.export.example import example_beacon
 from dcp_codec.mcap_channels import MAX_POSE_TOPICS, DecodedChannels, capture_metadata, pose_topic
 from dcp_codec.values import ExtendedSafetyData, Payload
@@ -50,6 +50,10 @@ def read(path):
 def assert_valid_messages(messages):
     validators = {}
     for schema, channel, message in messages:
+        if schema.encoding == "protobuf":
+            assert (channel.topic, channel.message_encoding) == ("/dcp/frames", "protobuf")
+            assert rawframe.decode(message.data).data
+            continue
         assert schema.encoding == "jsonschema"
         assert channel.message_encoding == "json"
         if schema.id not in validators:
