@@ -184,13 +184,12 @@ class ConformanceRun:
 
     def _run_side_by_side(self, planned: Sequence[Case]) -> list[Case]:
         """Execute what can be executed side by side. Returns what is left to be executed alone, in its order."""
-        from .concurrent import SideBySide, why_alone
+        from .concurrent import execute
 
         assert self._runner is not None
         rest = list(planned)
         if rest and rest[0].id == SANITY:
             self.run_case(rest.pop(0))
-        together = [case for case in rest if not why_alone(case) and not self._runner.why_not(case)]
         passed: set[str] = set()
 
         def on_result(case: Case, result: CaseResult) -> None:
@@ -198,14 +197,13 @@ class ConformanceRun:
             passed.add(case.id)
             self.take(case, result)
 
-        executor = SideBySide(self._runner, self.cases[SANITY], self.side_by_side)
-        executor.run([case for case in together if not case.destructive], on_result)
-        if self._runner.session.can_restart:
-            executor.run([case for case in together if case.destructive], on_result)
-        self._notes.append(
-            f"{len(passed)} cases were executed side by side and passed; the others were executed one after the other"
-        )
-        self.repeated_alone = executor.reasons
+        self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        if passed:
+            repeated = len(self.repeated_alone.keys() - passed)
+            self._notes.append(
+                f"{len(passed)} cases passed while others were executed beside them, at most {self.side_by_side} at a "
+                f"time; {repeated} that did not were repeated alone, and decided by that"
+            )
         return [case for case in rest if case.id not in passed]
 
     def _faulty(self, error: Exception) -> None:

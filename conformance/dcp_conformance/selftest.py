@@ -28,6 +28,7 @@ from dcp_codec.codec import Codec
 
 from .bench import Session
 from .case import DECLARED, DENIED, SANITY, Case, all_cases
+from .concurrent import execute
 from .declared import declared_by, denied_by
 from .errors import ConformanceError, UsageError
 from .moment import timestamp
@@ -169,6 +170,15 @@ class Suite:
             yield from self._runner.take_revised()
         self._runner.finish()
         yield from self._runner.take_revised()
+
+    def run_side_by_side(self, cases: Sequence[Case], width: int) -> list[CaseResult]:
+        """As :meth:`run`, with at most ``width`` cases at a time."""
+        passed: dict[str, CaseResult] = {}
+        first = self._runner.run(_sanity())
+        self._begun = True
+        execute(self._runner, _sanity(), cases, width, lambda case, result: passed.update({case.id: result}))
+        left = [case for case in cases if case.id not in passed and case.id != SANITY]
+        return [first, *passed.values(), *self.run(left)]
 
     def passive(self) -> Iterator[CaseResult]:
         """The invariants that did not hold while the cases were run."""

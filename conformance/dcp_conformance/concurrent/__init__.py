@@ -7,7 +7,7 @@ sees of the session is in :mod:`.shared`. :mod:`.sharing` says which cases need 
 alone, by the ordinary runner, before it is a verdict.
 """
 
-from .executor import WIDTH, SideBySide
+from .executor import WIDTH, execute
 from .sharing import why_alone
 
-__all__ = ["WIDTH", "SideBySide", "why_alone"]
+__all__ = ["WIDTH", "execute", "why_alone"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 from dcp_conformance.applicability import why_not
@@ -21,7 +21,7 @@ from dcp_conformance.verdict import Verdict
 
 from .scheduler import Scheduler, Task
 from .shared import SharedLink, SharedSession, SharedUpper
-from .sharing import group
+from .sharing import group, why_alone
 
 #: Cases at a time, unless the user says otherwise.
 WIDTH: Final = 12
@@ -31,6 +31,26 @@ _LOOK: Final = 200_000_000
 _ATTEMPTS: Final = 4
 #: Cases in a row that are no pass, after which the implementation is asked whether it still answers.
 _DOUBTFUL: Final = 6
+
+
+def execute(
+    runner: Runner,
+    sanity: Case,
+    cases: Iterable[Case],
+    width: int,
+    on_result: Callable[[Case, CaseResult], None],
+) -> dict[str, str]:
+    """Execute those of the cases side by side that can be. ``on_result`` gets the result of each that passes.
+
+    ``sanity``: the case in whose name the implementation is asked whether it answers; it has been executed. ``width``:
+    the most cases at a time. Returns the cases that must be repeated alone, each with the reason.
+    """
+    together = [case for case in cases if not why_alone(case) and not runner.why_not(case)]
+    executor = SideBySide(runner, sanity, width)
+    executor.run([case for case in together if not case.destructive], on_result)
+    if runner.session.can_restart:
+        executor.run([case for case in together if case.destructive], on_result)
+    return executor.reasons
 
 
 class SideBySide:
