@@ -131,12 +131,13 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @cache
-def _cases() -> tuple[Case, ...]:
+def cases() -> tuple[Case, ...]:
+    """All cases, in the order in which they are run."""
     return tuple(ordered(all_cases().values()))
 
 
 def _sanity() -> Case:
-    return next(case for case in _cases() if case.id == SANITY)
+    return next(case for case in cases() if case.id == SANITY)
 
 
 @cache
@@ -191,7 +192,7 @@ def baseline(profile: str) -> Baseline:
     """Run everything against our node as it is."""
     begun = time.monotonic()
     suite = Suite(profile)
-    results = list(suite.run(_cases()))
+    results = list(suite.run(cases()))
     findings = tuple(
         finding_of(each)
         for each in (*results, *suite.passive())
@@ -234,7 +235,7 @@ def trial(
     """
     begun = time.monotonic()
     name = profile or mutant.profile
-    named = [case for case in _cases() if set(case.requirements) & set(mutant.requirements)]
+    named = [case for case in cases() if set(case.requirements) & set(mutant.requirements)]
     if first and not full and not every:
         named.sort(key=lambda case: case.id != first)
     killers: list[Finding] = []
@@ -249,7 +250,7 @@ def trial(
             mutant.id, mutant.requirements, mutant.what, name, len(named), 0, (), (),
             (Finding("", Verdict.ERROR, reason=str(error)),), round(time.monotonic() - begun, 3),
         )  # fmt: skip
-    for result in itertools.chain(suite.run(_cases() if full else named), suite.passive()):
+    for result in itertools.chain(suite.run(cases() if full else named), suite.passive()):
         count += result.verdict is not Verdict.NOT_APPLICABLE
         candidates += result.verdict is not Verdict.NOT_APPLICABLE and bool(
             set(result.requirements) & set(mutant.requirements)
@@ -344,7 +345,7 @@ def selftest(
     if on_start is not None:
         on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
     # Before the processes are forked, so that each of them has it.
-    _cases(), _mutants()
+    cases(), _mutants()
     with process_pool(jobs or os.cpu_count() or 1) as pool:
         waiting = [pool.submit(_baseline_task, profile) for profile in profiles or PROFILES]
         for done in as_completed(waiting):

@@ -87,6 +87,8 @@ class SideBySide:
         """The cases that were executed when that became doubtful."""
         self._lost = False
         """Whether the implementation has stopped taking part in this wave."""
+        self._resets = 0
+        """How often the implementation could not be brought into its initial state."""
         self._used_up = False
         """Whether a case of this wave has found all identifiers used up."""
         self._doubts = 0
@@ -112,7 +114,11 @@ class SideBySide:
         """Execute cases from one initial state of the implementation, until identifiers are used up or it is gone."""
         session = self._session
         if why := self._runner.initial_state(self._sanity, used=self._used_up):
-            self._give_up(why)
+            self._resets += 1
+            # It may have died after the last case: then it is started again.
+            gone = self._runner.check_life(self._sanity, [case.id for case in self.left[-self.width :]])
+            if gone or self._resets > _ATTEMPTS:
+                self._give_up(gone or why)
             return
         scheduler = Scheduler(session.lower, session.upper, self._account)
         session.identifiers.in_use = self._in_use

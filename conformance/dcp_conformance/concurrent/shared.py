@@ -6,12 +6,13 @@ from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from dcp_conformance.errors import CouldNotAskError
 from dcp_conformance.lower import Arrival, LinkHealth
 from dcp_conformance.session import Session
 from dcp_conformance.upper import Answer, Notification, UpperTester
 
 from .scheduler import Scheduler, Task
-from .sharing import ALONE
+from .sharing import ALONE, forbidden
 
 if TYPE_CHECKING:
     from dcp_conformance.heard import Heard
@@ -72,7 +73,12 @@ class SharedUpper:
         self.methods = frozenset(upper.methods - ALONE)
 
     def call(self, method: str, params: dict[str, Any]) -> Answer:
-        """Call a method and wait for its answer. Raises ``UpperTesterError``."""
+        """Call a method and wait for its answer. Raises ``UpperTesterError``.
+
+        Raises ``CouldNotAskError`` for what no case may do while others are executed.
+        """
+        if why := forbidden(method, params):
+            raise CouldNotAskError(f"other cases are executed at the same time: {why}")
         return self._scheduler.call(self._task, method, params)
 
     def poll(self) -> list[Notification]:

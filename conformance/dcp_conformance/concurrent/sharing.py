@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
+
+from dcp_spec.constants import ProtocolId
 
 from dcp_conformance.case import Case
 
@@ -24,6 +27,7 @@ ALONE: Final = frozenset(
 
 _FILLS: Final = "it fills payloads, and counts on the room in them"
 _LISTENS: Final = "it judges what is in beacons as a whole, or in none"
+_REPLACES: Final = "it deregisters SRP or VarDis"
 _MEASURES: Final = (
     (r"TC_DCP_SANITY_.*", "it shows that the implementation is there"),
     (r"TC_VD_ROOM_.*", _FILLS),
@@ -34,7 +38,11 @@ _MEASURES: Final = (
     (r"TC_VD_SPLIT_BV_0[34]", _FILLS),
     (r"TC_VD_SCR_TI_15", _FILLS),
     (r"TC_VD_ID_BV_01-.*", _FILLS),
+    (r"TC_VD_SCR_TI_(04|05|14).*", "it measures when a variable is deleted"),
+    (r"TC_BP_RXP_BV_05-.*", _REPLACES),
+    (r"TC_(SRP|VD)_SRV_BO_01", _REPLACES),
     (r"TC_SRP_NT_BV_04", "it fills the neighbour table"),
+    (r"TC_SRP_NT_BV_06", "it needs an empty neighbour table"),
     (r"TC_BP_HDR_BV_(02|09|12)", _LISTENS),
     (r"TC_BP_FMT_BV_02", _LISTENS),
     (r"TC_BP_TX_(BV_03|TI_03)", _LISTENS),
@@ -57,6 +65,15 @@ def why_alone(case: Case) -> str:
     if case.long:
         return "it takes long"
     return next((reason for pattern, reason in _PATTERNS if pattern.fullmatch(case.id)), "")
+
+
+def forbidden(method: str, params: Mapping[str, Any]) -> str:
+    """Why no case may call a service with these parameters while others are executed; empty if it may."""
+    if method in ALONE:
+        return f"{method} changes the implementation as a whole"
+    if method == "BP-DeregisterProtocol" and params.get("protId") in (ProtocolId.SRP, ProtocolId.VARDIS):
+        return "SRP and VarDis stay registered"
+    return ""
 
 
 def group(case: Case) -> str:
