@@ -130,6 +130,7 @@ class Stats:
         self._link = link or codec.profile.link
         numbers = codec.profile.vardis.container_types.by_name()
         self._names = {number: name for name, number in numbers.items()}
+        self._names |= {own.number: own.name for own in codec.profile.vardis.own_containers}
         self._updates = numbers["UPDATES"]
         self._creates = numbers["CREATE-VARIABLES"]
         self.frames = 0
@@ -203,7 +204,7 @@ class Stats:
 
     def _is_report(self, protocol_id: int) -> bool:
         """Whether a payload is one of SRP, although it cannot be read."""
-        return protocol_id == BP_PROTID_SRP and self.codec.report_plan is not None
+        return protocol_id == BP_PROTID_SRP and self.codec.srp_plan is not None
 
     def _count_container(self, container: Container) -> None:
         name = self._names[container.ic_type]
