@@ -25,7 +25,7 @@ from dcp_stack.positions import PositionSource, SourceError, open_source
 from .channels import ControlSocket, ControlSocketError, StandardStreams
 from .driver import Driver
 from .memory import settle
-from .privileges import PrivilegeError, User, become, find_user, roots_alone
+from .privileges import PrivilegeError, become, find_user, roots_alone
 from .settings import Settings, SettingsError, codec_of, node_config
 
 log = logging.getLogger(__name__)
@@ -96,19 +96,19 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     neighbours: NeighbourFileWriter | None = None
     # What has a name in the file system is made as the user, who could otherwise have root follow a link somewhere
     # else. Where the user may make nothing, in a folder that is root's alone, root makes it.
-    for as_root in (True, False):
-        if user is not None and not as_root:
+    names = [each for each in (settings.control, settings.neighbour_file) if each is not None and each != STDIO]
+    of_root = {each for each in names if user is not None and roots_alone(Path(each).parent)}
+    for made_now in (of_root, set(names) - of_root):
+        if user is not None and made_now is not of_root:
             _load_what_follows(settings)
             become(user)
-        if _is_made_now(settings.control if settings.control != STDIO else None, user, as_root=as_root):
-            control = ControlSocket(str(settings.control))
+        if settings.control in made_now:
+            control = ControlSocket(settings.control)
             stack.callback(control.close)
-            if user is not None and as_root:
+            if user is not None and made_now is of_root:
                 control.give_to(user.uid, user.gid)
-        if _is_made_now(settings.neighbour_file, user, as_root=as_root):
-            neighbours = NeighbourFileWriter(
-                str(settings.neighbour_file), codec.profile, config.node_id, now=now, wall=wall
-            )
+        if settings.neighbour_file in made_now:
+            neighbours = NeighbourFileWriter(settings.neighbour_file, codec.profile, config.node_id, now=now, wall=wall)
             stack.callback(neighbours.close)
     # The last thing to be refused should leave no recording.
     recorder = _recorder(settings, config, codec, wall)
@@ -136,11 +136,6 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     settle()
     log.info("node %s on %s", config.node_id.hex(":"), link.name, extra={"fields": _about(settings, config, recorder)})
     return driver
-
-
-def _is_made_now(path: str | None, user: User | None, *, as_root: bool) -> bool:
-    """Whether something with a name is made before (``as_root``) or after the privileges are given up."""
-    return path is not None and as_root == (user is not None and roots_alone(Path(path).parent))
 
 
 def _load_what_follows(settings: Settings) -> None:
