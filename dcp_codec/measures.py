@@ -50,6 +50,18 @@ def places(group: Group) -> dict[str, slice]:
     return found
 
 
+def start(group: Group, name: str) -> int | None:
+    """Where a member of a record begins; None if the layout has none, or something of varying size stands before it."""
+    begin = 0
+    for each in group.members:
+        if each.name == name:
+            return begin
+        if not isinstance(each, Scalar | Group | Exact) or each.size is None:
+            return None
+        begin += each.size
+    return None
+
+
 def largest(scalar: Scalar) -> int:
     """The largest value of an integer."""
     return int((1 << (8 * scalar.size - scalar.signed)) - 1)

@@ -16,7 +16,7 @@ from dcp_spec.parameters import UnknownParameterError, Violation, validate
 from dcp_spec.status import BPStatus, SRPStatus
 
 from dcp_codec.errors import DecodeError
-from dcp_codec.measures import places, record
+from dcp_codec.measures import record, start
 from dcp_codec.values import ExtendedSafetyData, SafetyData
 
 from .config import MS, NodeConfig, SRPConfig
@@ -348,5 +348,5 @@ def _node_id_offset(config: NodeConfig) -> int:
     """The octet of a state report at which nodeId starts, -1 if a text before it moves it."""
     plan = config.codec.report_plan
     layout = None if plan is None else record(plan, "ExtendedSafetyData")
-    place = None if layout is None else places(layout).get("nodeId")
-    return -1 if place is None else place.start
+    found = None if layout is None else start(layout, "nodeId")
+    return -1 if found is None else found
