@@ -63,7 +63,7 @@ class Heard:
     """
 
     __slots__ = (
-        "_codec", "_instructions", "beacon", "number", "octets", "problems", "salvaged", "sender", "source", "time",
+        "_codec", "_made", "beacon", "number", "octets", "problems", "salvaged", "sender", "source", "time",
         "wall",
     )  # fmt: skip
 
@@ -80,7 +80,14 @@ class Heard:
         self.problems: tuple[Problem, ...] = self.salvaged.problems
         self.sender: bytes | None = self._sender(codec)
         """The node identifier in the beacon, where there is one."""
-        self._instructions = tuple(self._taken_apart())
+        self._made: tuple[Instruction, ...] | None = None
+
+    @property
+    def _instructions(self) -> tuple[Instruction, ...]:
+        """All records; made when first asked for."""
+        if self._made is None:
+            self._made = tuple(self._taken_apart())
+        return self._made
 
     def _taken_apart(self) -> Iterator[Instruction]:
         for number, container in enumerate(self.containers):

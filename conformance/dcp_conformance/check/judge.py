@@ -81,7 +81,6 @@ class Judge:
         self._active = [rule for rule in self._rules if not rule.applies()]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
         self._cited: dict[int, EventRecord] = {}
-        self._findings = 0
         self._began = time.monotonic()
         self._started = timestamp()
         self.frames = self.other = self.cut = 0
@@ -113,10 +112,9 @@ class Judge:
 
     def _cite(self) -> None:
         """Keep the frames of new findings while they are there."""
-        count = sum(len(rule.findings) for rule in self._active)
-        if count == self._findings:
+        if not self._context.changed:
             return
-        self._findings = count
+        self._context.changed = False
         for rule in self._active:
             for finding in rule.findings:
                 for mark in finding.frames:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter as Counts
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from dcp_spec.constants import ICType
 
@@ -13,16 +14,26 @@ from dcp_conformance.results import Mark
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .rules_dialogue import Counter
-from .rules_vardis import SENT, seqno_of
-from .said import Said
+from .said import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Said
 
 MS = 1_000_000
 #: For how many beacon periods before it is seen on the air a payload may have been composed.
 _COMPOSED = 1.6
 #: A gap in the recording shows within so many ns, or never.
 _GAP_SHOWS = 2_000 * MS
-_PENDING = 10_000
+#: Reasons of a variable that are kept until they are weighed: so many, and in dense networks up to so many.
+_LEAST, _MOST = 64, 1024
+_TOLD, _UNTOLD = ("VD-RU-03",), ("VD-SCP-02", "VD-SCP-03")
 _Key = tuple[bytes, int, ICType]
+
+
+class _Reason(NamedTuple):
+    """Something that may make others send again."""
+
+    time: int
+    node: bytes
+    kind: ICType
+    number: int
 
 
 @dataclass(slots=True)
@@ -31,13 +42,48 @@ class _Run:
 
     what: tuple[Any, ...]
     """Life of the node, creation, number."""
+    number: int
+    """The sequence number of updates, else 0."""
     rep_cnt: int
     begin: int
     last: Said
+    weighed: int
+    """How many reasons of the variable had been there, in all, when they were last weighed."""
+    asked: int
+    """Requests for updates that had told the number before, by whomever."""
     beacons: int = 1
     allowed: int = 0
     told: int = 0
     """Requests that told the same number."""
+
+
+class _Reasons:
+    """What was said of a variable that may be a reason to send something of it again.
+
+    Reasons are only kept here, and weighed when a run is longer than it may be without any: nearly none is. What is
+    thrown away is weighed before.
+    """
+
+    __slots__ = ("asked", "dropped", "kept", "room")
+
+    def __init__(self) -> None:
+        self.asked: dict[int, int] = {}
+        """How many requests for updates told a number, in all."""
+        self.dropped = 0
+        self.kept: list[_Reason] = []
+        self.room = _LEAST
+
+    @property
+    def count(self) -> int:
+        """All that there were so far."""
+        return self.dropped + len(self.kept)
+
+    def since(self, time: int) -> int:
+        """How many came before ``time``."""
+        place = len(self.kept)
+        while place and self.kept[place - 1].time >= time:
+            place -= 1
+        return self.dropped + place
 
 
 class Repetitions(Invariant):
@@ -59,10 +105,11 @@ class Repetitions(Invariant):
         self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
         """(node, variable) -> the creation that it spoke of last, and its repCnt."""
         self._runs: dict[_Key, _Run] = {}
-        self._senders: dict[tuple[int, ICType], set[bytes]] = {}
-        """Who has a run of that kind, by variable."""
-        self._reasons: deque[tuple[int, bytes, Said]] = deque()
-        """What was said lately that can be a reason for others, when, and by whom."""
+        self._of_variable: dict[int, dict[_Key, _Run]] = {}
+        """The runs about a variable."""
+        self._reasons: dict[int, _Reasons] = {}
+        self._deleting = 0
+        """Runs of deletes."""
         self._closed: deque[tuple[int, _Key, _Run]] = deque()
         self._counters: dict[tuple[bytes, ICType, bool], Counter] = {}
         self._examples: dict[tuple[bytes, ICType, bool], str] = {}
@@ -70,25 +117,25 @@ class Repetitions(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Count beacons; requests and older numbers of others allow more."""
-        while self._reasons and self._reasons[0][0] < seen.time - self._composed:
-            self._reasons.popleft()
-        self._count(seen.time)
-        for each in seen.said:
-            node, var_id = seen.sender, each.var_id
-            if each.kind is ICType.CREATE_VARIABLES and (
-                (node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES
-            ):
+        node, now = seen.sender, seen.time
+        if self._closed:
+            self._count(now)
+        for each in seen.again:
+            self._reason(_Reason(now, node, SUMMARY, each.number), each.var_id)
+        for each, _ in seen.news:
+            kind, var_id = each.kind, each.var_id
+            if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
                 spec = each.record.spec
                 self._creation[node, var_id] = (spec.prod_id, spec.creation_time, spec.rep_cnt)
-            if each.kind is ICType.DELETE_VARIABLES:
-                self._close(seen.time, (node, var_id, ICType.CREATE_VARIABLES), (node, var_id, ICType.UPDATES))
-            elif each.kind in SENT:
-                # Whoever says anything else of a variable has it: it may be deleted another time.
-                self._close(seen.time, (node, var_id, ICType.DELETE_VARIABLES))
-            if each.kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES):
-                self._sent(each, seen)
-            if each.kind is not ICType.DELETE_VARIABLES:
-                self._reason(each, seen)
+            if kind is DELETE:
+                self._close(now, (node, var_id, CREATE), (node, var_id, UPDATE))
+            elif self._deleting and (kind is CREATE or kind is UPDATE or kind is SUMMARY):
+                # A node that says anything else of a variable has it: it may be deleted another time.
+                self._close(now, (node, var_id, DELETE))
+            if kind is CREATE or kind is UPDATE or kind is DELETE:
+                self._sent(each, now)
+            if kind is not DELETE:
+                self._reason(_Reason(now, node, kind, each.number), var_id)
 
     def _rep_cnt(self, node: bytes, var_id: int) -> int | None:
         """As the node said itself, or as it was said of the only life of the variable; else nobody knows."""
@@ -100,57 +147,97 @@ class Repetitions(Invariant):
             return None
         return int(first[1].record.spec.rep_cnt)
 
-    def _sent(self, each: Said, seen: Seen) -> None:
-        key = (seen.sender, each.var_id, each.kind)
-        number = seqno_of(each) if each.kind is ICType.UPDATES else 0
-        what = (self.context.senders.life(seen.sender), *self._creation.get(key[:2], ())[:2], number)
+    def _sent(self, each: Said, now: int) -> None:
+        key = (each.sender, each.var_id, each.kind)
+        number = each.number if each.kind is UPDATE else 0
+        what = (self.context.senders.life(each.sender), *self._creation.get(key[:2], ())[:2], number)
         run = self._runs.get(key)
         if run is not None and run.what == what:
             run.beacons += 1
             run.last = each
             return
-        self._close(seen.time, key)
-        allowed = self._rep_cnt(seen.sender, each.var_id)
+        self._close(now, key)
+        allowed = self._rep_cnt(each.sender, each.var_id)
         if allowed is None or len(self._runs) >= MOST_VARIABLES:
             return
-        run = self._runs[key] = _Run(what, allowed, seen.time, each, allowed=allowed)
-        self._senders.setdefault((each.var_id, each.kind), set()).add(seen.sender)
         # A payload may have been composed a while before: what was said meanwhile counts for the next one.
-        for _, node, reason in self._reasons:
-            if node != seen.sender and reason.var_id == each.var_id:
-                self._weigh(run, each.kind, number, reason)
+        reasons = self._reasons.get(each.var_id)
+        weighed = 0 if reasons is None else reasons.since(now - self._composed)
+        asked = 0 if reasons is None else reasons.asked.get(number, 0)
+        run = self._runs[key] = _Run(what, number, allowed, now, each, weighed, asked, allowed=allowed)
+        self._of_variable.setdefault(each.var_id, {})[key] = run
+        self._deleting += each.kind is DELETE
 
-    def _reason(self, each: Said, seen: Seen) -> None:
-        """What somebody says may be a reason for others to send again."""
-        if len(self._reasons) < _PENDING:
-            self._reasons.append((seen.time, seen.sender, each))
-        for kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES):
-            for node in self._senders.get((each.var_id, kind), ()):
-                run = self._runs.get((node, each.var_id, kind))
-                if run is not None and node != seen.sender:
-                    self._weigh(run, kind, seqno_of(run.last) if kind is ICType.UPDATES else 0, each)
+    def _reason(self, reason: _Reason, var_id: int) -> None:
+        """What a node says may be a reason for others to send again."""
+        reasons = self._reasons.get(var_id)
+        if reasons is None:
+            if len(self._reasons) >= MOST_VARIABLES:
+                return
+            reasons = self._reasons[var_id] = _Reasons()
+        kept = reasons.kept
+        kept.append(reason)
+        if reason.kind is ASK_UPDATE:
+            reasons.asked[reason.number] = reasons.asked.get(reason.number, 0) + 1
+        if len(kept) >= reasons.room:
+            self._forget(reasons, var_id, reason.time)
 
-    def _weigh(self, run: _Run, kind: ICType, number: int, reason: Said) -> None:
-        """Allow more, if this is a reason for that kind of instruction."""
-        if kind is ICType.CREATE_VARIABLES:
-            run.allowed += run.rep_cnt if reason.kind is ICType.REQUEST_VARCREATES else 0
-        elif kind is ICType.DELETE_VARIABLES:
+    def _forget(self, reasons: _Reasons, var_id: int, now: int) -> None:
+        """Weigh the older reasons of a variable for all its runs, and drop them."""
+        # Those of the last moment may still count for a run that begins now.
+        many = reasons.since(now - self._composed) - reasons.dropped
+        if reasons.room >= _MOST and not many:
+            many = len(reasons.kept) // 2
+        if many:
+            until, dropped = reasons.dropped + many, reasons.kept[:many]
+            totals = Counts((each.kind, each.number) for each in dropped)
+            own = Counts((each.node, each.kind, each.number) for each in dropped)
+            for key, run in self._of_variable.get(var_id, {}).items():
+                if run.weighed > reasons.dropped:
+                    self._weigh(key, run, reasons, until)
+                    continue
+                run.weighed = until
+                for (kind, number), count in totals.items():
+                    self._allow(key, run, kind, number, count - own[key[0], kind, number])
+            del reasons.kept[:many]
+            reasons.dropped = until
+        reasons.room = min(max(_LEAST, 3 * len(reasons.kept)), _MOST)
+
+    def _weigh(self, key: _Key, run: _Run, reasons: _Reasons, until: int) -> None:
+        """Allow more for each reason up to one of that number."""
+        begin = max(run.weighed, reasons.dropped)
+        run.weighed = max(run.weighed, until)
+        if begin >= until:
+            return
+        others = reasons.kept[begin - reasons.dropped : until - reasons.dropped]
+        counts = Counts((each.kind, each.number) for each in others if each.node != key[0])
+        for (kind, number), count in counts.items():
+            self._allow(key, run, kind, number, count)
+
+    def _allow(self, key: _Key, run: _Run, kind: ICType, told: int, count: int) -> None:
+        """Allow more for so many records of others that tell a number."""
+        if key[2] is CREATE:
+            run.allowed += count * run.rep_cnt if kind is ASK_CREATE else 0
+        elif key[2] is DELETE:
             # Created again, and deleted again before that was passed on.
-            run.allowed += run.rep_cnt if reason.kind is ICType.CREATE_VARIABLES else 0
-        elif kind is ICType.UPDATES and reason.kind in (ICType.REQUEST_VARUPDATES, ICType.SUMMARIES, ICType.UPDATES):
-            told = seqno_of(reason)
-            if told == number:
-                run.told += reason.kind is ICType.REQUEST_VARUPDATES
-            elif not self._circle.newer(told, number):
+            run.allowed += count * run.rep_cnt if kind is CREATE else 0
+        elif kind is ASK_UPDATE or kind is SUMMARY or kind is UPDATE:
+            if told == run.number:
+                run.told += count if kind is ASK_UPDATE else 0
+            elif not self._circle.newer(told, run.number):
                 # Older, or half the circle away, which can be taken either way (X28).
-                run.allowed += run.rep_cnt
+                run.allowed += count * run.rep_cnt
 
     def _close(self, time: int, *keys: _Key) -> None:
         """A run has ended; it is counted when it is certain that no beacon was missed."""
         for key in keys:
             run = self._runs.pop(key, None)
             if run is not None:
-                self._senders[key[1:]].discard(key[0])
+                self._deleting -= key[2] is DELETE
+                self._of_variable[key[1]].pop(key)
+                reasons = self._reasons.get(key[1])
+                if reasons is not None and (run.beacons > run.allowed or run.asked != reasons.asked.get(run.number, 0)):
+                    self._weigh(key, run, reasons, reasons.count)
                 self._closed.append((time, key, run))
 
     def _count(self, now: int) -> None:
@@ -158,19 +245,19 @@ class Repetitions(Invariant):
             _, (node, var_id, kind), run = self._closed.popleft()
             if not self.context.senders.complete(run.begin - self._composed, run.last.time):
                 continue
-            missed, told = run.beacons > run.allowed, bool(run.told) and kind is ICType.UPDATES
-            self.exercised(*(("VD-RU-03",) if told else ("VD-SCP-02", "VD-SCP-03")))
+            missed, told = run.beacons > run.allowed, bool(run.told) and kind is UPDATE
+            self.exercised(*(_TOLD if told else _UNTOLD))
             key = (node, kind, told)
             if key not in self._counters and len(self._counters) >= MOST_VARIABLES:
                 continue
             self._counters.setdefault(key, Counter()).note(run.last, missed=missed)
             if missed and key not in self._examples:
-                what = f"{kind.label} of variable {var_id}" + (f", {run.what[-1]}," if kind is ICType.UPDATES else "")
+                what = f"{kind.label} of variable {var_id}" + (f", {run.what[-1]}," if kind is UPDATE else "")
                 self._examples[key] = f"{what} in {run.beacons} beacons, {run.allowed} allowed"
 
     def finish(self) -> None:
         """Judge the counts."""
-        self._close(0, *self._runs)
+        self._close(0, *list(self._runs))
         self._count(1 << 63)
         for key, counter in self._counters.items():
             if not counter.convincing:
@@ -179,7 +266,7 @@ class Repetitions(Invariant):
             text = f"{name(node)}: {counter.missed} of {counter.occasions} times too often, first {self._examples[key]}"
             if told:
                 text += "; requests had told the same number, which must not be answered"
-            self.violated(text, counter.examples, *(("VD-RU-03",) if told else ("VD-SCP-02", "VD-SCP-03")))
+            self.violated(text, counter.examples, *(_TOLD if told else _UNTOLD))
 
 
 class Requests(Invariant):
@@ -195,26 +282,19 @@ class Requests(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._has: dict[tuple[bytes, int], Said] = {}
         self._asked: dict[tuple[bytes, int], list[int]] = {}
         self._producers: dict[int, bytes] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare requests with what the node last said."""
-        for each in seen.said:
-            key = (seen.sender, each.var_id)
-            if each.kind is ICType.REQUEST_VARCREATES:
+        for each, before in seen.news:
+            if each.kind is ASK_CREATE:
                 self.exercised()
                 self._count(each, seen)
-                has = self._has.get(key)
-                if has is not None and self.context.senders.unbroken(seen.sender, has.time):
+                if before is not None:
                     text = f"{name(seen.sender)} asks for variable {each.var_id}, which it has"
-                    self.violated(text, [has, each], once=key)
-            elif each.kind is ICType.DELETE_VARIABLES:
-                self._has.pop(key, None)
-            elif each.kind is not ICType.REQUEST_VARUPDATES and (key in self._has or len(self._has) < MOST_VARIABLES):
-                self._has[key] = each
-            if each.kind is ICType.CREATE_VARIABLES:
+                    self.violated(text, [before, each], once=(seen.sender, each.var_id))
+            elif each.kind is CREATE:
                 self._producers[each.var_id] = each.record.spec.prod_id
 
     def _count(self, each: Said, seen: Seen) -> None:
