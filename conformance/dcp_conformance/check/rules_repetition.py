@@ -2,38 +2,55 @@
 
 from __future__ import annotations
 
-from collections import Counter as Counts
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from itertools import islice
+from typing import Any
 
 from dcp_spec.constants import ICType
 
+from dcp_codec.codec import Codec
 from dcp_conformance.circular import Circle
+from dcp_conformance.heard import Heard
 from dcp_conformance.results import Mark
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .rules_dialogue import Counter
-from .said import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Said
+from .said import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Said, said_in
 
 MS = 1_000_000
 #: For how many beacon periods before it is seen on the air a payload may have been composed.
 _COMPOSED = 1.6
 #: A gap in the recording shows within so many ns, or never.
 _GAP_SHOWS = 2_000 * MS
-#: Reasons of a variable that are kept until they are weighed: so many, and in dense networks up to so many.
-_LEAST, _MOST = 64, 1024
+#: Beacons that are kept as possible reasons: some ten seconds of thirty nodes.
+_FRAMES = 4_000
 _TOLD, _UNTOLD = ("VD-RU-03",), ("VD-SCP-02", "VD-SCP-03")
 _Key = tuple[bytes, int, ICType]
 
 
-class _Reason(NamedTuple):
-    """Something that may make others send again."""
+class _Frame:
+    """A beacon, for as long as what it says may be a reason for others to send again.
 
-    time: int
-    node: bytes
-    kind: ICType
-    number: int
+    Few are ever asked: they are kept as octets, which the recording's evidence shares, and decoded again.
+    """
+
+    __slots__ = ("_number", "_octets", "_of", "node", "time")
+
+    def __init__(self, seen: Seen) -> None:
+        self.time, self.node = seen.time, seen.sender
+        self._number, self._octets = seen.number, seen.heard.octets
+        self._of: dict[int, list[Said]] | None = None
+
+    def of(self, var_id: int, codec: Codec) -> Sequence[Said]:
+        """All about one variable."""
+        if self._of is None:
+            self._of = {}
+            heard = Heard(codec, self._number, self.time, self.time, self._octets, self.node)
+            for each in said_in(heard, self.node):
+                self._of.setdefault(each.var_id, []).append(each)
+        return self._of.get(var_id, ())
 
 
 @dataclass(slots=True)
@@ -48,42 +65,15 @@ class _Run:
     begin: int
     last: Said
     weighed: int
-    """How many reasons of the variable had been there, in all, when they were last weighed."""
+    """The number of frames, in all, up to which reasons have been weighed; before that, the one that began the run."""
     asked: int
     """Requests for updates that had told the number before, by whomever."""
     beacons: int = 1
     allowed: int = 0
     told: int = 0
     """Requests that told the same number."""
-
-
-class _Reasons:
-    """What was said of a variable that may be a reason to send something of it again.
-
-    Reasons are only kept here, and weighed when a run is longer than it may be without any: nearly none is. What is
-    thrown away is weighed before.
-    """
-
-    __slots__ = ("asked", "dropped", "kept", "room")
-
-    def __init__(self) -> None:
-        self.asked: dict[int, int] = {}
-        """How many requests for updates told a number, in all."""
-        self.dropped = 0
-        self.kept: list[_Reason] = []
-        self.room = _LEAST
-
-    @property
-    def count(self) -> int:
-        """All that there were so far."""
-        return self.dropped + len(self.kept)
-
-    def since(self, time: int) -> int:
-        """How many came before ``time``."""
-        place = len(self.kept)
-        while place and self.kept[place - 1].time >= time:
-            place -= 1
-        return self.dropped + place
+    fresh: bool = True
+    """Whether no reasons have been weighed."""
 
 
 class Repetitions(Invariant):
@@ -105,9 +95,12 @@ class Repetitions(Invariant):
         self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
         """(node, variable) -> the creation that it spoke of last, and its repCnt."""
         self._runs: dict[_Key, _Run] = {}
-        self._of_variable: dict[int, dict[_Key, _Run]] = {}
-        """The runs about a variable."""
-        self._reasons: dict[int, _Reasons] = {}
+        self._frames: deque[_Frame] = deque()
+        """What was said lately. It is looked at for runs that are longer than without a reason: nearly none is."""
+        self._dropped = 0
+        """Frames that are gone from there."""
+        self._asked: dict[tuple[int, int], int] = {}
+        """(variable, number) -> requests for updates that told it."""
         self._deleting = 0
         """Runs of deletes."""
         self._closed: deque[tuple[int, _Key, _Run]] = deque()
@@ -120,8 +113,12 @@ class Repetitions(Invariant):
         node, now = seen.sender, seen.time
         if self._closed:
             self._count(now)
-        for each in seen.again:
-            self._reason(_Reason(now, node, SUMMARY, each.number), each.var_id)
+        if seen.said:
+            self._frames.append(_Frame(seen))
+            if len(self._frames) > _FRAMES:
+                # A reason shows in what is sent soon after it, or not at all.
+                self._frames.popleft()
+                self._dropped += 1
         for each, _ in seen.news:
             kind, var_id = each.kind, each.var_id
             if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
@@ -134,8 +131,8 @@ class Repetitions(Invariant):
                 self._close(now, (node, var_id, DELETE))
             if kind is CREATE or kind is UPDATE or kind is DELETE:
                 self._sent(each, now)
-            if kind is not DELETE:
-                self._reason(_Reason(now, node, kind, each.number), var_id)
+            elif kind is ASK_UPDATE and ((var_id, each.number) in self._asked or len(self._asked) < MOST_VARIABLES):
+                self._asked[var_id, each.number] = self._asked.get((var_id, each.number), 0) + 1
 
     def _rep_cnt(self, node: bytes, var_id: int) -> int | None:
         """As the node said itself, or as it was said of the only life of the variable; else nobody knows."""
@@ -155,78 +152,46 @@ class Repetitions(Invariant):
         if run is not None and run.what == what:
             run.beacons += 1
             run.last = each
+            if run.beacons > run.allowed:
+                self._weigh(key, run)
             return
         self._close(now, key)
         allowed = self._rep_cnt(each.sender, each.var_id)
         if allowed is None or len(self._runs) >= MOST_VARIABLES:
             return
-        # A payload may have been composed a while before: what was said meanwhile counts for the next one.
-        reasons = self._reasons.get(each.var_id)
-        weighed = 0 if reasons is None else reasons.since(now - self._composed)
-        asked = 0 if reasons is None else reasons.asked.get(number, 0)
-        run = self._runs[key] = _Run(what, number, allowed, now, each, weighed, asked, allowed=allowed)
-        self._of_variable.setdefault(each.var_id, {})[key] = run
+        asked = self._asked.get((each.var_id, number), 0) if each.kind is UPDATE else 0
+        place = self._dropped + len(self._frames)
+        self._runs[key] = _Run(what, number, allowed, now, each, place, asked, allowed=allowed)
         self._deleting += each.kind is DELETE
 
-    def _reason(self, reason: _Reason, var_id: int) -> None:
-        """What a node says may be a reason for others to send again."""
-        reasons = self._reasons.get(var_id)
-        if reasons is None:
-            if len(self._reasons) >= MOST_VARIABLES:
-                return
-            reasons = self._reasons[var_id] = _Reasons()
-        kept = reasons.kept
-        kept.append(reason)
-        if reason.kind is ASK_UPDATE:
-            reasons.asked[reason.number] = reasons.asked.get(reason.number, 0) + 1
-        if len(kept) >= reasons.room:
-            self._forget(reasons, var_id, reason.time)
+    def _weigh(self, key: _Key, run: _Run) -> None:
+        """Allow more for each reason that has come since reasons were last weighed."""
+        begin = max(run.weighed - self._dropped, 0)
+        if run.fresh:
+            # A payload may have been composed a while before: what was said meanwhile counts for the next one.
+            run.fresh = False
+            while begin and self._frames[begin - 1].time >= run.begin - self._composed:
+                begin -= 1
+        run.weighed = self._dropped + len(self._frames)
+        codec = self.context.codec
+        for frame in islice(self._frames, begin, None):
+            if frame.node != key[0]:
+                for each in frame.of(key[1], codec):
+                    self._allow(key, run, each.kind, each.number)
 
-    def _forget(self, reasons: _Reasons, var_id: int, now: int) -> None:
-        """Weigh the older reasons of a variable for all its runs, and drop them."""
-        # Those of the last moment may still count for a run that begins now.
-        many = reasons.since(now - self._composed) - reasons.dropped
-        if reasons.room >= _MOST and not many:
-            many = len(reasons.kept) // 2
-        if many:
-            until, dropped = reasons.dropped + many, reasons.kept[:many]
-            totals = Counts((each.kind, each.number) for each in dropped)
-            own = Counts((each.node, each.kind, each.number) for each in dropped)
-            for key, run in self._of_variable.get(var_id, {}).items():
-                if run.weighed > reasons.dropped:
-                    self._weigh(key, run, reasons, until)
-                    continue
-                run.weighed = until
-                for (kind, number), count in totals.items():
-                    self._allow(key, run, kind, number, count - own[key[0], kind, number])
-            del reasons.kept[:many]
-            reasons.dropped = until
-        reasons.room = min(max(_LEAST, 3 * len(reasons.kept)), _MOST)
-
-    def _weigh(self, key: _Key, run: _Run, reasons: _Reasons, until: int) -> None:
-        """Allow more for each reason up to one of that number."""
-        begin = max(run.weighed, reasons.dropped)
-        run.weighed = max(run.weighed, until)
-        if begin >= until:
-            return
-        others = reasons.kept[begin - reasons.dropped : until - reasons.dropped]
-        counts = Counts((each.kind, each.number) for each in others if each.node != key[0])
-        for (kind, number), count in counts.items():
-            self._allow(key, run, kind, number, count)
-
-    def _allow(self, key: _Key, run: _Run, kind: ICType, told: int, count: int) -> None:
-        """Allow more for so many records of others that tell a number."""
+    def _allow(self, key: _Key, run: _Run, kind: ICType, told: int) -> None:
+        """Allow more, if this record of somebody else is a reason for it."""
         if key[2] is CREATE:
-            run.allowed += count * run.rep_cnt if kind is ASK_CREATE else 0
+            run.allowed += run.rep_cnt if kind is ASK_CREATE else 0
         elif key[2] is DELETE:
             # Created again, and deleted again before that was passed on.
-            run.allowed += count * run.rep_cnt if kind is CREATE else 0
+            run.allowed += run.rep_cnt if kind is CREATE else 0
         elif kind is ASK_UPDATE or kind is SUMMARY or kind is UPDATE:
             if told == run.number:
-                run.told += count if kind is ASK_UPDATE else 0
+                run.told += kind is ASK_UPDATE
             elif not self._circle.newer(told, run.number):
                 # Older, or half the circle away, which can be taken either way (X28).
-                run.allowed += count * run.rep_cnt
+                run.allowed += run.rep_cnt
 
     def _close(self, time: int, *keys: _Key) -> None:
         """A run has ended; it is counted when it is certain that no beacon was missed."""
@@ -234,10 +199,9 @@ class Repetitions(Invariant):
             run = self._runs.pop(key, None)
             if run is not None:
                 self._deleting -= key[2] is DELETE
-                self._of_variable[key[1]].pop(key)
-                reasons = self._reasons.get(key[1])
-                if reasons is not None and (run.beacons > run.allowed or run.asked != reasons.asked.get(run.number, 0)):
-                    self._weigh(key, run, reasons, reasons.count)
+                told = key[2] is UPDATE and self._asked.get((key[1], run.number), 0) != run.asked
+                if told or run.beacons > run.allowed:
+                    self._weigh(key, run)
                 self._closed.append((time, key, run))
 
     def _count(self, now: int) -> None:
