@@ -130,6 +130,10 @@ class Finding(NamedTuple):
     frames: tuple[Mark, ...]
     key: object = None
     """Findings of one key are told once; :meth:`Invariant.times` counts them."""
+    time: int | None = None
+    """When it showed first, in ns since 1970; None if it shows in the recording as a whole."""
+    consequence: str = ""
+    """What follows for the network, in a sentence; empty: what generally follows."""
 
 
 Evidence = Seen | Trace | Said | Instruction | Mark
@@ -157,6 +161,10 @@ class Context:
         self.senders = Senders(MOST_SENDERS)
         self.stations = Stations(MOST_SENDERS)
         self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
+        self.now: int | None = None
+        """The time of the frame that is being judged, in ns since 1970; None before and after the recording."""
+        self.withheld: dict[str, str] = {}
+        """Requirements that do not pass whatever was shown, and why."""
         self.changed = False
         """Whether there are findings that :meth:`Judge.feed` has not looked at."""
         self._last: dict[bytes, dict[int, Said]] = {}
@@ -165,8 +173,13 @@ class Context:
         """By node: :attr:`Sender.unbroken` when what it had said was last forgotten."""
         self._pairs = 0
 
+    def withhold(self, requirement: str, why: str) -> None:
+        """Something was heard that speaks against a requirement without refuting it: it does not pass."""
+        self.withheld.setdefault(requirement, why)
+
     def feed(self, seen: Seen) -> None:
         """The next frame, before the invariants get it."""
+        self.now = seen.time
         seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
         said = seen.said
@@ -233,6 +246,8 @@ class Invariant:
     requirements: ClassVar[tuple[str, ...]]
     section: ClassVar[str]
     expect: ClassVar[str]
+    enough: ClassVar[int] = 10
+    """Occasions from which a recording shows that something holds."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -278,10 +293,11 @@ class Invariant:
         verdict: Verdict = Verdict.FAIL,
         once: object = None,
         cite: int = 1,
+        consequence: str = "",
     ) -> None:
         """Something does not hold. With ``once``, only the first finding of that key is kept, others are counted.
 
-        ``cite``: of so many of them the frames are shown.
+        ``cite``: of so many of them the frames are shown. ``consequence``: what follows for the network, in a sentence.
         """
         if once is not None:
             times = self._times.get(once, 0)
@@ -296,9 +312,12 @@ class Invariant:
         if sum(each.verdict is verdict for each in self.findings) >= MOST_FINDINGS:
             self.left_out += 1
             return
-        rules = requirements or self.requirements
+        rules, shown = requirements or self.requirements, list(frames)
+        time = self._time_of(shown[-1]) if shown else None
         self.context.changed = True
-        self.findings.append(Finding(verdict, rules, expected or self.expect, observed, self._marks(frames), once))
+        marks = self._marks(shown)
+        expected = expected or self.expect
+        self.findings.append(Finding(verdict, rules, expected, observed, marks, once, time, consequence))
 
     def times(self, key: object) -> int:
         """How often there was something to say under a key (``once`` of :meth:`violated`)."""
@@ -318,6 +337,12 @@ class Invariant:
     def _marks(self, frames: Iterable[Evidence]) -> tuple[Mark, ...]:
         cited = (self.context.cite(self.id, self._mark(each)) for each in frames)
         return tuple(mark for mark in cited if mark is not None)
+
+    def _time_of(self, what: Evidence) -> int | None:
+        """When that was, in ns since 1970; of a mark the time of the frame that is being judged."""
+        if isinstance(what, Mark):
+            return self.context.now
+        return what.heard.wall if isinstance(what, Instruction) else what.time
 
     def note(self, question: str, observed: str, frames: Iterable[Evidence], *requirements: str) -> None:
         """Something that the specification leaves open, or a hazard that it brings about."""

@@ -217,6 +217,7 @@ class BeaconPeriod(Invariant):
     purpose = "In the long run there is one beacon in each period"
     requirements = ("BP-TX-01",)
     expect = "a mean interval that agrees with the beacon period"
+    enough = 1
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)

@@ -87,6 +87,8 @@ class Counter:
 class _Dialogue(Invariant):
     """Base: what each node was last heard to have of each variable, and what is due."""
 
+    enough = 4
+
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self.circle = Circle(context.profile.types.var_seqno.width)
@@ -221,7 +223,7 @@ class _Dialogue(Invariant):
         while self._outcomes:
             self._count(self._outcomes.popleft())
         for (node, var_id), counter in self._counters.items():
-            self.exercised()
+            self.exercised(times=counter.occasions)
             if counter.convincing and counter.unlikely(self.loss(node, counter.examples[0].sender)):
                 text = f"{name(node)}, variable {var_id}: missed {counter.missed} of {counter.occasions} times"
                 self.violated(f"{text}{self.example(counter)}", counter.examples)

@@ -14,6 +14,7 @@ from dcp_conformance.circular import Circle
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .said import CREATE, DELETE, SUMMARY, UPDATE, Said
+from .wording import differences, spec_text
 
 #: Values of a variable that are remembered: fewer than the circle of its numbers has.
 _VALUES = 64
@@ -129,7 +130,8 @@ class Deleted(_OfOneNode):
     section = "dcp-vardis.md: RTDB-Delete"
     purpose = "A node that has deleted a variable says nothing more of it, until it is created again"
     requirements = ("VD-DEL-05", "VD-PD-04", "VD-CMP-05")
-    expect = "no update or summary behind a delete"
+    expect = "no update or summary after a delete"
+    enough = 3
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -262,6 +264,7 @@ class OneSpec(_OfAllNodes):
     purpose = "All nodes send the same VarSpec of a creation"
     requirements = ("VD-TYP-06", "VD-PC-10")
     expect = "prodId, repCnt, creationTime, timeout and description as the producer sent them"
+    enough = 4
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -292,7 +295,8 @@ class OneSpec(_OfAllNodes):
                 self.exercised()
             if before.record.spec == spec:
                 continue
-            text = f"variable {each.var_id}: {before.record.spec} becomes {spec} at {name(seen.sender)}"
+            changed = differences(before.record.spec, spec)
+            text = f"variable {each.var_id}: {changed} at {name(seen.sender)}, after {name(before.sender)}"
             if spec.creation_time is not None:
                 self.violated(text, [before, each], once=key)
             else:
@@ -339,7 +343,8 @@ class OneSpec(_OfAllNodes):
         known = original.record.spec
         if spec.prod_id == known.prod_id and spec.creation_time > known.creation_time:
             text = (
-                f"variable {each.var_id}: {name(seen.sender)} passes on {spec}, which {name(spec.prod_id)} never sent"
+                f"variable {each.var_id}: {name(seen.sender)} passes on a creation ({spec_text(spec)}) that "
+                f"{name(spec.prod_id)} never sent"
             )
             self.contradict(begin, original, each, text, (each.var_id, seen.sender))
 
@@ -352,6 +357,7 @@ class Recreation(Invariant):
     purpose = "Whether a variable that is created again gets a later creationTime and starts with sequence number 0"
     requirements = ("VD-CRE-09", "VD-CRE-10")
     expect = "a later creationTime, unless its clock was set back; 0 as the first sequence number"
+    enough = 2
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
