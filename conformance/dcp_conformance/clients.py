@@ -223,7 +223,7 @@ class BPClient:
 
         if count == 1 or not at_once:
             return act()
-        return between_beacons(self.bench, f"{count} payloads are submitted", act, self.in_frame)
+        return between_beacons(self.bench, f"submission of {count} payloads", act, self.in_frame)
 
     def number(self) -> int | None:
         """BP-QueryNumberBufferedPayloads; None if the answer has no number."""

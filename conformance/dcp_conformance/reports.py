@@ -100,7 +100,7 @@ class Reporter:
             self._application = len(seen - known) >= _SHOWN
         return self._application
 
-    def sent(self, *requirements: str, what: str = "the safety data appear in a beacon") -> Sent:
+    def sent(self, *requirements: str, what: str = "a beacon with the safety data") -> Sent:
         """Hand safety data down and wait for the beacon that carries them first; stops as failed if none comes.
 
         Stops as inconclusive if an application replaces them each time.
@@ -112,7 +112,7 @@ class Reporter:
         self,
         values: dict[str, Any],
         *requirements: str,
-        what: str = "the safety data appear in a beacon",
+        what: str = "a beacon with the safety data",
         insist: bool = True,
     ) -> Sent:
         """As :meth:`sent`, for safety data that were handed down last; see :meth:`find`."""

@@ -28,7 +28,7 @@ _NO_VARDIS = (
     r"takes part again after its restart: no answer to five probes",
 )
 #: The same for SRP.
-_NO_SRP = (r"^TC_SRP_INI_BV_0[123]: .*\[pics\] srp = false",)
+_NO_SRP = (r"^TC_SRP_INI_BV_0[123]: .*srp = false in \[pics\]",)
 
 
 def _only(*, srp: bool, vardis: bool, told: bool, hidden: tuple[str, ...] = ()) -> Callable[[str], Setup]:
