@@ -81,7 +81,7 @@ def between_beacons(
         bench.until_quiet(sent, flush)
         bench.beacons(1, 1.5)
     else:
-        bench.inconclusive(f"{what} between two beacons", f"a beacon came in between each time{pace(bench)}")
+        bench.inconclusive(f"{what} between two beacons", f"a beacon in between in each attempt{pace(bench)}")
     return result
 
 

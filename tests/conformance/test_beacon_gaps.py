@@ -90,7 +90,7 @@ def test_what_never_works_is_not_judged():
             bench, "submission of two payloads", two_payloads(bench, client, stalling(bench, 100)), client.in_frame
         )
     assert [check.verdict for check in bench.checks] == [Verdict.INCONCLUSIVE]
-    assert bench.checks[0].observed == "a beacon came in between each time"
+    assert bench.checks[0].observed == "a beacon in between in each attempt"
 
 
 @pytest.mark.parametrize(("before", "good"), [(0, False), (4 * MS, False), (6 * MS, True), (50 * MS, True)])

@@ -94,7 +94,7 @@ def foreign_layout(bench: Bench, name: str) -> None:
                 not found, f"{what} is dropped ({rule})", "a request for its variable", rule, frames=found, shown=True
             )
         else:
-            bench.info(f"Is {what} processed?", "processed" if found else "no")
+            bench.info(f"Is {what} processed?", "yes" if found else "no")
 
 
 @case(

@@ -22,7 +22,7 @@ from .variant import Setup, Variant, setup
 _V = SpecVersion
 
 #: Two payloads of one beacon are taken apart, so that what the second takes back may have left.
-_ONE_BY_ONE = r"^TC_VD_PEND_BV_0[123]: .*; but it takes received payloads one at a time, and may answer between"
+_ONE_BY_ONE = r"^TC_VD_PEND_BV_0[123]: .*; but it processes received payloads one at a time and may answer in between"
 
 
 def polling(interval_ms: int, room: int | None = None) -> MakeNode:
