@@ -37,7 +37,7 @@ _PARAMETERS = Needs(since=V1_1, entities=(), ut=(GET, SET))
 
 
 def values(bench: Bench) -> dict[str, Any]:
-    """Return the parameters in the answer to BP-GetParameters, by name; fails and stops the case if there are none."""
+    """Return the parameters in the answer to BP-GetParameters, by name; fails and stops the case without them."""
     answer = bench.call(GET)
     bench.require_asked(answer, f"an answer to {GET}")
     bench.require(answer.ok, f"a positive answer to {GET}", str(answer), "BP-PAR-01")

@@ -104,7 +104,7 @@ def two_producers(bench: Bench, difference: int) -> None:
     wrong = [each for each in found if each.record not in (one, two)]
     bench.check(
         not wrong,
-        "only VarCreates as they were sent",
+        "only unchanged VarCreates",
         f"{len(wrong)} different ones",
         "VD-PC-10",
         frames=wrong[:4],

@@ -16,7 +16,7 @@ _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELE
 
 
 def _check_unchanged(bench: Bench, found: list[Instruction], wanted: VardisRecord, *requirements: str) -> None:
-    """Check that records are, octet by octet, as they were sent."""
+    """Check that records were forwarded unchanged, octet by octet."""
     octets = bench.forge.container(wanted)
     wrong = [each for each in found if bench.forge.container(each.record) != octets]
     text = f"{wrong[0].record}" if wrong else ""

@@ -50,7 +50,7 @@ def mutual_requests(bench: Bench) -> None:
         rounds += 1
         peer.send(peer.request_create(name))
     bench.require(rounds, "a request for the variable that the peer requested", "none")
-    bench.reading("X29", "requests it itself")
+    bench.reading("X29", "requests the variable itself")
     lasting = "without end" if rounds == 6 else f"for {rounds} rounds"
     bench.reading("H1", f"two nodes request the variable from each other {lasting} (6 were tried)")
 
@@ -88,7 +88,7 @@ def forgotten_variable(bench: Bench) -> None:
     )
     if rounds and not found:
         again = "again with each summary" if rounds == 3 else f"{rounds} times"
-        bench.reading("H2", f"a forgotten variable is requested {again}, and what comes is ignored")
+        bench.reading("H2", f"a lost variable is requested {again}, and the answer is ignored")
 
 
 @case(
@@ -114,7 +114,12 @@ def split(bench: Bench) -> None:
         bench.check(asked, "a request for the variable, which is unknown again", "none", "VD-PD-04")
         source.send(source.create(name, seqno=1, rep_cnt=count))
         healed = bench.until_instruction(_CREATE, name)
-        bench.reading("H3", "heals by itself" if healed else "the producer's variable stays away")
+        bench.reading(
+            "H3",
+            "ends with the next VarCreate of the producer"
+            if healed
+            else "the variable of the producer is not restored",
+        )
         return
     bench.require_alive("an update of a deleted variable", "VD-PU-02")
     source.send(source.summary(name, 2))
@@ -127,7 +132,7 @@ def split(bench: Bench) -> None:
     check_deleted(bench, name, "VD-PC-01")
     source.send(source.create(name, rep_cnt=count))
     healed = bench.until_instruction(_CREATE, name)
-    bench.reading("H3", "lasts until it is created anew" if healed else "not even a new creation ends it")
+    bench.reading("H3", "lasts until the variable is created again" if healed else "lasts even after a new creation")
 
 
 @case(
@@ -170,7 +175,7 @@ def taken_over(bench: Bench) -> None:
     )
     update = bench.expect_status("VARDIS-STATUS-NOT-PRODUCER", "RTDB-Update", "VD-UPD-03", varId=name, value="01")
     again = bench.call("RTDB-Create", **create_request(bench, name))
-    bench.reading("H4", f"the application's next update is answered with {update}, creating it anew with {again}")
+    bench.reading("H4", f"the application's next update is answered with {update}, creating it again with {again}")
 
 
 @case(
@@ -196,7 +201,7 @@ def clock_ahead(bench: Bench) -> None:
         record == ahead, "the variable with the creationTime in the future", f"{state!r}", shown=record is not None
     )
     if record == ahead:
-        bench.reading("H5", "later creations with the right time are ignored")
+        bench.reading("H5", "later creations with the correct time are ignored")
     wrong.send(wrong.delete(name))
 
 
@@ -265,7 +270,7 @@ def missed_creation(bench: Bench) -> None:
     )
     asked = bench.instructions(_ASK_CREATE, name, mark)
     if asked or bench.all_hold():
-        bench.reading("H7", "asks for the VarCreate" if asked else "keeps the first creation and does not ask")
+        bench.reading("H7", "requests the VarCreate" if asked else "keeps the first creation without a request")
 
 
 @case(
@@ -293,7 +298,7 @@ def earlier_update(bench: Bench) -> None:
     record = held(bench, name)
     state = "nothing" if record is None else f"{record.upd.value.decode(errors='replace')!r}"
     if bench.all_hold():
-        bench.reading("H8", f"holds {state} behind an update of the first creation")
+        bench.reading("H8", f"holds {state} after an update of the first creation")
 
 
 @case(
@@ -323,4 +328,4 @@ def far_behind(bench: Bench) -> None:
             values == {stored}, "the stored value", f"{values}", requirement, frames=found, shown=values - {stored}
         )
     if bench.all_hold():
-        bench.reading("H9", "sends its stale value and stays behind")
+        bench.reading("H9", "sends its outdated value and keeps it")

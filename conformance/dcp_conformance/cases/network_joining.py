@@ -48,7 +48,7 @@ def learns(bench: Bench, by: ICType) -> None:
 
 def _check_content(bench: Bench, records: list[VarCreate], create: VarCreate) -> None:
     other = next((each for each in records if each != create), None)
-    bench.check(other is None, f"the VarCreate as it was sent: {create}", f"{other}", "VD-PC-07", shown=True)
+    bench.check(other is None, f"the unchanged VarCreate {create}", f"{other}", "VD-PC-07", shown=True)
 
 
 def _check_summarised(bench: Bench, name: int, number: int) -> None:
@@ -87,7 +87,7 @@ def catches_up(bench: Bench) -> None:
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
     wrong = [each for each in found if each.record != VarUpdate(name, 7, bench.value(b"seven"))]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the VarUpdate as it was sent", text, "VD-PU-07", frames=wrong, shown=True)
+    bench.check(not wrong, "the VarUpdate unchanged", text, "VD-PU-07", frames=wrong, shown=True)
     bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
 
 

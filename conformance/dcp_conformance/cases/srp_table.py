@@ -214,7 +214,7 @@ def wrong_length(bench: Bench, name: str) -> None:
     _require_working(bench, "a payload of a wrong length")
     table = set(neighbours(bench))
     bench.check(peer.node_id not in table, "no entry of the payload's node", "an entry", shown=True)
-    # No other node was on the air, so any other entry was made from octets of the payload.
+    # No other node sent anything, so any other entry was made from octets of the payload.
     others = table - before - {each.node_id for each in bench.peers_made}
     if not any(event.direction == "other" for event in bench.traffic.events):
         bench.check(

@@ -195,7 +195,7 @@ def create_requested_once(bench: Bench) -> None:
     peer.send(peer.summary(var_id, 9))
     found = bench.check_repeated(_ASK_CREATE, var_id, 1, mark)
     if found:
-        bench.reading("X16", "a VarReqCreate has just the identifier")
+        bench.reading("X16", "a VarReqCreate has only the identifier")
 
 
 @case(

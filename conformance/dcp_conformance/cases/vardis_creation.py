@@ -27,7 +27,7 @@ def _held(bench: Bench, var_id: int, record: VarCreate, what: str, *requirements
     bench.check(held.record == record, what, f"{held}: {held.record}", *requirements)
 
 
-# -- passed on unchanged -----------------------------------------------------------------------------------------------
+# -- forwarded unchanged -----------------------------------------------------------------------------------------------
 
 _Make = Callable[[Bench, Peer, int], VarCreate]
 

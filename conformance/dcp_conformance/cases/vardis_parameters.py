@@ -179,7 +179,7 @@ def value_length_and_payload(bench: Bench) -> None:
         taken = _in_force(bench, _VALUE) == bound
         bench.check(
             taken == answer.ok,
-            f"{_VALUE} = {bound} is accepted if and only if the confirm says so",
+            f"{_VALUE} = {bound} is accepted if and only if the status is OK",
             str(answer),
             shown=True,
         )

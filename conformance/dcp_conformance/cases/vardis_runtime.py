@@ -95,7 +95,7 @@ def after_idling(bench: Bench) -> None:
         "the buffer check period is set; no records until no beacon has a VarDis block; then a summary of an "
         "unknown variable"
     ),
-    expect="the request within {variant} ms plus one beacon period; the same once more",
+    expect="the request within {variant} ms plus one beacon period; the same again",
     window=30,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
     variants={"10": 10, "400": 400},

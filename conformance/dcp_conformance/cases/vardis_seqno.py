@@ -225,7 +225,7 @@ def counting(bench: Bench) -> None:
             bench.must("RTDB-Update", varId=var_id, value=made.to_bytes(2, "big").hex())
         want = made.to_bytes(2, "big")
 
-        def newest(heard: object, want: bytes = want) -> bool:  # noqa: ARG001 - every record so far is looked at
+        def newest(heard: object, want: bytes = want) -> bool:  # noqa: ARG001 - every record so far is checked
             return any(each.record.value == want for each in bench.instructions(ICType.UPDATES, var_id, since))
 
         came = bench.until(newest)

@@ -29,7 +29,7 @@ class Wire(BPWire):
             return octets
         return octets[: place.start] + self.other(octets[place], blocks) + octets[place.stop :]
 
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - for those that look at them
+    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - used by overrides
         """Return the octets to be sent in the field; by default in reverse order."""
         return octets[::-1]
 

@@ -260,7 +260,7 @@ class Query(BeaconingProtocol):
             return confirm
         return NumberConfirm(confirm.status, self.number(confirm.number, client.queue))
 
-    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - for those that look at it
+    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - used by overrides
         """Return the number to be returned."""
         return number
 

@@ -31,7 +31,7 @@ class Registrations(BeaconingProtocol):
         status = super()._registrable(registration, known=known)
         return status if registration.protocol_id <= 2 else self.judged(status, registration)
 
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - for those that look
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - used by overrides
         """Return the status to be confirmed."""
         return status
 

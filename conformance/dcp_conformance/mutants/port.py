@@ -28,7 +28,7 @@ class Port:
         return self.bp.query_number_buffered(prot_id)
 
     def next_beacon(self) -> Any:
-        """When BP prepares its next beacon."""
+        """The time at which BP prepares its next beacon."""
         return self.bp.next_beacon()
 
 

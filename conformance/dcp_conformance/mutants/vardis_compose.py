@@ -130,7 +130,7 @@ class Fitting(Composer):
         size = sum(self._record_size(kind, each) for each in chosen)
         return chosen, size + self._sizes.ic_header * (-(-len(chosen) // 255))
 
-    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - for those that look at it
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - used by overrides
         """Return the variables whose records are sent."""
         return chosen
 

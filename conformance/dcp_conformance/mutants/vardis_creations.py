@@ -29,7 +29,7 @@ class Creations(Receiver):
             return False
         return self.later(received, stored, entry)
 
-    def later(self, received: int, stored: int, entry: DBEntry) -> bool:  # noqa: ARG002 - for those that look at it
+    def later(self, received: int, stored: int, entry: DBEntry) -> bool:  # noqa: ARG002 - used by overrides
         """Return whether the received VarCreate is stored."""
         return received > stored
 
@@ -141,7 +141,7 @@ class Events(Receiver):
     def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
         return self.event(super()._create_event(record, entry), record)
 
-    def event(self, event: Event, record: VarCreate) -> Event:  # noqa: ARG002 - for those that look at it
+    def event(self, event: Event, record: VarCreate) -> Event:  # noqa: ARG002 - used by overrides
         """Return the event to be processed."""
         return event
 

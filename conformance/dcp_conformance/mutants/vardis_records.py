@@ -125,7 +125,7 @@ class Records(Composer):
     def _take(self, kind: ICType, var_id: int) -> Any:
         return self.record(super()._take(kind, var_id), self._database.lookup(var_id))
 
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - for those that look at it
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - used by overrides
         """Return the record to be sent."""
         return record
 
@@ -271,7 +271,7 @@ class OwnSpec(Records):
             return record
         return VarCreate(msgspec.structs.replace(record.spec, **self.members(record)), record.upd)
 
-    def members(self, record: VarCreate) -> dict[str, Any]:  # noqa: ARG002 - for those that look at it
+    def members(self, record: VarCreate) -> dict[str, Any]:  # noqa: ARG002 - used by overrides
         """Return the changed members."""
         return {}
 

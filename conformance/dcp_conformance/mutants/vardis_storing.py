@@ -25,7 +25,7 @@ class Stores(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         super()._create(self.record(record, wall), offset, now, wall)
 
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - for those that look at it
+    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - used by overrides
         """Return the record to be stored."""
         return record
 
