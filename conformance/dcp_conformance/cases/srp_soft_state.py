@@ -42,7 +42,7 @@ def _lifetime(
             )
         if there and before > latest:
             observed = f"{min(there).hex(':')} is still there after {before / 1e6:.0f} ms"
-            bench.fail(f"an entry is removed {latest / 1e6:.0f} ms after the reception of its record", observed)
+            bench.fail(f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed)
         if there:
             bench.wait_ns(step)
 
