@@ -140,7 +140,7 @@ def test_parts_find_their_place():
     assert issubclass(made_of, Node)
     assert made_of.vardis_class.receiver_class is Other
     assert Node.vardis_class.receiver_class is Receiver
-    with pytest.raises(TypeError, match="no part of the node"):
+    with pytest.raises(TypeError, match="does not derive from a part of the node"):
         node_with(int)
 
 

@@ -17,7 +17,7 @@ _COUNTED = Needs(until=V1_0, entities=(), ut=(*CLIENT, QUERY))
 
 @case(
     "TC_BP_TXP_BI_14",
-    "In 1.0, mode QUEUE refuses an empty payload and keeps the buffered ones",
+    "In 1.0, mode QUEUE rejects an empty payload and keeps the buffered ones",
     requirements="BP-TXP-12",
     stimulus="a client with mode QUEUE and two buffered payloads submits an empty payload",
     expect="BP-STATUS-EMPTY-PAYLOAD; two buffered payloads as before",

@@ -355,7 +355,7 @@ def behind_others(bench: Bench) -> None:
 
 @case(
     "TC_BP_INI_BV_05",
-    "Sequence numbers restart after a reset, observed in a client's payloads",
+    "Sequence numbers start over after a reset, observed in a client's payloads",
     requirements="BP-INI-02 BP-HDR-12 BP-HDR-13",
     stimulus="two payloads of a client, UT-Reset, a third payload",
     expect="seqno 0 in the first beacon (1 in version 1.0; X03)",

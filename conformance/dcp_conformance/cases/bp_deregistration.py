@@ -52,7 +52,7 @@ def deregister(bench: Bench) -> None:
 
 @case(
     "TC_BP_DRG_BO_01",
-    "BP-DeregisterProtocol refuses an identifier that is not registered",
+    "BP-DeregisterProtocol rejects an identifier that is not registered",
     requirements="BP-DRG-01",
     stimulus="BP-DeregisterProtocol for an identifier never registered, then twice for a registered one",
     expect="BP-STATUS-UNKNOWN-PROTOCOL, BP-STATUS-OK, BP-STATUS-UNKNOWN-PROTOCOL",

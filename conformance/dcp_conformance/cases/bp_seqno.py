@@ -73,7 +73,7 @@ def check_first_number(bench: Bench, heard: Heard) -> None:
 
 @case(
     "TC_BP_INI_BV_01",
-    "Sequence numbers restart after a reset",
+    "Sequence numbers start over after a reset",
     requirements="BP-INI-02 BP-HDR-12 BP-HDR-13",
     stimulus="some beacons, UT-Reset, a summary that causes a request",
     expect="seqno 0 in the first beacon (1 in version 1.0; X03)",
@@ -92,7 +92,7 @@ def numbers_after_reset(bench: Bench) -> None:
 
 @case(
     "TC_BP_INI_BV_02",
-    "Sequence numbers restart after a restart",
+    "Sequence numbers start over after a restart of the implementation",
     requirements="BP-INI-02 BP-HDR-12 BP-HDR-13 BP-INI-03",
     stimulus="some beacons, a restart of the implementation, a summary that causes a request",
     expect="a beacon without any activation, with seqno 0 (1 in version 1.0; X03)",

@@ -184,9 +184,9 @@ def _old_update(peer: Peer, name: int) -> VardisRecord:
 
 @case(
     "TC_NET_STORM_BV_01",
-    "The same {variant} of ten neighbours is answered repCnt times, not ten times as often",
+    "The same record from ten neighbours is answered repCnt times, not ten times as often ({variant})",
     requirements="VD-RC-03 VD-RU-04 VD-PS-03 VD-PU-06",
-    stimulus="ten peers send the same {variant} within one beacon period",
+    stimulus="ten peers send the same record within one beacon period ({variant})",
     expect="the answer in exactly repCnt beacons, or in one more if a payload was composed before the last of the ten",
     window=24,
     variants={

@@ -47,12 +47,9 @@ def _variants() -> dict[str, Variant]:
             refused = max(since, _V1_2) if what == "repCnt" else since
             found[f"{what}-{name}"] = Variant(
                 (what, bound, allowed, refused),
-                purpose=f"A VarCreate with {what} {name} is {'accepted' if allowed else 'ignored'}",
+                purpose=f"A VarCreate is {'accepted' if allowed else 'ignored'} ({what}: {name})",
                 requirements=_requirement(what),
-                stimulus=(
-                    f"a VarCreate of an unknown variable with {what} {name} (a length or count; max: the value of "
-                    "the parameter)"
-                ),
+                stimulus=f"a VarCreate of an unknown variable ({what}: {name}; a length or count, max: the parameter)",
                 expect="it is forwarded and stored" if allowed else "no reaction; the variable remains unknown",
             )
     return found

@@ -190,7 +190,7 @@ def _kind(bench: Bench, number: int) -> ICType:
 
 @case(
     "TC_VD_PAY_BV_02",
-    "Payloads are filled with {variant} until the next record does not fit, and never exceed their maximum",
+    "Payloads are filled until the next record does not fit, and never exceed their maximum ({variant})",
     requirements="VD-PAY-02 VD-IC-05",
     stimulus="requests for more variables, with the longest values, than fit into two payloads",
     expect="each payload but the last is full; none is larger than VARDISPAR_MAX_PAYLOAD_SIZE",
