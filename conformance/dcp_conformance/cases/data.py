@@ -17,7 +17,7 @@ from dcp_spec.constants import (
     ICType,
     SpecVersion,
 )
-from dcp_spec.profile import Opaque
+from dcp_spec.profile import own_fields
 
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, Variant, case
@@ -268,7 +268,7 @@ def packed(bench: Bench) -> None:
     bench.check(
         not behind, "no octets after the last block", f"{octets}", "UWB-04", "DATA-02", frames=behind[:4], shown=True
     )
-    if any(isinstance(each, Opaque) for each in bench.profile.srp.record):
+    if any(each.opaque is not None for each in own_fields(bench.profile.srp.record)):
         what = "its state reports are memory images of a structure, with unused octets between the fields"
         bench.info("Which records of the profile itself are not packed?", what, "DATA-02")
 
