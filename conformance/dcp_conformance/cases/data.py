@@ -17,7 +17,7 @@ from dcp_spec.constants import (
     ICType,
     SpecVersion,
 )
-from dcp_spec.profile import Opaque
+from dcp_spec.profile import own_fields
 
 from dcp_conformance.bench import MS, Bench
 from dcp_conformance.case import Needs, Variant, case
@@ -250,7 +250,7 @@ def packed(bench: Bench) -> None:
     bench.check(
         not behind, "nothing behind the last block", f"{octets}", "UWB-04", "DATA-02", frames=behind[:4], shown=True
     )
-    if any(isinstance(each, Opaque) for each in bench.profile.srp.record):
+    if any(each.opaque is not None for each in own_fields(bench.profile.srp.record)):
         what = "its state reports are images of a structure in memory: octets between the fields"
         bench.info("Where does the profile itself leave packed records?", what, "DATA-02")
 
