@@ -627,7 +627,7 @@ class TestNetworksThatFollowTheSpecification:
         exercised: set[str] = set()
         for profile, loss in (("dcp-2.0", 0.0), ("dcp-2.0", 0.3), ("dcp-1.3", 0.3)):
             for busy in (0.5, 3):
-                frames = simulated(profile, 5, seconds=30, quality=Quality(loss=loss), busy=busy)
+                frames = simulated(profile, 5, seconds=30, quality=Quality(loss=loss), busy=busy, restarts=loss > 0)
                 run = judged(frames, profile, Pics())
                 assert findings(run) == []
                 exercised |= {case.id for case in run.cases if case.verdict is Verdict.PASS}
