@@ -72,9 +72,12 @@ class DecodedChannels:
             viewer_record(codec, container_group(codec)),
         )
         self._report: _Channel | None = None
-        if codec.report_plan is not None:
-            columns = viewer_record(codec, record_group(codec.report_plan))
-            self._report = _Channel("/dcp/srp", "dcp.StateReport", "One state report.", _BLOCK, columns)
+        if codec.srp_plan is not None:
+            columns = viewer_record(codec, record_group(codec.srp_plan))
+            name, about = ("dcp.StateReport", "One state report.")
+            if codec.report_plan is None:
+                name, about = ("dcp.OwnReport", "One SRP payload; this profile has no state reports.")
+            self._report = _Channel("/dcp/srp", name, about, _BLOCK, columns)
         self._problem = _Channel("/dcp/errors", "dcp.Problem", "One thing that is wrong with a frame.", _PROBLEM)
         self._poses = _Poses(codec.profile)
 

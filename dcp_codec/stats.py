@@ -130,6 +130,7 @@ class Stats:
         self._link = link or codec.profile.link
         numbers = codec.profile.vardis.container_types.by_name()
         self._names = {number: name for name, number in numbers.items()}
+        self._names |= {own.number: own.name for own in codec.profile.vardis.own_containers}
         self._updates = numbers["UPDATES"]
         self._creates = numbers["CREATE-VARIABLES"]
         self.frames = 0
@@ -207,7 +208,7 @@ class Stats:
         """Whose payload it is, also if it cannot be read."""
         if isinstance(payload.content, tuple):
             return "vardis"
-        report = payload.protocol_id == BP_PROTID_SRP and self.codec.report_plan is not None
+        report = payload.protocol_id == BP_PROTID_SRP and self.codec.srp_plan is not None
         return "srp" if report or isinstance(payload.content, ExtendedSafetyData) else "other"
 
     def _count_container(self, container: Container) -> None:

@@ -161,6 +161,12 @@ class Judge:
         self._context.now = None
         for rule in self._active:
             rule.finish()
+        for rule in self._active:
+            for finding in rule.findings:
+                if finding.verdict is Verdict.INCONCLUSIVE:
+                    # What one rule doubts no other one shows.
+                    for each in finding.requirements:
+                        self._context.withhold(each, finding.observed)
         self._cite()
         cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
@@ -204,8 +210,9 @@ class Judge:
             for each in rule.findings
         ]
         failed = {each for check in checks if check.verdict is Verdict.FAIL for each in check.requirements}
+        doubted = {each for check in checks if check.verdict is Verdict.INCONCLUSIVE for each in check.requirements}
         occasions = {each: rule.occasions[each] for each in rule.requirements if rule.occasions.get(each)}
-        held = [each for each in occasions if each not in failed]
+        held = [each for each in occasions if each not in failed | doubted]
         reason = rule.applies()
         checks += self._passes(rule, held, occasions)
         if not checks:
