@@ -39,11 +39,11 @@ def test_a_cut_off_recording_passes_nothing():
 
 def test_a_whole_recording_passes_with_the_number_of_occasions():
     run = judged(frames_of("b_crud.mcap"), "cpp-2.0", enough=None)
-    case = case_of(run, "CK_UWB_BROADCAST")
+    case = case_of(run, "CK_BP_SIZE")
     assert case.verdict is Verdict.PASS
-    assert case.occasions == {"UWB-01": 563}
-    assert case.checks[-1].expected == "the broadcast address as destination (563 occasions)"
-    assert run.occasions["UWB-01"] == 563
+    assert case.occasions == {"BP-FMT-02": 563}
+    assert case.checks[-1].expected == "a bearer payload within the maximum packet size (563 occasions)"
+    assert run.occasions["BP-FMT-02"] == 563
     # What fails has its occasions, too.
     assert run.requirements["VD-RU-04"] is Verdict.FAIL
     assert run.occasions["VD-RU-04"] > 90
@@ -59,18 +59,18 @@ def test_a_whole_recording_passes_with_the_number_of_occasions():
 )
 def test_how_many_beacons_show_something(frames, verdict):
     run = judged(frames_of("b_crud.mcap")[:frames], "cpp-2.0", enough=None)
-    assert run.requirements["UWB-01"] is verdict
+    assert run.requirements["BP-FMT-02"] is verdict
 
 
 def test_a_pass_is_withheld_where_something_speaks_against_it():
     judge = Judge(get_codec("cpp-2.0"), Pics())
     for frame in frames_of("b_crud.mcap"):
         judge.feed(frame)
-    judge._context.withhold("UWB-01", "201 of 201 requests had no answer")
-    judge._context.withhold("UWB-01", "something else")
+    judge._context.withhold("BP-FMT-02", "201 of 201 requests had no answer")
+    judge._context.withhold("BP-FMT-02", "something else")
     run = judge.result()
-    assert run.requirements["UWB-01"] is Verdict.INCONCLUSIVE
-    assert case_of(run, "CK_UWB_BROADCAST").reason.endswith("201 of 201 requests had no answer")
+    assert run.requirements["BP-FMT-02"] is Verdict.INCONCLUSIVE
+    assert case_of(run, "CK_BP_SIZE").reason.endswith("201 of 201 requests had no answer")
 
 
 def test_rules_have_thresholds_and_consequences():
@@ -106,8 +106,8 @@ def test_the_command_shows_occasions(tmp_path):
     options = ["--profile", "cpp-2.0", "--requirements", "--report-dir", str(tmp_path / "r")]
     done = CliRunner().invoke(command, [str(short), *options], env={"COLUMNS": "200"}, standalone_mode=False)
     assert "too little" in done.output
-    assert re.search(r"UWB-01 +too-little +12 ", done.output)
+    assert re.search(r"BP-FMT-02 +too-little +12 ", done.output)
     told = json.loads((tmp_path / "r" / "results.json").read_text())
-    assert told["occasions"]["UWB-01"] == 12
+    assert told["occasions"]["BP-FMT-02"] == 12
     page = (tmp_path / "r" / "report.html").read_text()
     assert "too little" in page
