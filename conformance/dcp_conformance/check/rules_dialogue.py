@@ -105,6 +105,7 @@ class _Reaction(Invariant):
         else:
             if reason := self._reason(each):
                 text += f"; the likely reason: {reason}"
+            self.exercised(*rules, times=tally.all_trials)
             self.violated(text, tally.examples, *rules)
 
     def _speakers(self, each: Shortage) -> str:

@@ -236,8 +236,9 @@ def _frames(check: Check) -> str:
 
 
 def _columns(run: RunResult) -> tuple[Verdict, ...]:
-    """Verdicts that have a column: only recordings can have too little in them."""
-    return (*_COLUMNS[:-1], Verdict.TOO_LITTLE, _COLUMNS[-1]) if run.kind == "check" else _COLUMNS
+    """Verdicts that have a column: only recordings can have too little in them, and most have enough."""
+    few = Verdict.TOO_LITTLE in run.requirements.values() or any(c.verdict is Verdict.TOO_LITTLE for c in run.cases)
+    return (*_COLUMNS[:-1], Verdict.TOO_LITTLE, _COLUMNS[-1]) if few else _COLUMNS
 
 
 def _sections(run: RunResult) -> Table:
