@@ -49,7 +49,7 @@ def judge_recording(
         with open_capture(path) as reader:
             # As text that a report can hold: names of files are octets.
             name = path.name.encode("utf-8", "backslashreplace").decode()
-            judge = Judge(codec, pics, recording=name, command=command, period_known=period_known)
+            judge = Judge(codec, pics, recording=name, path=str(path), command=command, period_known=period_known)
             for frame in reader:
                 judge.feed(frame)
             notes += [problem.message for problem in reader.problems]
