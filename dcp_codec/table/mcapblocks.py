@@ -13,6 +13,7 @@ from dcp_codec.capture.frame import Frame
 from dcp_codec.capture.mcapfile import RECORD_HEAD, McapReader
 
 from .decoding import Block
+from .jit import machine
 from .messages import FULL, ODD, OTHER, RAW, walk_messages
 
 #: Octets of unpacked chunks that one block has, unless one chunk has more.
@@ -99,7 +100,7 @@ class McapBlocks(McapReader):
                 begin = self._copied(records[position:]) - position
                 buffer = self._buffer
             before = self._count
-            after, self._count, why = walk_messages(
+            after, self._count, why = machine(walk_messages)(
                 buffer, begin + position, begin + len(records), self._kinds(), self._count, *self._arrays
             )
             position = after - begin

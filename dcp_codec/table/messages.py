@@ -11,7 +11,7 @@ import numpy as np
 
 from dcp_codec.capture.frame import ETHERNET, MAX_TIME_NS
 
-from .jit import helper, machine
+from .jit import helper
 
 _I64: Any = np.int64
 _U64: Any = np.uint64
@@ -62,7 +62,6 @@ def _tagged(b: Any, at: int, stop: int, tag: int, most: int) -> tuple[int, int]:
     return _varint(b, at + 1, stop, most)
 
 
-@machine
 def walk_messages(
     b: Any,
     position: int,

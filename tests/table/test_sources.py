@@ -25,7 +25,7 @@ from ..chance import examples
 def read(path: Path, **options: Any) -> tuple[Any, ...]:
     """Frames and problems of a file by blocks."""
     found = []
-    with Recording(path, **options) as recording:
+    with Recording(path, walk=True, **options) as recording:
         position = 0
         for block in recording.blocks():
             assert block.position >= position
