@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,7 @@ def test_neighbour_tables(bag, read):
                 beacons[found.sender] += 1
     times = [time for time, _ in tables]
     assert times == sorted(times)
-    assert all(later - one >= SECOND for one, later in zip(times, times[1:-1], strict=False))
+    assert all(later - one >= SECOND for one, later in pairwise(times[:-1]))
     for time, table in tables:
         names = [each.node_id for each in table.neighbours]
         assert names == sorted(set(names))
