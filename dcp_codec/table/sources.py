@@ -61,7 +61,12 @@ class Recording:
             # Here, so that nobody who has no MCAP file pays for importing the library.
             from .mcapblocks import McapBlocks
 
-            reader = self._mcap = McapBlocks(open_source(source), frozenset({ETHERNET}), frames)
+            octets = open_source(source)
+            try:
+                reader = self._mcap = McapBlocks(octets, frozenset({ETHERNET}), frames)
+            except BaseException:
+                octets.close()
+                raise
         self._reader: CaptureReader = reader
         #: The file, if it can be mapped and is worth walking by machine code.
         self._file = Path(str(source)) if mapped else None
