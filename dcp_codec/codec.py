@@ -18,7 +18,7 @@ from .layout import ValueTypes
 from .lint import DOUBTS, warnings
 from .plan import Node, lower
 from .salvage import Salvaged, Salvager
-from .values import Beacon, Container, ExtendedSafetyData, SafetyData
+from .values import Beacon, Container, ExtendedSafetyData, OwnRecord, SafetyData
 
 
 class Codec:
@@ -61,9 +61,14 @@ class Codec:
         return lower(self.schema.containers)
 
     @functools.cached_property
+    def srp_plan(self) -> Node | None:
+        """The layout of an SRP payload; None if it is octets of any number."""
+        return None if self.schema.srp is None else lower(self.schema.srp)
+
+    @property
     def report_plan(self) -> Node | None:
-        """The layout of an SRP payload, None if the profile has no octets for it."""
-        return None if self.schema.state_report is None else lower(self.schema.state_report)
+        """The layout of a state report; None if what the profile sends over SRP is none."""
+        return self.srp_plan if self.profile.srp.is_report else None
 
     @functools.cached_property
     def _decode_beacon(self) -> Decode:
@@ -79,7 +84,7 @@ class Codec:
 
     @functools.cached_property
     def _decode_report(self) -> Decode:
-        return generate_decoder(self._needed_report_plan(), self.types, f"{self.profile.name} state report")
+        return generate_decoder(self._needed_srp_plan(), self.types, f"{self.profile.name} SRP payload")
 
     @functools.cached_property
     def _encode_beacon(self) -> Encode:
@@ -95,7 +100,7 @@ class Codec:
 
     @functools.cached_property
     def _encode_report(self) -> Encode:
-        return generate_encoder(self._needed_report_plan(), self.types, f"{self.profile.name} state report")
+        return generate_encoder(self._needed_srp_plan(), self.types, f"{self.profile.name} SRP payload")
 
     @functools.cached_property
     def _dissect_beacon(self) -> Dissect:
@@ -105,10 +110,10 @@ class Codec:
     def _salvager(self) -> Salvager:
         return Salvager(self)
 
-    def _needed_report_plan(self) -> Node:
-        if self.report_plan is None:
+    def _needed_srp_plan(self) -> Node:
+        if self.srp_plan is None:
             raise ValueError(f"profile {self.profile.name} has no octets for a state report (srp.record is empty)")
-        return self.report_plan
+        return self.srp_plan
 
     @property
     def safety_data_type(self) -> type[SafetyData]:
@@ -156,6 +161,14 @@ class Codec:
         except DecodeError:
             return self._salvager.salvage(octets, envelope=True)
 
+    def salvage_tree(self, octets: bytes, found: Salvaged) -> Dissection:
+        """The fields behind what :meth:`salvage` has ``found`` in these octets; offsets count from their first.
+
+        Unlike :meth:`dissect` it follows the reading of the block list that was chosen. Layouts are nodes of
+        ``beacon_plan``.
+        """
+        return self._salvager.tree(octets, found.reading)
+
     def encode(self, beacon: Beacon) -> bytes:
         """The bearer payload of ``beacon``. Raises :class:`~dcp_codec.errors.EncodeError` naming the field at fault."""
         return self._encode_beacon(beacon)
@@ -177,16 +190,29 @@ class Codec:
     # -- client payloads --------------------------------------------------------------------------------------
 
     def decode_report(self, payload: bytes) -> ExtendedSafetyData:
-        """Decode an SRP payload, which must be exactly one state report (SRP-RX-01). Raises DecodeError."""
-        report: ExtendedSafetyData
+        """Decode an SRP payload, which must be exactly one state report (SRP-RX-01).
+
+        Raises DecodeError, and ValueError for a profile whose SRP payloads are no state reports.
+        """
+        report = self.decode_srp(payload)
+        if not isinstance(report, ExtendedSafetyData):
+            raise ValueError(f"profile {self.profile.name} has no state reports (srp.record has no standard field)")
+        return report
+
+    def decode_srp(self, payload: bytes) -> ExtendedSafetyData | OwnRecord:
+        """Decode an SRP payload: a state report, or what the profile sends in its place.
+
+        Raises DecodeError, and ValueError for a profile whose SRP payloads are octets of any number.
+        """
+        report: ExtendedSafetyData | OwnRecord
         report, end = self._decode_report(payload, 0, len(payload))
         if end != len(payload):
             # Only a report without a fixed size can end early.
             raise DecodeError(Problem("leftover", "", end, 0, len(payload) - end, "SRP-RX-01"), report)
         return report
 
-    def encode_report(self, report: ExtendedSafetyData) -> bytes:
-        """The SRP payload of a state report. Raises EncodeError."""
+    def encode_report(self, report: ExtendedSafetyData | OwnRecord) -> bytes:
+        """The SRP payload of a state report, or of what the profile sends in its place. Raises EncodeError."""
         return self._encode_report(report)
 
     def decode_containers(self, payload: bytes) -> tuple[Container, ...]:

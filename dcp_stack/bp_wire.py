@@ -6,6 +6,7 @@ from __future__ import annotations
 from itertools import starmap
 
 import msgspec
+from dcp_spec.profile import standard_fields
 
 from dcp_codec.errors import DecodeError, Problem
 from dcp_codec.values import Beacon, BPHeader, Payload
@@ -62,14 +63,14 @@ class BPWire:
         }
         self._places: dict[str, slice] = {}
         end = 0
-        for name in layout.header:
+        for name in standard_fields(layout.header):
             self._places[name] = slice(end, end + widths[name])
             end += widths[name]
         self.header_size = end
         """Octets of BPHeaderT, 0 where the profile sends none."""
         own = {"protocolId": types.protocol_id.width, "length": types.bp_length.width}
         self.block_header_size = sum(
-            own[member] if isinstance(member, str) else member.opaque for member in layout.payload_header
+            own[member] if isinstance(member, str) else member.width or 0 for member in layout.payload_header
         )
         """Octets of BPPayloadHeaderT."""
         self._area = layout.payload_area
@@ -183,7 +184,7 @@ class BPWire:
     def _length_at(self, octets: bytes, start: int) -> int:
         """The length of the client payload in the block that starts there."""
         for member in self._block_layout:
-            size = self._block_fields[member] if isinstance(member, str) else member.opaque
+            size = self._block_fields[member] if isinstance(member, str) else member.width or 0
             if member == "length":
                 return int.from_bytes(octets[start : start + size], self._length_order)
             start += size

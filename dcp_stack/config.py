@@ -10,8 +10,9 @@ import msgspec
 from dcp_spec.bp import header_size
 from dcp_spec.constants import Features, ICType, SpecVersion, features
 from dcp_spec.parameters import Sizes
-from dcp_spec.profile import Opaque, Profile
+from dcp_spec.profile import Profile, own_fields, standard_fields
 from dcp_spec.readings import reading
+from dcp_spec.usability import refusal
 
 from dcp_codec.codec import Codec
 
@@ -61,6 +62,8 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     max_summaries: int | None = None
     scrubbing_period_ms: int = 1000
     buffer_check_period_ms: int = 50
+    compose_lead_ms: float = 0.0
+    """How long before a beacon its payload is composed (X54); 0 is in the same step, which misses nothing."""
     max_variables: int = 65_536
     """Variables beyond this are not taken from others and refused to applications."""
     bp_queue_entries: int = 1
@@ -83,7 +86,13 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     readings: Mapping[str, str] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raises ``ValueError`` for a node id of the wrong width, an unknown reading or one that is no alternative."""
+        """Raises ``ValueError`` for a node id of the wrong width or a choice that a reading does not have.
+
+        Also for a profile with fields of the implementation's own that a node cannot fill (``dcp_spec.usability``).
+        Raises ``UnknownReadingError`` for an id that is not a reading's.
+        """
+        if (unusable := refusal(self.profile)) is not None:
+            raise ValueError(unusable)
         layout = self.profile.types.node_id
         if layout.length is None and len(self.node_id) != layout.width:
             raise ValueError(f"node id {self.node_id.hex(':')} has {len(self.node_id)} octets, not {layout.width}")
@@ -164,7 +173,7 @@ def _sizes(config: NodeConfig) -> Sizes:
         "timeout": types.var_timeout.width,
         "descr": sum(length.width for length in types.string.lengths) + types.string.terminated,
     }
-    foreign = sum(member.opaque for member in profile.bp.payload_header if isinstance(member, Opaque))
+    foreign = sum(member.width or 0 for member in own_fields(profile.bp.payload_header))
     value = sum(length.width for length in types.value.lengths) + types.value.terminated
     vardis = profile.vardis
     list_length = vardis.list_length.width if vardis.list_length is not None else 0
@@ -177,8 +186,8 @@ def _sizes(config: NodeConfig) -> Sizes:
         bp_header=header_size(profile),
         bp_payload_header=types.protocol_id.width + types.bp_length.width + foreign,
         # Type and number of records, and what only the profile has behind them.
-        ic_header=2 + sum(each.extra.width for each in vardis.container_extra) + list_length,
-        var_spec_fixed=sum(widths[name] for name in profile.vardis.var_spec),
+        ic_header=2 + sum(each.width or 0 for each in vardis.container_extra) + list_length,
+        var_spec_fixed=sum(widths[name] for name in standard_fields(profile.vardis.var_spec)),
         var_update_fixed=types.var_id.width + types.var_seqno.width + value,
         var_summ=types.var_id.width + types.var_seqno.width,
         max_packet_size=config.bp.max_packet_size or profile.limits.max_beacon_size,

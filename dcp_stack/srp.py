@@ -355,5 +355,5 @@ def _node_id_offset(config: NodeConfig) -> int:
     for member in profile.srp.record:
         if member == "nodeId":
             return offset
-        offset += sizes_of[member] if isinstance(member, str) else member.opaque
+        offset += sizes_of[member] if isinstance(member, str) else member.width or 0
     return -1

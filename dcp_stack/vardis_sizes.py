@@ -6,7 +6,7 @@ Layouts are the codec's business; the sizes here are sums over the widths that t
 from __future__ import annotations
 
 from dcp_spec.constants import ICType, seqno_modulus
-from dcp_spec.profile import IntType, Profile, TextType
+from dcp_spec.profile import IntType, Profile, TextType, standard_fields
 
 from dcp_codec.values import VarCreate, VarSpec, VarUpdate
 
@@ -29,7 +29,7 @@ class RecordSizes:
 
     def __init__(self, profile: Profile) -> None:
         types, layout = profile.types, profile.vardis
-        self.ic_header = 2 + sum(extra.extra.width for extra in layout.container_extra)
+        self.ic_header = 2 + sum(each.width or 0 for each in layout.container_extra)
         self.ic_header += layout.list_length.width if layout.list_length is not None else 0
         self.var_id = types.var_id.width
         self.var_summ = self.var_id + types.var_seqno.width
@@ -44,7 +44,7 @@ class RecordSizes:
             "timeout": types.var_timeout.width,
             "descr": _overhead(types.string),
         }
-        self._spec = sum(widths[name] for name in layout.var_spec)
+        self._spec = sum(widths[name] for name in standard_fields(layout.var_spec))
         varying = (ICType.CREATE_VARIABLES, ICType.UPDATES)
         bare = (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES)
         self.fixed: dict[ICType, int | None] = {

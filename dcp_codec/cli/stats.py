@@ -28,6 +28,9 @@ from .common import (
 #: Characters of the table of senders with one and with two spaces between its columns.
 _NARROWEST, _ROOMY = 76, 85
 
+#: Kinds of payloads: the keys of their counts, and what people call them.
+_PAYLOADS = (("srp", "srp", "SRP"), ("vardis", "vardis", "VarDis"), ("other_payloads", "other", "other"))
+
 
 @click.command(
     "stats",
@@ -98,7 +101,16 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
         f"  {data['beacons']} beacons in {data['frames']} frames{span}; profile {data['profile']}; "
         f"{data['padded']} padded; {data['errors']} malformed"
     )
-    console.print(f"  payloads: {data['srp']} SRP, {data['vardis']} VarDis, {data['other_payloads']} other\n")
+    damaged = data["damaged_payloads"]
+    counts = [
+        f"{data[key]} {name}" + (f" ({damaged[kind]} damaged)" if kind in damaged else "")
+        for key, kind, name in (
+            ("srp", "srp", "SRP"),
+            ("vardis", "vardis", "VarDis"),
+            ("other_payloads", "other", "other"),
+        )
+    ]
+    console.print(f"  payloads: {', '.join(counts)}\n")
     if data["senders"]:
         table = Table("sender", box=None, padding=padding, header_style="bold")
         for heading in ("beacons", "first", "last", "lost", "restarts", "interval ms", "± ms", "max ms"):

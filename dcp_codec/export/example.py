@@ -10,7 +10,8 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 from dcp_codec.codec import Codec
 from dcp_codec.fields import Field
 from dcp_codec.jsonform import scalar_json
-from dcp_codec.plan import Fill, Rest, Scalar
+from dcp_codec.misfit import zero
+from dcp_codec.plan import Exact, Fill, Group, Node, Rest, Scalar
 from dcp_codec.values import (
     Beacon,
     BPHeader,
@@ -42,8 +43,21 @@ def example_beacon(codec: Codec) -> Beacon:
     payloads = []
     if codec.report_plan is not None:
         payloads.append(Payload(BP_PROTID_SRP, _report(codec, node_id)))
+    elif codec.srp_plan is not None:
+        payloads.append(Payload(BP_PROTID_SRP, _blank(_record(codec.srp_plan), codec)))
     payloads.append(Payload(BP_PROTID_VARDIS, _containers(codec, node_id)))
     return Beacon(header, tuple(payloads))
+
+
+def _record(plan: Node) -> Group:
+    record = plan.content if isinstance(plan, Exact) else plan
+    assert isinstance(record, Group)
+    return record
+
+
+def _blank(group: Group, codec: Codec) -> Any:
+    """A record of zeros."""
+    return codec.types[group.type_name](*(zero(member) for member in group.members))
 
 
 def _sized(node: bytes, codec: Codec) -> bytes:

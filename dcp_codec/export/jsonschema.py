@@ -62,10 +62,10 @@ def beacon_schema(codec: Codec) -> JSONSchema:
 
 def report_schema(codec: Codec) -> JSONSchema | None:
     """The schema of a well-formed state report as a JSON object, None if the profile has no octets for it."""
-    plan = codec.report_plan
+    plan = codec.srp_plan
     if plan is None:
         return None
-    return _record_root(codec, record_group(plan), "One well-formed state report. Octets are lower-case hex.")
+    return _record_root(codec, record_group(plan), "One well-formed SRP payload. Octets are lower-case hex.")
 
 
 def container_schema(codec: Codec) -> JSONSchema:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from dcp_spec.profile import Opaque
+from dcp_spec.profile import own_fields
 
 from dcp_codec.dissect import Field
 from dcp_codec.plan import Scalar
@@ -68,7 +68,8 @@ class Packing(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        members = [each for each in context.profile.srp.record if isinstance(each, Opaque)]
+        layout = context.profile.srp
+        members = [each for each in own_fields(layout.record) if each.opaque is not None and layout.is_report]
         self._opaque = {each.name: each for each in members}
 
     def feed(self, seen: Seen) -> None:
