@@ -17,7 +17,7 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.commandline import UNUSABLE, ExpectedError
 from dcp_codec.guess import guess, sample
 
-from .common import link_of, load_codec, note, profile_options
+from .common import link_of, load_codec, note, note_guess, profile_options
 from .recordings import extras
 
 
@@ -136,7 +136,7 @@ def _codec(source: str, profile: str, ether_type: int | None) -> tuple[Codec, Li
     with open_capture(Path(source)) as reader:
         first, _ = sample(reader, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
-    note(f"{source}: profile {found}")
+    note_guess(source, found)
     return get_codec(found.best.profile.name), found.best.link
 
 

@@ -73,7 +73,8 @@ def resolve(path: str | Path, profile: str, ether_type: int | None) -> tuple[Cod
     with open_capture(path) as reader:
         first, _ = sample(reader, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
-    return get_codec(found.best.profile.name), found.best.link, f"profile {found}"
+    text = f"profile {found}" if found.warning is None else f"profile {found}; {found.warning}"
+    return get_codec(found.best.profile.name), found.best.link, text
 
 
 def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:

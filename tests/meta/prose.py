@@ -24,9 +24,12 @@ _SUITE = "conformance/dcp_conformance"
 DONE = (
     f"{_SUITE}/cases",
     f"{_SUITE}/mutants",
+    f"{_SUITE}/bench.py",
     f"{_SUITE}/clients.py",
     f"{_SUITE}/filling.py",
     f"{_SUITE}/gaps.py",
+    f"{_SUITE}/listening.py",
+    f"{_SUITE}/naming.py",
     f"{_SUITE}/reports.py",
     f"{_SUITE}/scrubbing.py",
     f"{_SUITE}/services.py",
