@@ -156,6 +156,14 @@ class Codec:
         except DecodeError:
             return self._salvager.salvage(octets, envelope=True)
 
+    def salvage_tree(self, octets: bytes, found: Salvaged) -> Dissection:
+        """The fields behind what :meth:`salvage` has ``found`` in these octets; offsets count from their first.
+
+        Unlike :meth:`dissect` it follows the reading of the block list that was chosen. Layouts are nodes of
+        ``beacon_plan``.
+        """
+        return self._salvager.tree(octets, found.reading)
+
     def encode(self, beacon: Beacon) -> bytes:
         """The bearer payload of ``beacon``. Raises :class:`~dcp_codec.errors.EncodeError` naming the field at fault."""
         return self._encode_beacon(beacon)

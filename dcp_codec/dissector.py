@@ -335,7 +335,9 @@ class _Part:
         # What is there is still shown, but the one mistake is reported once, which may be that the region is cut off.
         with source.block("if wrong and not clipped:"):
             self.fault(node.reason, node.requirement, self.path(at, node.name), "o + s[1]", str(node.size), "e - o")
-        source.add(f"{inner} = {part}(b, o, e, {at}, s, clipped, [] if wrong else problems, doubtful)[0]")
+        source.add(
+            f"{inner} = {part}(b, o, e, {at}, s, clipped, [] if wrong else problems, [] if wrong else doubtful)[0]"
+        )
         source.add("o = e")
         return inner
 

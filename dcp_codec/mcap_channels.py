@@ -55,9 +55,10 @@ _IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 class DecodedChannels:
     """A message source for ``create_capture`` and ``convert``: the DCP frames of one profile, decoded.
 
-    Frames that are not DCP in the profile have no messages. Nothing in a frame makes it raise: of malformed frames
-    there is what could be read, and what is wrong with them. ``link`` replaces the profile's idea of where beacons
-    are. An instance is for one file: it remembers which nodes have a topic.
+    Frames that are not DCP in the profile have no messages. Nothing in a frame makes it raise: a malformed frame has
+    messages for what could be read, without state reports in which something is wrong, and for each error. ``link``
+    replaces the profile's idea of where beacons are. An instance is for one file: it remembers which nodes have a
+    topic.
     """
 
     def __init__(self, codec: Codec, link: Link | None = None) -> None:
@@ -90,21 +91,30 @@ class DecodedChannels:
         counts = {"padding": whole["padding"], "errors": len(errors), "warnings": len(warnings)}
         header = whole.get("bp", {})
         yield self._beacon.message(frame, {**header, **common, **addresses, "payloads": payloads, **counts})
+        damaged, clear = self._damage(dissected) if errors else (set(), True)
         for index, payload in enumerate(payloads):
             block = {**common, "payload": index, "errors": len(errors)}
-            yield from self._content(frame, dissected, payload, block)
+            yield from self._content(frame, payload, block, sound=index not in damaged, clear=clear)
         for problem in (*errors, *warnings):
             about = {"severity": problem.severity, "message": str(problem), **problem_json(problem)}
             yield self._problem.message(frame, common | about)
 
+    @staticmethod
+    def _damage(dissected: DissectedFrame) -> tuple[set[int], bool]:
+        """The indices of the payload blocks whose content is bad, and whether it is clear where the blocks are."""
+        framing = dissected.framing
+        found = dissected.codec.salvage(dissected.frame.data[framing.start : framing.end])
+        clear = found.beacon is not None and found.clear and found.reading == "length"
+        return {each.payload for each in found.damaged}, clear
+
     def _content(
-        self, frame: Frame, dissected: DissectedFrame, payload: dict[str, Any], block: dict[str, Any]
+        self, frame: Frame, payload: dict[str, Any], block: dict[str, Any], *, sound: bool, clear: bool
     ) -> Iterator[ChannelMessage]:
         report = payload.get("srp")
-        if report is not None and self._report is not None:
+        # A bad report may say anything: a viewer would plot it, and a position would move the view.
+        if report is not None and self._report is not None and sound:
             yield self._report.message(frame, {**report, **block})
-            # A position that may be garbage would move the view.
-            if not dissected.dissection.errors:
+            if clear:
                 yield from self._poses.messages(frame, report)
         for number, container in enumerate(payload.get("vardis", ())):
             yield self._container.message(frame, {**container, **block, "container": number})

@@ -65,7 +65,7 @@ class Salvaged(msgspec.Struct, frozen=True, gc=False):
     ``beacon`` is None if nothing could be read. ``problems`` is empty if and only if strict decoding succeeds. The
     content of a ``damaged`` payload is its octets, but for VarDis, where it is the containers before the fault.
     ``clear`` is false if the blocks do not add up in any reading: then the header may be misread as well. ``end`` is
-    the offset behind the last block.
+    the offset after the last block.
     """
 
     beacon: Beacon | None
@@ -78,6 +78,18 @@ class Salvaged(msgspec.Struct, frozen=True, gc=False):
     def octets_of(self, payload: int) -> bytes | None:
         """The client payload of a damaged block as received; None if nothing is wrong with it."""
         return next((each.octets for each in self.damaged if each.payload == payload), None)
+
+    @property
+    def faults(self) -> tuple[Problem, ...]:
+        """``problems`` with one for each damaged payload, in the order of the octets; of an unclear beacon the first.
+
+        A fault in a payload has others as a consequence, and so has one that leaves the blocks unclear.
+        """
+        if self.beacon is None or not self.clear:
+            return self.problems[:1]
+        inside = tuple(f"payloads[{each.payload}]." for each in self.damaged)
+        found = [each for each in self.problems if not each.path.startswith(inside)] if inside else self.problems
+        return tuple(sorted((*found, *(each.problem for each in self.damaged)), key=lambda each: each.offset))
 
 
 class _IncompleteError(Exception):
@@ -115,6 +127,7 @@ class Salvager:
         self._dissect_counted: Dissect | None = (
             None if counted is None else generate_dissector(counted, f"{codec.profile.name} counted envelope")
         )
+        self._dissect_counted_beacon: Dissect | None = None
         self._payload, self._content = _payload_of(plan)
         self._clients: Mapping[int, str] = {
             number: case.name
@@ -144,6 +157,23 @@ class Salvager:
         payloads = attempt.blocks if envelope else attempt.payloads
         clear = bool(payloads) and not attempt.cut_off and not (disputed and any(attempt.tree.padding))
         return Salvaged(Beacon(bp, payloads), problems, attempt.damaged, attempt.reading, clear, attempt.tree.end)
+
+    def tree(self, octets: bytes, reading: Reading) -> Dissection:
+        """The dissection of a whole beacon in a reading that :meth:`salvage` has chosen for these octets.
+
+        Its layouts are nodes of ``codec.beacon_plan``. Lengths of blocks are without their headers also in ``whole``.
+        """
+        if reading == "whole":
+            shortened = self._shortened(octets)
+            return self._codec.dissect(octets if shortened is None else shortened)
+        if reading == "count":
+            if self._dissect_counted_beacon is None:
+                plan = self._codec.beacon_plan
+                assert isinstance(plan, Group)
+                title = f"{self._codec.profile.name} counted beacon"
+                self._dissect_counted_beacon = generate_dissector(_counted(plan) or plan, title)
+            return self._dissect_counted_beacon(octets, 0, 0)
+        return self._codec.dissect(octets)
 
     # -- readings -----------------------------------------------------------------------------------------------
 

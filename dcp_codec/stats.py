@@ -18,7 +18,7 @@ from .codec import Codec
 from .errors import DecodeError
 from .framing import Framing, OtherTraffic, mac
 from .jsonform import node_id_text
-from .values import Beacon, Container, ExtendedSafetyData
+from .values import Beacon, Container, ExtendedSafetyData, Payload
 
 #: Senders and variables beyond this many are counted together, not one by one.
 MAX_KEYS = 65_536
@@ -143,6 +143,7 @@ class Stats:
         self.senders: dict[str, SenderStats] = {}
         self.containers: Counter[str] = Counter()
         self.records: Counter[str] = Counter()
+        self.damaged: Counter[str] = Counter()
         self.reasons: Counter[str] = Counter()
         self.other_traffic: Counter[str] = Counter()
         self.last_values: dict[int, tuple[int, str]] = {}
@@ -170,6 +171,7 @@ class Stats:
             if found.beacon is None or not found.clear:
                 return
             beacon, end = found.beacon, framing.start + found.end
+            self.damaged.update(self._kind(beacon.payloads[each.payload]) for each in found.damaged)
         self._count(beacon, frame, framing)
         self.octets += end - framing.start
         self.padded += end < len(octets)
@@ -191,19 +193,22 @@ class Stats:
             stats = self.senders.setdefault(key, SenderStats())
         stats.add(seqno, frame.time_ns)
         for payload in beacon.payloads:
-            content = payload.content
-            if isinstance(content, ExtendedSafetyData) or self._is_report(payload.protocol_id):
-                self.srp += 1
-            elif isinstance(content, tuple):
-                self.vardis += 1
-                for container in content:
-                    self._count_container(container)
-            else:
-                self.other_payloads += 1
+            match self._kind(payload):
+                case "srp":
+                    self.srp += 1
+                case "vardis":
+                    self.vardis += 1
+                    for container in payload.vardis or ():
+                        self._count_container(container)
+                case _:
+                    self.other_payloads += 1
 
-    def _is_report(self, protocol_id: int) -> bool:
-        """Whether a payload is one of SRP, although it cannot be read."""
-        return protocol_id == BP_PROTID_SRP and self.codec.report_plan is not None
+    def _kind(self, payload: Payload) -> str:
+        """Whose payload it is, also if it cannot be read."""
+        if isinstance(payload.content, tuple):
+            return "vardis"
+        report = payload.protocol_id == BP_PROTID_SRP and self.codec.report_plan is not None
+        return "srp" if report or isinstance(payload.content, ExtendedSafetyData) else "other"
 
     def _count_container(self, container: Container) -> None:
         name = self._names[container.ic_type]
@@ -236,6 +241,7 @@ class Stats:
             "srp": self.srp,
             "vardis": self.vardis,
             "other_payloads": self.other_payloads,
+            "damaged_payloads": dict(sorted(self.damaged.items())),
             "containers": dict(sorted(self.containers.items())),
             "records": dict(sorted(self.records.items())),
             "padded": self.padded,

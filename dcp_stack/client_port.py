@@ -61,3 +61,7 @@ class ClientPort:
         if not self.holds:
             return NumberConfirm(BPStatus.UNKNOWN_PROTOCOL, None)
         return self._bp.query_number_buffered(prot_id)
+
+    def next_beacon(self) -> int | None:
+        """When BP prepares its next beacon (monotonic ns); None if it does not, or not for the client of this port."""
+        return self._bp.poll_timeout() if self.holds else None

@@ -61,6 +61,8 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     max_summaries: int | None = None
     scrubbing_period_ms: int = 1000
     buffer_check_period_ms: int = 50
+    compose_lead_ms: float = 0.0
+    """How long before a beacon its payload is composed (X54); 0 is in the same step, which misses nothing."""
     max_variables: int = 65_536
     """Variables beyond this are not taken from others and refused to applications."""
     bp_queue_entries: int = 1

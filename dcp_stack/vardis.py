@@ -60,6 +60,10 @@ class Vardis(VariableServices):
         self._scrubbing_pauses = config.reading("X36") == "pauses-while-inactive"
         self._pending_is_dropped = config.reading("X37") == "are-dropped"
         self._registers_anew = config.reading("X41") == "register-anew"
+        self._composes_ahead = config.reading("X54") == "before-the-beacon"
+        self._lead = round(core.settings.compose_lead_ms * MS)
+        self._indicated = False
+        """Whether BP has sent a payload since the last look at its buffer."""
         self._registered_size = 0
         self._last_check = now
         self._last_scrub = now
@@ -92,6 +96,7 @@ class Vardis(VariableServices):
         ##= VD-INI-06
         self._last_scrub = now
         self._last_check = now
+        self._indicated = False
         self._core.active = True
         return status
 
@@ -173,9 +178,12 @@ class Vardis(VariableServices):
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
     def payload_transmitted(self, now: int, wall: int) -> None:
-        """``BP-PayloadTransmitted.indication``: the next payload can be handed down."""
+        """``BP-PayloadTransmitted.indication``: compose the next payload, just before its beacon or at once (X54)."""
         ##= VD-RUN-01
-        self._generate(now, wall)
+        if self._composes_ahead and self._bp.next_beacon() is not None:
+            self._indicated = True
+        elif self.active:
+            self._generate(now, wall)
 
     def handle_timeout(self, now: int, wall: int) -> None:
         """Time has come, or passed; calling too early does no harm."""
@@ -186,10 +194,13 @@ class Vardis(VariableServices):
             if now - self._last_scrub >= period:
                 self._last_scrub = now - (now - self._last_scrub) % period
                 self._scrub(now)
-        period = self._parameters.buffer_check_period_ms * MS
         ##= VD-RUN-02
-        if self.active and now - self._last_check >= period:
+        ##= VD-RUN-03
+        ##= VD-MGT-02
+        if self.active and now >= self._next_look():
+            period = self._parameters.buffer_check_period_ms * MS
             self._last_check = now - (now - self._last_check) % period
+            self._indicated = False
             buffered = self._bp.query_number_buffered(BP_PROTID_VARDIS)
             if buffered.status.is_ok and buffered.number == 0:
                 self._generate(now, wall)
@@ -198,12 +209,25 @@ class Vardis(VariableServices):
         """When ``handle_timeout`` is due next (monotonic ns), None when VarDis is not running."""
         due = None
         if self._core.active:
-            due = self._last_check + self._parameters.buffer_check_period_ms * MS
+            due = self._next_look()
         if self._scrubs:
             scrub = self._last_scrub + self._parameters.scrubbing_period_ms * MS
             if due is None or scrub < due:
                 due = scrub
         return due
+
+    def _next_look(self) -> int:
+        """When VarDis looks at BP's buffer next, and composes a payload if it is empty.
+
+        Composing ahead of the beacon (X54), it puts a look off until just before the next beacon, so that whatever
+        arrives before then is in the payload. After an indication it looks then even if the period has not passed.
+        """
+        check = self._last_check + self._parameters.buffer_check_period_ms * MS
+        beacon = self._bp.next_beacon() if self._composes_ahead else None
+        if beacon is None:
+            return check
+        ahead = beacon - self._lead
+        return ahead if self._indicated else max(check, ahead)
 
     @property
     def _scrubs(self) -> bool:
@@ -211,10 +235,6 @@ class Vardis(VariableServices):
 
     def _generate(self, now: int, wall: int) -> None:
         """Compose the next payload and hand it to BP."""
-        ##= VD-RUN-03
-        ##= VD-MGT-02
-        if not self.active:
-            return
         self._fit_registration(now, wall)
         containers = self._composer.compose(min(self._parameters.max_payload_size, self._registered_size))
         ##= VD-PAY-04

@@ -54,3 +54,10 @@ class BPPort(Protocol):
 
     def query_number_buffered(self, prot_id: int) -> NumberConfirm:
         """``BP-QueryNumberBufferedPayloads``."""
+
+    def next_beacon(self) -> int | None:
+        """When BP prepares its next beacon (monotonic ns); None if it prepares none for this client.
+
+        This is ``nextBeaconGenerationEpoch`` of the latest BP-PayloadTransmitted.indication, corrected if the beacon
+        was moved since (a changed period, a triggered beacon, a beacon without a payload of this client).
+        """

@@ -28,18 +28,27 @@ class ChunkError(Exception):
         self.reason = reason
 
 
+#: Gives writable memory for so many octets.
+Allocate = Callable[[int], memoryview]
+
+
 class Chunk(NamedTuple):
     """The records of a chunk, unpacked."""
 
-    records: bytes
+    records: bytes | memoryview
     #: Where the records start within the content of the chunk record, -1 if they are compressed.
     start: int
 
 
-class Unpacker:
-    """Unpacks the chunks of one file. Not for use by several threads at a time."""
+def _fresh(size: int) -> memoryview:
+    return memoryview(bytearray(size))
 
-    def __init__(self) -> None:
+
+class Unpacker:
+    """Unpacks the chunks of one file, into memory that `allocate` gives. Not for use by several threads at a time."""
+
+    def __init__(self, allocate: Allocate = _fresh) -> None:
+        self._allocate = allocate
         # What zstandard needs in memory takes longer to make than a chunk to unpack.
         self._zstd: Any = None
 
@@ -65,40 +74,41 @@ class Unpacker:
                 raise ChunkError("bad-crc", "does not match its checksum")
         return Chunk(records, -1 if compression else start)
 
-    def _unpack(self, compression: str, packed: bytes, size: int, *, whole: bool) -> bytes:
-        """At most `size` octets and one more, so that a small chunk can not claim to be small and fill the memory."""
-        read = self._reader(compression, packed)
-        pieces: list[bytes] = []
-        left = size + 1
+    def _unpack(self, compression: str, packed: bytes, size: int, *, whole: bool) -> memoryview:
+        """Unpack what should give `size` octets; more are an error, so a small chunk cannot fill the memory."""
+        read_into = self._reader(compression, packed)
+        # One octet more, which shows whether the chunk has more than it claims.
+        memory, used = self._allocate(size + 1), 0
         try:
-            while left and (piece := read(min(left, _PIECE))):
-                pieces.append(piece)
-                left -= len(piece)
+            while used <= size and (count := read_into(memory[used:])):
+                used += count
         except Exception as error:
             # zstandard and lz4 raise classes of their own; what they have in common is Exception.
             if whole:
                 raise ChunkError("bad-compression", f"can not be unpacked ({error})") from error
-        return b"".join(pieces)
+        return memory[:used]
 
-    def _reader(self, compression: str, packed: bytes) -> Callable[[int], bytes]:
-        """Something that gives the next octets, at most so many, and none at the end of what there is."""
+    def _reader(self, compression: str, packed: bytes) -> Callable[[memoryview], int]:
+        """Return a function that fills memory with the next octets and says how many those are, 0 at the end."""
         try:
             if compression == "zstd":
                 import zstandard
 
                 if self._zstd is None:
                     self._zstd = zstandard.ZstdDecompressor()
-                read: Callable[[int], bytes] = self._zstd.stream_reader(packed, read_across_frames=True).read
+                read: Callable[[memoryview], int] = self._zstd.stream_reader(packed, read_across_frames=True).readinto
                 return read
             if compression == "lz4":
                 # By name, since it says nothing of types.
                 unpacker = import_module("lz4.frame").LZ4FrameDecompressor()
                 given = [packed]
 
-                def read_lz4(count: int) -> bytes:
+                def read_lz4(memory: memoryview) -> int:
                     if unpacker.eof:
-                        return b""
-                    return bytes(unpacker.decompress(given.pop() if given else b"", count))
+                        return 0
+                    piece: bytes = unpacker.decompress(given.pop() if given else b"", min(len(memory), _PIECE))
+                    memory[: len(piece)] = piece
+                    return len(piece)
 
                 return read_lz4
         except ImportError as error:

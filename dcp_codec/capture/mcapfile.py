@@ -8,17 +8,16 @@ the stream here, where lengths can be checked against what there is; what a reco
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
-from typing import Never, TypeVar
+from typing import Final, Never, TypeVar
 
-import msgspec
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from dcp_codec.capture import rawframe
+from dcp_codec.capture import rawframe, rawjson
 from dcp_codec.capture.bytesource import READ_SIZE, ByteSource
 from dcp_codec.capture.checksum import crc32
 from dcp_codec.capture.frame import MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
@@ -43,6 +42,9 @@ _FIRST_PRIVATE = 0x80  # opcodes from here on are for anybody's own use
 
 _Record = TypeVar("_Record", Schema, Channel, Metadata)
 
+#: How to decode raw frames, by the encoding of the messages on their channel.
+_DECODERS: Final = {rawframe.MESSAGE_ENCODING: rawframe.decode, rawjson.MESSAGE_ENCODING: rawjson.decode}
+
 
 class _End(Exception):  # noqa: N818 - not an error
     """There is no more to read; if that is a problem, it has been noted."""
@@ -56,13 +58,16 @@ class McapReader(CaptureReader):
 
     format = "mcap"
 
-    def __init__(self, source: ByteSource, link_types: frozenset[int]) -> None:
+    def __init__(
+        self, source: ByteSource, link_types: frozenset[int], allocate: Callable[[int], memoryview] | None = None
+    ) -> None:
         super().__init__(source, link_types)
         self._stamp = "ns"
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, str] = {}
-        self._raw: set[int] = set()
-        self._unpacker = Unpacker()
+        #: Channels with raw frames, and how to decode those.
+        self._raw: dict[int, Callable[[bytes | memoryview], rawframe.RawFrame]] = {}
+        self._unpacker = Unpacker() if allocate is None else Unpacker(allocate)
         # Over the data section, and after it over the summary section.
         self._crc = 0
         self._events = self._scan()
@@ -72,7 +77,7 @@ class McapReader(CaptureReader):
             topics = ", ".join(sorted(set(self._topics.values()))) or "none"
             raise self._refuse(
                 f"is an MCAP file without raw frames (schema {rawframe.SCHEMA_NAME}, "
-                f"encoding {rawframe.MESSAGE_ENCODING}); its topics: {topics}"
+                f"encoding {' or '.join(_DECODERS)}); its topics: {topics}"
             )
 
     def _records(self) -> Iterator[Frame]:
@@ -235,10 +240,11 @@ class McapReader(CaptureReader):
                 self._truncated(Opcode.CHUNK, offset, length, len(content), rest)
         self._crc = crc32(content, self._crc)
 
-    def _inside(self, records: bytes, base: int, *, whole: bool = True) -> Iterator[Frame | None]:
-        """Take the records of a chunk; `base` is their offset in the file, -1 if they have none."""
-        view, end = memoryview(records), len(records)
-        position, head = 0, RECORD_HEAD.size
+    def _inside(
+        self, records: bytes | memoryview, base: int, *, whole: bool = True, position: int = 0
+    ) -> Iterator[Frame | None]:
+        """Take the records of a chunk from `position` on; `base` is its offset in the file, -1 if it has none."""
+        view, end, head = memoryview(records), len(records), RECORD_HEAD.size
         while end - position >= head:
             opcode, length = RECORD_HEAD.unpack_from(view, position)
             start = position + head
@@ -262,20 +268,21 @@ class McapReader(CaptureReader):
             self._bad_record(offset, f"a message of {len(content)} octets")
             return None
         channel, _sequence, log_time, _publish_time = _MESSAGE_HEAD.unpack_from(content)
-        if channel not in self._raw:
+        decode = self._raw.get(channel)
+        if decode is None:
             if channel not in self._topics:
                 self._bad_record(offset, f"a message on channel {channel}, which nothing describes")
             return None
         try:
-            message = rawframe.decode(content[_MESSAGE_HEAD.size :])
-        except (msgspec.MsgspecError, ValueError) as error:
+            message = decode(content[_MESSAGE_HEAD.size :])
+        except ValueError as error:
             self._bad_message(error, offset)
             return None
         if message.link_type not in self._link_types:
             self._wrong_link_type(message.link_type, offset)
             return None
         self._number = message.number or self._number + 1
-        time_ns = rawframe.time_of(message, log_time)
+        time_ns = log_time if message.time_ns is None else message.time_ns
         if time_ns > MAX_TIME_NS:
             time_ns = self._clamped(time_ns, offset)
         return Frame(
@@ -299,11 +306,9 @@ class McapReader(CaptureReader):
             return False
         self._topics[channel.id] = channel.topic
         first = not self._raw
-        if (
-            self._schemas.get(channel.schema_id) == rawframe.SCHEMA_NAME
-            and channel.message_encoding == rawframe.MESSAGE_ENCODING
-        ):
-            self._raw.add(channel.id)
+        decode = _DECODERS.get(channel.message_encoding)
+        if decode is not None and self._schemas.get(channel.schema_id) == rawframe.SCHEMA_NAME:
+            self._raw[channel.id] = decode
         return first and bool(self._raw)
 
     def _keep_metadata(self, content: bytes, offset: int) -> None:

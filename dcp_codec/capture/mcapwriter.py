@@ -92,14 +92,16 @@ class McapWriter(CaptureWriter):
         )
         self._writer.start(profile="", library=f"dcp-codec {__version__}")
         self._write_metadata()
-        self._schemas: dict[tuple[str, bytes], int] = {}
-        self._channels: dict[tuple[str, str, bytes], int] = {}
-        self._raw = self._channel(rawframe.TOPIC, rawframe.SCHEMA_NAME, rawframe.schema_octets())
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
+        self._channels: dict[tuple[str, str, str, str, bytes], int] = {}
         self._describe_raw_frames()
 
     def _describe_raw_frames(self) -> None:
         octets = rawframe.schema_octets()
-        schema_id = self._schemas[rawframe.SCHEMA_NAME, octets]
+        self._raw = self._channel(
+            rawframe.TOPIC, rawframe.SCHEMA_NAME, octets, rawframe.SCHEMA_ENCODING, rawframe.MESSAGE_ENCODING
+        )
+        schema_id = self._schemas[rawframe.SCHEMA_NAME, rawframe.SCHEMA_ENCODING, octets]
         builder: Any = RecordBuilder()
         records: list[McapRecord] = [
             Schema(id=schema_id, name=rawframe.SCHEMA_NAME, encoding=rawframe.SCHEMA_ENCODING, data=octets),
@@ -115,17 +117,17 @@ class McapWriter(CaptureWriter):
             record.write(builder)
         self._sink.write(builder.end())
 
-    def _channel(self, topic: str, schema_name: str, schema: bytes) -> int:
-        """The number of a channel, which is registered with its schema when first asked for."""
-        key = (topic, schema_name, schema)
+    def _channel(self, topic: str, schema_name: str, schema: bytes, schema_encoding: str, message_encoding: str) -> int:
+        """Return the number of a channel, which is registered with its schema when first asked for."""
+        key = (topic, message_encoding, schema_name, schema_encoding, schema)
         known = self._channels.get(key)
         if known is not None:
             return known
-        schema_id: int | None = self._schemas.get((schema_name, schema))
+        schema_id: int | None = self._schemas.get((schema_name, schema_encoding, schema))
         if schema_id is None:
-            schema_id = self._writer.register_schema(schema_name, rawframe.SCHEMA_ENCODING, schema)
-            self._schemas[schema_name, schema] = schema_id
-        channel: int = self._writer.register_channel(topic, rawframe.MESSAGE_ENCODING, schema_id)
+            schema_id = self._writer.register_schema(schema_name, schema_encoding, schema)
+            self._schemas[schema_name, schema_encoding, schema] = schema_id
+        channel: int = self._writer.register_channel(topic, message_encoding, schema_id)
         self._channels[key] = channel
         return channel
 
@@ -142,7 +144,9 @@ class McapWriter(CaptureWriter):
     def _add_message(self, frame: Frame, message: ChannelMessage) -> None:
         if not 0 <= message.time_ns <= MAX_TIME_NS:
             raise self._refuse(frame, f"its message on {message.topic} is not within 1970 to 2262")
-        channel = self._channel(message.topic, message.schema_name, message.schema)
+        channel = self._channel(
+            message.topic, message.schema_name, message.schema, message.schema_encoding, message.message_encoding
+        )
         self._add(channel, frame, message.time_ns, message.data)
 
     def _add(self, channel: int, frame: Frame, time_ns: int, data: bytes) -> None:

@@ -1,115 +1,118 @@
-"""How a frame stands in an MCAP file: one JSON message on a topic of its own."""
+"""The message that holds a raw frame in an MCAP file: ``dcp.RawFrame``, a protobuf message on a topic of its own.
+
+Protobuf, because Foxglove and the ``mcap`` command decode it without help, octets stay octets, and the schema in the
+file describes every field. docs/mcap.md has the definition in the language of protobuf.
+"""
 
 from __future__ import annotations
 
-import json
-from typing import Annotated, Any
+from functools import cache
+from typing import Any, Final, NamedTuple
 
-import msgspec
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from google.protobuf.message import DecodeError
 
 from dcp_codec.capture.frame import ETHERNET, Frame
 
-TOPIC = "/dcp/frames"
-SCHEMA_NAME = "dcp.RawFrame"
-SCHEMA_ENCODING = "jsonschema"
-MESSAGE_ENCODING = "json"
+TOPIC: Final = "/dcp/frames"
+SCHEMA_NAME: Final = "dcp.RawFrame"
+SCHEMA_ENCODING: Final = "protobuf"
+MESSAGE_ENCODING: Final = "protobuf"
 
 _SECOND = 1_000_000_000
+_FILE_NAME = "dcp/RawFrame.proto"
+_TIMESTAMP = "google/protobuf/timestamp.proto"
+_MOST = 2**62
 
-_U32 = Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)]
-_U62 = Annotated[int, msgspec.Meta(ge=0, le=2**62)]
+_Field = descriptor_pb2.FieldDescriptorProto
+#: Name and type of each field; the number of a field is its place, from 1. All have explicit presence, so a writer
+#: states a 0 like any other number.
+FIELDS: Final = (
+    ("timestamp", _Field.TYPE_MESSAGE),
+    ("number", _Field.TYPE_UINT64),
+    ("interface", _Field.TYPE_UINT32),
+    ("link_type", _Field.TYPE_UINT32),
+    ("orig_len", _Field.TYPE_UINT32),
+    ("data", _Field.TYPE_BYTES),
+)
 
 
-class Time(msgspec.Struct, frozen=True, gc=False):
-    """Foxglove's time: seconds and nanoseconds since the Unix epoch."""
-
-    sec: _U62
-    nsec: _U32
-
-
-class RawFrame(msgspec.Struct, frozen=True, rename="camel"):
-    """The message. Only `data` is required, so that files by others that say less can be read."""
+class RawFrame(NamedTuple):
+    """The fields of a message. Only `data` is required, so that files by others that say less can be read."""
 
     data: bytes
-    timestamp: Time | None = None
-    #: 0 for none.
-    number: _U62 = 0
-    interface: _U32 = 0
-    link_type: _U32 = ETHERNET
-    #: 0 for as many as `data` has.
-    orig_len: _U32 = 0
+    #: Time of capture in ns since 1970; None: that of the log.
+    time_ns: int | None = None
+    #: Number of the frame where it was captured, from 1; 0 for none.
+    number: int = 0
+    interface: int = 0
+    link_type: int = ETHERNET
+    #: Octets that the frame had on the wire; 0 for as many as `data` has.
+    orig_len: int = 0
 
 
-def _integer(title: str, description: str, minimum: int = 0) -> dict[str, Any]:
-    return {"type": "integer", "minimum": minimum, "title": title, "description": description}
-
-
-#: JSON Schema of the message, without references, as Foxglove wants it.
-SCHEMA: dict[str, Any] = {
-    "$schema": "https://json-schema.org/draft/2020-12/schema",
-    "title": SCHEMA_NAME,
-    "description": "One link-layer frame as it was captured.",
-    "type": "object",
-    "properties": {
-        "timestamp": {
-            "type": "object",
-            "title": "time",
-            "description": "Time of capture since the Unix epoch.",
-            "properties": {
-                "sec": _integer("Seconds", "Whole seconds since 1970-01-01T00:00:00Z."),
-                "nsec": {
-                    **_integer("Nanoseconds", "Nanoseconds within the second."),
-                    "maximum": _SECOND - 1,
-                },
-            },
-            "required": ["sec", "nsec"],
-        },
-        "number": _integer("Frame number", "Number of the frame where it was captured, from 1.", 1),
-        "interface": _integer("Interface", "Number of the interface it was captured on, from 0."),
-        "linkType": _integer("Link type", "What the data begin with: 1 is Ethernet (tcpdump.org/linktypes)."),
-        "origLen": _integer("Length on the wire", "Octets the frame had; more than in data if it was cut."),
-        "data": {
-            "type": "string",
-            "contentEncoding": "base64",
-            "title": "Octets",
-            "description": "The octets of the frame from the destination address on, in base64.",
-        },
-    },
-    "required": ["timestamp", "number", "interface", "linkType", "origLen", "data"],
-}
+def _definition() -> descriptor_pb2.FileDescriptorProto:
+    file = descriptor_pb2.FileDescriptorProto(name=_FILE_NAME, package="dcp", syntax="proto3", dependency=[_TIMESTAMP])
+    message = file.message_type.add(name=SCHEMA_NAME.removeprefix("dcp."))
+    for number, (name, kind) in enumerate(FIELDS, start=1):
+        field = message.field.add(name=name, number=number, type=kind, label=_Field.LABEL_OPTIONAL)
+        if kind == _Field.TYPE_MESSAGE:
+            field.type_name = ".google.protobuf.Timestamp"
+        else:
+            # Presence of a number or of octets is, in a descriptor, a choice with one member.
+            field.proto3_optional = True
+            field.oneof_index = len(message.oneof_decl)
+            message.oneof_decl.add(name=f"_{name}")
+    return file
 
 
 def schema_octets() -> bytes:
-    """`SCHEMA` as it stands in the file."""
-    return json.dumps(SCHEMA, indent=1).encode()
+    """Return the schema as MCAP wants it: the definition and what it imports, as a FileDescriptorSet."""
+    timestamp = descriptor_pb2.FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    found: bytes = descriptor_pb2.FileDescriptorSet(file=[timestamp, _definition()]).SerializeToString(
+        deterministic=True
+    )
+    return found
 
 
-_ENCODER = msgspec.json.Encoder()
-_DECODER = msgspec.json.Decoder(RawFrame)
+@cache
+def _message_class() -> Any:
+    pool = descriptor_pool.DescriptorPool()
+    pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
+    pool.AddSerializedFile(_definition().SerializeToString())
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(SCHEMA_NAME))
 
 
 def encode(frame: Frame) -> bytes:
-    """The message of a frame, UTF-8."""
-    sec, nsec = divmod(frame.time_ns, _SECOND)
-    # In the order of the schema, which is the order that people will read it in.
-    return _ENCODER.encode(
-        {
-            "timestamp": Time(sec, nsec),
-            "number": frame.number,
-            "interface": frame.interface,
-            "linkType": ETHERNET,
-            "origLen": frame.orig_len,
-            "data": frame.data,
-        }
+    """Encode a frame as a message, its fields in the order of their numbers."""
+    seconds, nanoseconds = divmod(frame.time_ns, _SECOND)
+    message = _message_class()(
+        timestamp={"seconds": seconds, "nanos": nanoseconds},
+        number=frame.number,
+        interface=frame.interface,
+        link_type=ETHERNET,
+        orig_len=frame.orig_len,
+        data=frame.data,
     )
+    found: bytes = message.SerializeToString()
+    return found
 
 
 def decode(octets: bytes | memoryview) -> RawFrame:
-    """The message in `octets`; raises `msgspec.MsgspecError` if it is none."""
-    return _DECODER.decode(octets)
-
-
-def time_of(message: RawFrame, log_time: int) -> int:
-    """Time of capture in nanoseconds: the message's own, else that of the log."""
-    stamp = message.timestamp
-    return log_time if stamp is None else stamp.sec * _SECOND + stamp.nsec
+    """Decode the message in `octets`; raises `ValueError` if it is none, or says what cannot be."""
+    try:
+        message = _message_class().FromString(bytes(octets))
+    except DecodeError as error:
+        raise ValueError(f"it is no protobuf message {SCHEMA_NAME}: {error}") from None
+    if not message.HasField("data"):
+        raise ValueError("it has no data")
+    time_ns = None
+    if message.HasField("timestamp"):
+        stamp = message.timestamp
+        if stamp.seconds < 0 or stamp.nanos < 0:
+            raise ValueError("its timestamp is before 1970")
+        time_ns = stamp.seconds * _SECOND + stamp.nanos
+    if message.number > _MOST:
+        raise ValueError(f"its number is above {_MOST}")
+    link_type = message.link_type if message.HasField("link_type") else ETHERNET
+    return RawFrame(message.data, time_ns, message.number, message.interface, link_type, message.orig_len)

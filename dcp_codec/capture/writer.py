@@ -26,12 +26,16 @@ class ChannelMessage(msgspec.Struct, frozen=True):
     #: Such as "/dcp/beacons". A topic may carry messages of several schemas.
     topic: str
     schema_name: str
-    #: A JSON Schema of type "object", UTF-8. The same name with other octets is another schema.
+    #: By default a JSON Schema of type "object", UTF-8. The same name with other octets is another schema.
     schema: bytes
-    #: A JSON object, UTF-8.
+    #: By default a JSON object, UTF-8.
     data: bytes
     #: Nanoseconds since the Unix epoch, 0..`MAX_TIME_NS`.
     time_ns: int
+    #: Names of encodings as MCAP registers them (mcap.dev/spec/registry): "jsonschema", "protobuf", "ros2msg"...
+    schema_encoding: str = "jsonschema"
+    #: ... and "json", "protobuf", "cdr".
+    message_encoding: str = "json"
 
 
 class MessageSource(Protocol):

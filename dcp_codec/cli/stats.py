@@ -11,6 +11,7 @@ import click
 
 from dcp_codec.framing import locate
 from dcp_codec.stats import Stats
+from dcp_codec.vantage import NO_LOSSES, records_transmissions
 
 from .common import (
     MALFORMED,
@@ -26,6 +27,9 @@ from .common import (
 
 #: Characters of the table of senders with one and with two spaces between its columns.
 _NARROWEST, _ROOMY = 76, 85
+
+#: Kinds of payloads: the keys of their counts, and what people call them.
+_PAYLOADS = (("srp", "srp", "SRP"), ("vardis", "vardis", "VarDis"), ("other_payloads", "other", "other"))
 
 
 @click.command(
@@ -44,11 +48,17 @@ def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: 
     found: list[dict[str, Any]] = []
 
     def one(name: str) -> int:
-        stats, status = _read(name, profile, ether_type)
+        stats, status, medium = _read(name, profile, ether_type)
+        data = stats.as_json()
+        if medium:
+            for sender in data["senders"].values():
+                sender["lost"] = None
         if form == "text":
-            _show(name, stats.as_json(), stats.examples)
+            _show(name, data, stats.examples)
+            if medium:
+                click.echo(f"\n  lost: unknown; {NO_LOSSES}")
         else:
-            found.append({"file": name, **stats.as_json()})
+            found.append({"file": name, **data})
         return status
 
     status = each_file(files, one)
@@ -57,7 +67,8 @@ def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: 
     return status
 
 
-def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int]:
+def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int, bool]:
+    """The statistics, the exit status, and whether it is a recording of all transmissions."""
     with open_input(name) as reader:
         dissector, frames = choose(profile, ether_type, iter(reader), name)
         link = dissector.link
@@ -67,12 +78,13 @@ def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int]:
                 stats.add(frame, locate(frame.data, link))
                 advance()
         status = report_capture_problems(reader, name)
+        medium = records_transmissions(getattr(reader, "metadata", {}))
     if stats.malformed:
         malformed_note(name, stats.malformed, stats.frames - stats.other_traffic.total())
         status = max(status, MALFORMED)
     if not stats.beacons and not stats.malformed:
         no_beacons_note(name, stats.frames, dict(stats.other_traffic.most_common()), link)
-    return stats, status
+    return stats, status, medium
 
 
 def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> None:
@@ -89,7 +101,16 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
         f"  {data['beacons']} beacons in {data['frames']} frames{span}; profile {data['profile']}; "
         f"{data['padded']} padded; {data['errors']} malformed"
     )
-    console.print(f"  payloads: {data['srp']} SRP, {data['vardis']} VarDis, {data['other_payloads']} other\n")
+    damaged = data["damaged_payloads"]
+    counts = [
+        f"{data[key]} {name}" + (f" ({damaged[kind]} damaged)" if kind in damaged else "")
+        for key, kind, name in (
+            ("srp", "srp", "SRP"),
+            ("vardis", "vardis", "VarDis"),
+            ("other_payloads", "other", "other"),
+        )
+    ]
+    console.print(f"  payloads: {', '.join(counts)}\n")
     if data["senders"]:
         table = Table("sender", box=None, padding=padding, header_style="bold")
         for heading in ("beacons", "first", "last", "lost", "restarts", "interval ms", "± ms", "max ms"):

@@ -210,7 +210,7 @@ function dcp.dissector(buf, pinfo, tree)
         if record ~= beacon then
             record.item:set_text(label(record))
         end
-        if rules[record.type] then
+        if rules[record.type] and not record.wrong then
             rules[record.type](s, record)
         end
     end)

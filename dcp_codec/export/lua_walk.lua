@@ -329,6 +329,7 @@ function visit.exact(s, node, tree, path, stop)
     s.quiet = s.quiet + (wrong and 1 or 0)
     local _, found = record(s, node.content, tree, path, stop, {})
     s.quiet = s.quiet - (wrong and 1 or 0)
+    found.wrong = wrong
     if wrong and not s.clipped then
         problem(s, found.item, node.reason, path, start, node.size, size, node.requirement)
     end

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,14 +11,12 @@ import pyarrow as pa
 from dcp_spec.profile import Link
 
 from dcp_codec.codec import Codec
-from dcp_codec.errors import DecodeError, Problem
-from dcp_codec.framing import Framing, locate, mac
+from dcp_codec.framing import mac
 from dcp_codec.jsonform import node_id_text
-from dcp_codec.layout import walk
-from dcp_codec.plan import Group, Scalar
 
 from .columns import IDENTIFIER, TIME, Memory, Storage, arrow_arrays, schema_of
 from .compiled import compiled, interpreted
+from .damaged import DamagedFrames, merged
 from .kernel import result_names
 from .kernellines import DONE, FULL, POOL_FULL
 from .pools import Pool
@@ -35,6 +33,7 @@ ERRORS_SCHEMA = pa.schema(
         pa.field("frame", pa.int64(), metadata={"doc": "number of the frame in the recording, from 1"}),
         pa.field("time", TIME, metadata={"doc": "time of capture, UTC", "unit": "ns"}),
         pa.field("sender", IDENTIFIER, metadata={"doc": "sender of the beacon, where it can be read"}),
+        pa.field("payload", pa.uint32(), metadata={"doc": "index of the bad payload block, null for the header"}),
         pa.field("reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "what is wrong, a fixed word"}),
         pa.field("path", pa.string(), metadata={"doc": "the field, with indices"}),
         pa.field("offset", pa.int64(), metadata={"doc": "where it starts, in octets from the start of the frame"}),
@@ -66,7 +65,7 @@ class Block(NamedTuple):
 class Batch(NamedTuple):
     """What ``frames`` frames gave: record batches by the name of the table, and what gave none.
 
-    ``other`` frames are not DCP; malformed ones are rows of ``errors``.
+    ``other`` frames are not DCP. ``malformed`` ones have rows of ``errors``, and those of their sound parts.
     """
 
     tables: dict[str, pa.RecordBatch]
@@ -102,8 +101,7 @@ class ColumnDecoder:
         self._addresses = Pool(6, mac)
         types = codec.profile.types
         width = 0 if types.node_id.length is not None else types.node_id.width
-        self._nodes = Pool(width, lambda octets: node_id_text(octets, types.node_id.representation))
-        self._sender_at = _sender_offset(self.shape)
+        self._nodes = Pool(width, self._node_text)
 
     def batches(self, block: Block) -> Iterator[Batch]:
         """Decode a block. Its buffer is not used any more when the iteration has ended."""
@@ -196,73 +194,22 @@ class ColumnDecoder:
                 arrays += arrow_arrays(column, rows, columns, octets.get(number), used.get(number, 0), pool)
             tables[table.name] = pa.RecordBatch.from_arrays(arrays, schema=self.schemas[table.name])
         if malformed:
-            tables[ERRORS] = self._errors(block, bad[:malformed])
+            for name, more in self._damaged(block, bad[:malformed]).items():
+                tables[name] = merged(tables[name], more)
         return Batch(tables, after - first, malformed, other)
 
-    # -- what is wrong ----------------------------------------------------------------------------------------
-
-    def _errors(self, block: Block, bad: Integers) -> pa.RecordBatch:
-        """The rows of the frames that are not plainly good, as the strict decoder judges them."""
-        columns: dict[str, list[Any]] = {name: [] for name in ERRORS_SCHEMA.names}
+    def _damaged(self, block: Block, bad: Integers) -> dict[str, pa.RecordBatch]:
+        """The rows of the frames that are not plainly good."""
+        frames = DamagedFrames(self.codec, self.link, self.shape, self.schemas, self._node_text)
         for index in bad.tolist():
-            frame = block.buffer[block.starts[index] : block.stops[index]].tobytes()
-            framing = locate(frame, self.link)
-            assert isinstance(framing, Framing)
-            payload = frame[: framing.end]
-            problem = self._problem(payload, framing.start)
-            columns["frame"].append(int(block.numbers[index]))
-            columns["time"].append(int(block.times[index]))
-            columns["sender"].append(self._sender(payload, framing))
-            for name in ("reason", "path", "offset", "requirement"):
-                columns[name].append(getattr(problem, name))
-            for name in ("needed", "available"):
-                columns[name].append(_fitting(getattr(problem, name)))
-        arrays = [pa.array(columns[field.name], _value_type(field.type)) for field in ERRORS_SCHEMA]
-        arrays = [
-            array.dictionary_encode() if pa.types.is_dictionary(field.type) else array.cast(field.type)
-            for array, field in zip(arrays, ERRORS_SCHEMA, strict=True)
-        ]
-        return pa.RecordBatch.from_arrays(arrays, schema=ERRORS_SCHEMA)
+            frames.add(
+                block.buffer[block.starts[index] : block.stops[index]].tobytes(),
+                int(block.numbers[index]),
+                int(block.times[index]),
+                int(block.lengths[index]),
+                int(block.interfaces[index]),
+            )
+        return frames.tables()
 
-    def _problem(self, octets: bytes, start: int) -> Problem:
-        try:
-            self.codec.decode_from(octets, start)
-        except DecodeError as error:
-            return error.problem
-        raise AssertionError(f"the columnar decoder of {self.codec.profile.name} refuses what the strict one accepts")
-
-    def _sender(self, payload: bytes, framing: Framing) -> str | None:
-        """As :attr:`dcp_codec.frames.DissectedFrame.sender`."""
-        sender = self.shape.sender
-        if sender is None:
-            return mac(framing.src) if framing.src is not None else None
-        at = framing.start + self._sender_at
-        octets = payload[at : at + sender.size]
-        if len(octets) < sender.size:
-            return None
-        return mac(octets) if self.codec.profile.types.node_id.representation == "mac" else octets.hex()
-
-
-def _fitting(number: int | None) -> int | None:
-    """A number of a problem as far as a column of signed 64-bit integers can say it."""
-    return None if number is None else min(number, (1 << 63) - 1)
-
-
-def _value_type(kind: pa.DataType) -> pa.DataType:
-    if pa.types.is_dictionary(kind):
-        return kind.value_type
-    return pa.int64() if pa.types.is_timestamp(kind) else kind
-
-
-def _sender_offset(shape: Shape) -> int:
-    """Octets of the header in front of the sender's identifier."""
-    if shape.sender is None:
-        return 0
-    header = next(node for node in walk(shape.plan) if isinstance(node, Group) and shape.sender in node.members)
-    at = 0
-    for member in header.members:
-        if member is shape.sender:
-            break
-        assert isinstance(member, Scalar)
-        at += member.size
-    return at
+    def _node_text(self, octets: bytes) -> str:
+        return node_id_text(octets, self.codec.profile.types.node_id.representation)

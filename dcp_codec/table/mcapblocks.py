@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dcp_codec.capture import rawframe
 from dcp_codec.capture.bytesource import ByteSource
 from dcp_codec.capture.frame import Frame
 from dcp_codec.capture.mcapfile import RECORD_HEAD, McapReader
@@ -14,91 +15,129 @@ from dcp_codec.capture.mcapfile import RECORD_HEAD, McapReader
 from .decoding import Block
 from .messages import FULL, ODD, OTHER, RAW, walk_messages
 
-_BUFFER = 1 << 22
+#: Octets of unpacked chunks that one block has, unless one chunk has more.
+_BUFFER = 1 << 23
 _CHANNELS = 1 << 16
 
 
 class McapBlocks(McapReader):
-    """Reads an MCAP file as blocks; everything but plain messages with raw frames is taken as McapReader takes it."""
+    """Reads an MCAP file as blocks; everything but plain messages with raw frames is taken as McapReader takes it.
+
+    Chunks are unpacked into the buffer of the block that is being made, and frames stay where they lie in it.
+    """
 
     def __init__(self, source: ByteSource, link_types: frozenset[int], frames: int) -> None:
         self._most = frames
         self._channels = np.zeros(_CHANNELS, np.uint8)
-        self._fields = np.zeros(6, np.int64)
         self._known = (0, 0)
-        self._count = self._used = 0
-        self._begin(0)
-        super().__init__(source, link_types)
+        #: Whether there is a channel whose messages only the reader understands.
+        self._others_too = False
+        #: Blocks that are finished, to be given out before anything else.
+        self._ready: list[Block] = []
+        self._buffer = np.empty(_BUFFER, np.uint8)
+        #: Octets of the buffer that are taken, and where the last of them begin that were asked for at once.
+        self._used = self._last = 0
+        self._begin()
+        super().__init__(source, link_types, self._room)
 
-    def _begin(self, least: int) -> None:
-        """Begin an empty block with room for a frame of ``least`` octets."""
-        self._count = self._used = 0
-        self._buffer = np.empty(max(_BUFFER, least), np.uint8)
+    def _begin(self) -> None:
+        """Begin an empty block, in what is left of the buffer."""
+        self._count = 0
         self._arrays = [np.empty(self._most, np.int64) for _ in range(6)]
 
     def _records(self) -> Iterator[Any]:
         for event in self._events:
             if event is not None:
                 yield event
-        if self._count:
-            yield self._block()
+        self._end_block()
+        yield from self._take_ready()
 
     def blocks(self) -> Iterator[Block]:
         """All frames."""
         yield from self  # type: ignore[misc] # blocks take the place of frames
 
-    def _block(self) -> Block:
-        starts, stops, numbers, times, lengths, interfaces = self._arrays
-        octets = self._buffer[: max(self._used, 1)]
-        octets.flags.writeable = False
-        return Block(octets, starts, stops, numbers, times, lengths, interfaces, self._count, self._position)
-
-    def _flush(self, least: int = 0) -> Iterator[Any]:
+    def _end_block(self) -> None:
+        """Set aside the block that was being made, and begin another."""
         if self._count:
-            yield self._block()
-        self._begin(least)
+            octets = self._buffer[: max(self._used, 1)]
+            octets.flags.writeable = False
+            starts, stops, numbers, times, lengths, interfaces = self._arrays
+            block = Block(octets, starts, stops, numbers, times, lengths, interfaces, self._count, self._position)
+            self._ready.append(block)
+            self._begin()
 
-    def _inside(self, records: bytes, base: int, *, whole: bool = True) -> Iterator[Any]:
-        octets, position, end = np.frombuffer(records, np.uint8), 0, len(records)
-        while True:
+    def _take_ready(self) -> Iterator[Block]:
+        while self._ready:
+            yield self._ready.pop(0)
+
+    def _room(self, size: int) -> memoryview:
+        """Return memory for ``size`` octets at the end of the buffer, of a fresh one if this one has no room."""
+        if self._used + size > len(self._buffer):
+            self._end_block()
+            self._buffer = np.empty(max(_BUFFER, size), np.uint8)
+            self._used = 0
+        self._last = self._used
+        self._used += size
+        return self._buffer.data[self._last : self._used]
+
+    def _copied(self, octets: bytes | memoryview) -> int:
+        """Copy ``octets`` into the buffer; returns where they begin in it."""
+        self._room(len(octets))[:] = octets
+        return self._last
+
+    def _inside(
+        self, records: bytes | memoryview, base: int, *, whole: bool = True, position: int = 0
+    ) -> Iterator[Any]:
+        # Chunks that were packed are in the buffer already, see _room.
+        buffer: Any = self._buffer
+        unpacked = isinstance(records, memoryview) and records.obj is buffer
+        begin = self._last if unpacked else self._copied(records)
+        buffer = self._buffer
+        while not self._others_too:
+            if buffer is not self._buffer:
+                # A frame that the reader took did not fit, and all frames of a block lie in one buffer.
+                begin = self._copied(records[position:]) - position
+                buffer = self._buffer
             before = self._count
-            position, self._count, self._used, why = walk_messages(
-                octets, position, self._kinds(), self._fields, self._count, self._used, self._buffer, *self._arrays
+            after, self._count, why = walk_messages(
+                buffer, begin + position, begin + len(records), self._kinds(), self._count, *self._arrays
             )
+            position = after - begin
             if self._count > before:
                 self._number = int(self._arrays[2][self._count - 1])
                 self._frames_read += self._count - before
             if why == FULL:
-                yield from self._flush(end - position)
+                self._end_block()
                 continue
+            yield from self._take_ready()
             assert why == ODD
-            if end - position < RECORD_HEAD.size:
+            if len(records) - position < RECORD_HEAD.size:
                 break
-            length = RECORD_HEAD.unpack_from(records, position)[1]
-            stop = position + RECORD_HEAD.size + length
-            if stop > end:
+            stop = position + RECORD_HEAD.size + RECORD_HEAD.unpack_from(records, position)[1]
+            if stop > len(records):
                 break
-            offset = base if base < 0 else base + position
-            for event in super()._inside(records[position:stop], offset):
-                if event is None:
-                    yield None
-                    continue
-                self._frames_read += 1
-                yield from self._append(event)
+            yield from self._by_reader(records[:stop], base, position)
             position = stop
-        # What is left is no whole record, and the reader says so.
-        yield from super()._inside(records[position:], base, whole=whole)
+        # What is left is for the reader: no whole record, or messages of a channel that only it understands.
+        yield from self._by_reader(records, base, position, whole=whole)
 
-    def _append(self, frame: Frame) -> Iterator[Any]:
-        size = len(frame.data)
-        if self._count == self._most or self._used + size > len(self._buffer):
-            yield from self._flush(size)
-        self._buffer[self._used : self._used + size] = np.frombuffer(frame.data, np.uint8)
-        values = (self._used, self._used + size, frame.number, frame.time_ns, frame.orig_len, frame.interface)
+    def _by_reader(self, records: bytes | memoryview, base: int, position: int, *, whole: bool = True) -> Iterator[Any]:
+        for event in super()._inside(records, base, whole=whole, position=position):
+            if event is None:
+                yield None
+                continue
+            self._frames_read += 1
+            self._append(event)
+        yield from self._take_ready()
+
+    def _append(self, frame: Frame) -> None:
+        if self._count == self._most:
+            self._end_block()
+        start = self._copied(frame.data)
+        values = (start, start + len(frame.data), frame.number, frame.time_ns, frame.orig_len, frame.interface)
         for array, value in zip(self._arrays, values, strict=True):
             array[self._count] = value
         self._count += 1
-        self._used += size
 
     def _kinds(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """What each channel is, as far as they have been described."""
@@ -106,4 +145,5 @@ class McapBlocks(McapReader):
             self._known = len(self._topics), len(self._raw)
             for channel in self._topics:
                 self._channels[channel] = RAW if channel in self._raw else OTHER
+            self._others_too = any(decode is not rawframe.decode for decode in self._raw.values())
         return self._channels

@@ -28,6 +28,7 @@ def scenario_of(
     duration: float | None,
     seed: int | None,
     variables: int = 2,
+    warm_up: float | None = None,
 ) -> Scenario:
     """The scenario of a file or the default one, with what was said on the command line instead.
 
@@ -39,7 +40,7 @@ def scenario_of(
 
     from dcp_stack.sim.defaults import default_scenario
     from dcp_stack.sim.loading import check, load_scenario, parse_topology
-    from dcp_stack.sim.scenario import ScenarioError
+    from dcp_stack.sim.scenario import LinkQuality, ScenarioError
 
     try:
         shape = None if topology is None else parse_topology(topology)
@@ -52,6 +53,7 @@ def scenario_of(
                 profile=profile or "dcp-2.0",
                 duration_s=60.0 if duration is None else duration,
                 variables=variables,
+                link=LinkQuality(loss=loss or 0.0),
             )
         else:
             found = load_scenario(path)
@@ -61,6 +63,7 @@ def scenario_of(
             "profile": profile,
             "duration_s": duration,
             "seed": seed,
+            "warm_up_s": warm_up,
             "link": None if loss is None else msgspec.structs.replace(found.link, loss=loss),
         }
         given = {name: value for name, value in changes.items() if value is not None}
@@ -80,6 +83,12 @@ def scenario_of(
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
 @click.option("--duration", type=Seconds(0, min_open=True), metavar="S", help="Virtual seconds.")
+@click.option(
+    "--warm-up",
+    type=Seconds(0),
+    metavar="S",
+    help="Count values, consistency and traffic from this virtual second on.",
+)
 @click.option("--seed", type=int, help="Everything random follows from it.  [default: 1]")
 @click.option(
     "--variables",
@@ -109,6 +118,7 @@ def command(
     loss: float | None,
     duration: float | None,
     seed: int | None,
+    warm_up: float | None,
     variables: int,
     as_json: bool,
     record: Path | None,
@@ -133,6 +143,7 @@ def command(
         duration=duration,
         seed=seed,
         variables=variables,
+        warm_up=warm_up,
     )
     try:
         if record is not None:

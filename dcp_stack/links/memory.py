@@ -84,12 +84,13 @@ def normal(mean: int, deviation: int, minimum: int = 0) -> Delay:
 
 
 class Delivery(NamedTuple):
-    """A frame arrives at one node. ``time`` is virtual, in ns."""
+    """A frame arrives at one node. ``time`` and ``sent`` (when it was transmitted) are virtual, in ns."""
 
     time: int
     sender: int
     receiver: int
     reception: Reception
+    sent: int
 
 
 class MediumCounters(msgspec.Struct):
@@ -136,6 +137,7 @@ class _Flight(NamedTuple):
     sender: int
     receivers: tuple[int, ...]
     octets: bytes
+    sent: int
 
 
 class Medium:
@@ -238,6 +240,16 @@ class Medium:
             row = self._rows[sender] = tuple(sorted(found))
         return row
 
+    def carried_to(self, sender: int) -> tuple[int, ...]:
+        """The nodes that can hear ``sender`` now: in reach, switched on, and not over a connection that loses all."""
+        special = self._qualities.get(sender, {})
+        usual = self._quality
+        return tuple(
+            node
+            for node in self.neighbours(sender)
+            if not self._nodes[node].closed and special.get(node, usual).loss < 1
+        )
+
     # -- frames ----------------------------------------------------------------------------------------------------
 
     def broadcast(self, sender: int, octets: bytes, now: int) -> None:
@@ -274,8 +286,12 @@ class Medium:
 
     def _schedule(self, time: int, sender: int, receivers: tuple[int, ...], octets: bytes) -> None:
         # The number is unique, so that a heap never compares further, and equal times keep the order of sending.
-        heapq.heappush(self._flights, _Flight(max(time, self.now), self._number, sender, receivers, octets))
+        heapq.heappush(self._flights, _Flight(max(time, self.now), self._number, sender, receivers, octets, self.now))
         self._number += 1
+
+    def oldest_in_flight(self) -> int:
+        """When the oldest frame that is still under way was sent (virtual ns); now, if none is."""
+        return min((flight.sent for flight in self._flights), default=self.now)
 
     def poll_timeout(self) -> int | None:
         """The virtual time of the next arrival in ns, None when nothing is under way."""
@@ -287,14 +303,14 @@ class Medium:
         deliveries: list[Delivery] = []
         flights, nodes, observer = self._flights, self._nodes, self._observer
         while flights and flights[0].time <= now:
-            time, _, sender, receivers, octets = heapq.heappop(flights)
+            time, _, sender, receivers, octets, sent = heapq.heappop(flights)
             # Shared by all whom it reaches.
             reception = Reception(octets, self._wall_start + time, nodes[sender].source)
             for receiver in receivers:
                 if nodes[receiver].closed:
                     self.counters.missed += 1
                     continue
-                deliveries.append(Delivery(time, sender, receiver, reception))
+                deliveries.append(Delivery(time, sender, receiver, reception, sent))
         self.counters.delivered += len(deliveries)
         if observer is not None:
             for delivery in deliveries:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Protocol
 
 
@@ -85,46 +87,89 @@ class Neighbours:
         self.version += 1
 
 
+Point = tuple[float, float, float]
+_Cell = tuple[int, int, int]
+
+
 class Positions:
     """Nodes in space: those at most ``radio_range`` away hear a transmission. Any unit, the same for both.
 
     ``ranges`` gives single senders another range, which makes connections asymmetric. A node without a position
-    hears nobody and is not heard.
+    (None, or not in the sequence) hears nobody and is not heard.
+
+    Nodes are kept by the cube of space they are in, as wide as the range: a sender looks at 27 cubes, and not at all
+    nodes.
     """
 
     def __init__(
         self,
-        positions: Sequence[tuple[float, float, float]],
+        positions: Sequence[Point | None],
         radio_range: float,
         *,
         ranges: Mapping[int, float] | None = None,
     ) -> None:
+        """Raises ValueError for a range that is not greater than 0."""
+        if not radio_range > 0:
+            raise ValueError(f"a radio range is greater than 0, not {radio_range:g}")
         self.version = 0
         self._positions = list(positions)
         self._range = radio_range
         self._ranges = dict(ranges or {})
+        self._cells: dict[_Cell, set[int]] = {}
+        for node, position in enumerate(self._positions):
+            if position is not None:
+                self._cells.setdefault(self._cell(position), set()).add(node)
 
-    def move(self, node: int, position: tuple[float, float, float]) -> None:
+    def move(self, node: int, position: Point) -> None:
         """``node`` is at ``position`` from now on; raises ``IndexError`` if it is not the next one without any."""
         if node == len(self._positions):
-            self._positions.append(position)
-        else:
-            self._positions[node] = position
+            self._positions.append(None)
+        old, cell = self._positions[node], self._cell(position)
+        if old == position:
+            return
+        self._positions[node] = position
+        left = None if old is None else self._cell(old)
+        if left != cell:
+            if left is not None:
+                self._cells[left].discard(node)
+                if not self._cells[left]:
+                    del self._cells[left]
+            self._cells.setdefault(cell, set()).add(node)
         self.version += 1
 
-    def position(self, node: int) -> tuple[float, float, float]:
-        """Where ``node`` is."""
+    def position(self, node: int) -> Point | None:
+        """Where ``node`` is; None if it is nowhere."""
         return self._positions[node]
 
     def neighbours(self, sender: int, count: int) -> Iterable[int]:
         """The nodes in range."""
-        if sender >= len(self._positions):
+        here = self._positions[sender] if sender < len(self._positions) else None
+        if here is None:
             return []
-        x, y, z = self._positions[sender]
+        x, y, z = here
+        reach = self._ranges.get(sender, self._range)
         # Squares are compared: a root for each pair of nodes would be most of the time.
-        limit = self._ranges.get(sender, self._range) ** 2
-        return [
-            node
-            for node, (a, b, c) in enumerate(self._positions[:count])
-            if (a - x) * (a - x) + (b - y) * (b - y) + (c - z) * (c - z) <= limit
-        ]
+        limit = reach**2
+        found = []
+        for node in self._near(here, math.ceil(reach / self._range)):
+            place = self._positions[node]
+            if place is None or node >= count:
+                continue
+            a, b, c = place
+            if (a - x) * (a - x) + (b - y) * (b - y) + (c - z) * (c - z) <= limit:
+                found.append(node)
+        return found
+
+    def _near(self, point: Point, steps: int) -> Iterable[int]:
+        """The nodes in cells at most ``steps`` away, and perhaps others."""
+        if (2 * steps + 1) ** 3 > len(self._cells):
+            return chain.from_iterable(self._cells.values())
+        across, up, deep = self._cell(point)
+        around = range(-steps, steps + 1)
+        cells = ((across + dx, up + dy, deep + dz) for dx in around for dy in around for dz in around)
+        return chain.from_iterable(self._cells[cell] for cell in cells if cell in self._cells)
+
+    def _cell(self, point: Point) -> _Cell:
+        x, y, z = point
+        side = self._range
+        return (math.floor(x / side), math.floor(y / side), math.floor(z / side))

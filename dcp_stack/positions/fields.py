@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any, Final
 
 from dcp_spec.profile import Profile, SafetyField
@@ -96,6 +97,10 @@ class SafetyFields:
     def velocity(self, data: Any) -> Vector | None:
         """The velocity in m/s, as :meth:`position`."""
         return _vector(data, self._velocity)
+
+    def place(self, values: Mapping[str, Any]) -> Vector | None:
+        """As :meth:`position` for values by name, in the units of the profile."""
+        return None if self._position is None else _vector(SimpleNamespace(**values), self._position)
 
     def numbers(self) -> tuple[SafetyField, ...]:
         """The fields that hold numbers, in wire order."""

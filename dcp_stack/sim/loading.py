@@ -180,6 +180,8 @@ def _problems(scenario: Scenario) -> Iterator[Problem]:
         yield "nodes", f"a network has 1 to {MAX_NODES} nodes, not {scenario.nodes}"
     if not 0 < scenario.duration_s <= MAX_DURATION_S:
         yield "duration_s", f"{scenario.duration_s:g} is not within 0..{MAX_DURATION_S:g} s"
+    if not 0 <= scenario.warm_up_s < scenario.duration_s:
+        yield "warm_up_s", f"{scenario.warm_up_s:g} is not below the {scenario.duration_s:g} s of the scenario"
     yield from _node_problems(scenario, "down_at_start", scenario.down_at_start)
     yield from _topology_problems(scenario)
     yield from _quality_problems("link", scenario.link)
@@ -212,6 +214,8 @@ def _topology_problems(scenario: Scenario) -> Iterator[Problem]:
         rows = getattr(topology, name)
         if topology.kind != kind and rows:
             yield f"topology.{name}", f"a topology of kind {topology.kind} has none"
+        if kind == "positions" and not rows and _all_tracked(scenario):
+            continue
         if topology.kind == kind and len(rows) != count:
             yield f"topology.{name}", f"there have to be as many entries as nodes: {count}, not {len(rows)}"
     for node, row in enumerate(topology.neighbours):
@@ -220,6 +224,14 @@ def _topology_problems(scenario: Scenario) -> Iterator[Problem]:
         yield "topology.range_m", "has to be there and greater than 0"
     if topology.columns is not None and topology.columns < 1:
         yield "topology.columns", f"a grid has at least one column, not {topology.columns}"
+
+
+def _all_tracked(scenario: Scenario) -> bool:
+    """Whether each node has a track that tells its place."""
+    tracked: set[int] = set()
+    for track in scenario.tracks:
+        tracked.update(range(scenario.nodes) if track.nodes is None else track.nodes)
+    return len(tracked) == scenario.nodes
 
 
 def _quality_problems(key: str, quality: LinkQuality) -> Iterator[Problem]:

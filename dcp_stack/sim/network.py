@@ -15,9 +15,9 @@ from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import Effect, SendBeacon
 from dcp_stack.links.base import Watcher
 from dcp_stack.links.memory import PERFECT, WALL_START, Delivery, Medium, MemoryLink, Quality, TraceDigest
-from dcp_stack.links.topology import Topology
+from dcp_stack.links.topology import Positions, Topology
 from dcp_stack.node import Node
-from dcp_stack.positions import PositionSource
+from dcp_stack.positions import PositionSource, SafetyFields
 
 from .requests import answer
 from .sharing import SharedCodec
@@ -88,6 +88,8 @@ class Network:
 
         ``share_decoding`` False decodes a broadcast once for each receiver: slower, with the same outcome.
         """
+        self._places = topology if isinstance(topology, Positions) else None
+        self._fields = SafetyFields(codec.profile)
         self.codec: Codec = SharedCodec(codec) if share_decoding else codec
         self.digest = TraceDigest()
         self.medium = Medium(seed, topology=topology, quality=quality, observer=self.digest)
@@ -96,6 +98,8 @@ class Network:
         """See each transmission once."""
         self.stations: list[Station] = []
         self.now = 0
+        self.delivering: Delivery | None = None
+        """The frame whose effects listeners hear of right now; None for effects of a node's own services and timers."""
         # Entries are (time, number, station) and (time, number, action). The number is unique and keeps the order.
         self._heap: list[tuple[int, int, Station | Callable[[], None]]] = []
         self._number = 0
@@ -149,7 +153,10 @@ class Network:
         station.due = -1
 
     def attach(self, index: int, source: PositionSource) -> None:
-        """Let a node have its safety data from ``source`` from now on."""
+        """Let a node have its safety data from ``source`` from now on.
+
+        In a topology of :class:`Positions` the node moves with it, also while it is switched off.
+        """
         station = self.stations[index]
         station.sources.append(source)
         self.at(self.now, lambda: self._poll(station, source))
@@ -234,12 +241,14 @@ class Network:
         node = station.node
         if node is None:
             return
+        self.delivering = delivery
         try:
             node.handle_frame(reception.octets, now=self.now, wall=reception.wall)
         except Exception as error:  # nothing received may raise: that is a finding, and the others go on
             self._fail(station, error)
         else:
             self._follow_up(station, node)
+        self.delivering = None
 
     def _guarded(self, station: Station, step: Callable[[Node], None]) -> None:
         node = station.node
@@ -284,6 +293,10 @@ class Network:
         samples = source.poll(self.now, self.wall)
         for sentence in source.take_complaints():
             log.warning("node %d: %s", station.index, sentence)
+        if self._places is not None and samples:
+            place = self._fields.place(samples[-1])
+            if place is not None:
+                self._places.move(station.index, place)
         node = station.node
         if node is not None and node.srp is not None:
             for sample in samples:

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import copy
 import random
 import time
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+from msgspec.structs import astuple
 
 from dcp_codec.codec import Codec
+from dcp_codec.vantage import MEDIUM
 from dcp_stack.control.client import ServiceError
 from dcp_stack.effects import VariableChanged
+from dcp_stack.links.memory import MediumCounters
 from dcp_stack.links.recording import Recorder
 from dcp_stack.positions import SourceError, open_source
 
 from .agreement import Agreement, ConvergenceClock, Known
 from .expectations import VariableState, checks, describe, judge_all, judge_now
 from .loading import check, check_nodes, scenario_codec
+from .measuring import Measurements
 from .network import Network
-from .report import Finding, NodeTraffic, Report, hop_delays
+from .provenance import Provenance
+from .report import Finding, NodeTraffic, Report
 from .requests import request, trouble
 from .scenario import (
     NS_PER_S,
@@ -40,9 +46,6 @@ from .scenario import (
     Up,
     Update,
 )
-
-#: Values whose way through the network is followed at a time.
-FOLLOWED = 4096
 
 
 class Simulation:
@@ -79,10 +82,16 @@ class Simulation:
         self.findings: list[Finding] = []
         self._recorders: list[Recorder] = []
         self._problems: list[str] = []
-        # Value -> when its producer had it; how long it took, by hops.
-        self._origins: OrderedDict[tuple[int, bytes, int | None, int], int] = OrderedDict()
-        self._delays: dict[int, list[int]] = {}
-        self._distances: dict[int, dict[int, int]] = {}
+        period = scenario.bp.beacon_period_ms * 1_000_000
+        queued = scenario.vardis_config.bp_queue_entries if scenario.vardis_config is not None else 1
+        self.measurements = Measurements(
+            self.network.medium,
+            {station.config.node_id: station.index for station in self.network.stations},
+            warm_up=scenario.warm_up,
+            # Twice what the payloads before it take: jitter, and a beacon that another client fills.
+            held_back=2 * (queued + 2) * period,
+        )
+        self._before = Traffic.of(self.network)
         self._own_quality: set[tuple[int, int]] = set()
         self._plan()
         self._record(record, record_medium)
@@ -113,6 +122,8 @@ class Simulation:
             if node not in scenario.down_at_start:
                 network.at(begin, lambda node=node: self._switch_on(node))  # type: ignore[misc]
         self._attach_tracks()
+        if scenario.warm_up:
+            network.at(scenario.warm_up, self._warmed_up)
         for at, n, event in scenario.timeline():
             network.at(at, lambda event=event, n=n: self._happen(event, n))  # type: ignore[misc]
         for at, expected in checks(scenario):
@@ -134,17 +145,28 @@ class Simulation:
         return not any(recorder.problem for recorder in self._recorders)
 
     def _record(self, directory: Path | None, medium: Path | None) -> None:
-        def recorder(path: Path) -> Recorder:
-            made = Recorder(path, self.codec, overwrite=True, clock=lambda: self.network.now)
+        made_by = Provenance.of(self.scenario, self.codec)
+
+        def recorder(path: Path, vantage: str) -> Recorder:
+            about = {
+                "vantage": vantage,
+                "ground": "simulate",
+                "seed": str(self.scenario.seed),
+                "scenario_sha256": made_by.scenario_sha256,
+                "kit_version": made_by.kit_version,
+            }
+            made = Recorder(path, self.codec, overwrite=True, clock=lambda: self.network.now, about=about)
             self._recorders.append(made)
             return made
 
         if directory is not None:
             width = len(str(self.scenario.nodes - 1))
             for station in self.network.stations:
-                station.watchers.append(recorder(directory / f"node-{station.index:0{width}}.mcap"))
+                station.watchers.append(
+                    recorder(directory / f"node-{station.index:0{width}}.mcap", station.config.node_id.hex(":"))
+                )
         if medium is not None:
-            self.network.watchers.append(recorder(medium))
+            self.network.watchers.append(recorder(medium, MEDIUM))
 
     # -- what happens --------------------------------------------------------------------------------------------------
 
@@ -158,7 +180,7 @@ class Simulation:
             status = str(error)
         if status:
             self._problems.append(f"at {self.network.now / NS_PER_S:g} s {what}: {status}")
-        self._distances.clear()
+        self.measurements.connections_changed()
         self._look()
 
     def _perform(self, event: Event, n: int) -> str:
@@ -199,10 +221,12 @@ class Simulation:
         self.network.medium.set_quality(sender, receiver, quality.quality())
 
     def _switch_on(self, node: int) -> None:
+        self.measurements.on(node)
         self.network.start(node)
         self._refresh(node)
 
     def _switch_off(self, node: int) -> None:
+        self.measurements.off(self.network.now, node)
         self.network.stop(node)
         self._refresh(node)
 
@@ -212,7 +236,9 @@ class Simulation:
         vardis = None if node is None else node.vardis
         if node is None:
             self.agreement.forget(index)
-        self.agreement.enter(index, vardis is not None and vardis.active)
+        active = vardis is not None and vardis.active
+        self.agreement.enter(index, active)
+        self.measurements.consistency.enter(self.network.now, index, active)
         self._look()
 
     def _look(self) -> None:
@@ -225,36 +251,18 @@ class Simulation:
         entry = node.vardis.describe_variable(effect.var_id).entry
         if effect.event == "deleted" or entry is None or entry.is_deleted:
             self.agreement.learn(index, effect.var_id, None)
+            self.measurements.deleted(now, index, effect.var_id)
         else:
             created = entry.spec.creation_time
             self.agreement.learn(index, effect.var_id, Known(effect.prod_id, created, entry.seqno, entry.value))
-            self._follow(now, index, (effect.var_id, effect.prod_id, created, entry.seqno))
+            self.measurements.stored(now, index, effect.var_id, entry, self.network.delivering, effect.event)
         self._look()
 
-    def _follow(self, now: int, index: int, value: tuple[int, bytes, int | None, int]) -> None:
-        """Note how long a value took to a node that was there when it came into the world."""
-        station = self.network.stations[index]
-        if value[1] == station.config.node_id:
-            self._origins[value] = now
-            self._origins.move_to_end(value)
-            if len(self._origins) > FOLLOWED:
-                self._origins.popitem(last=False)
-            return
-        born = self._origins.get(value)
-        if born is None or station.up_since is None or station.up_since > born:
-            return
-        hops = self._hops(value[1], index)
-        if hops is not None:
-            self._delays.setdefault(hops, []).append(now - born)
-
-    def _hops(self, producer: bytes, index: int) -> int | None:
-        source = next((each.index for each in self.network.stations if each.config.node_id == producer), None)
-        if source is None:
-            return None
-        distances = self._distances.get(source)
-        if distances is None:
-            distances = self._distances[source] = _distances(source, self.network.medium.neighbours)
-        return distances.get(index)
+    def _warmed_up(self) -> None:
+        """Count from now on."""
+        self._before = Traffic.of(self.network)
+        self.measurements.consistency.settle(self.network.now)
+        self.measurements.consistency.restart(self.network.now)
 
     # -- looking -------------------------------------------------------------------------------------------------------
 
@@ -277,7 +285,7 @@ class Simulation:
         return sorted(numbers[found] for found in there.srp.neighbours.list_all_node_ids() if found in numbers)
 
     def _report(self, elapsed: float, cpu: float) -> Report:
-        scenario, counters = self.scenario, self.network.medium.counters
+        scenario, medium = self.scenario, Traffic.of(self.network).since(self._before).medium
         traffic = list(self._traffic())
         failures = [f"node {each.index} {each.failure}" for each in self.network.stations if each.failure]
         findings = [
@@ -286,9 +294,9 @@ class Simulation:
             Finding("no node raises anything", not failures, "; ".join(failures[:3])),
             Finding("every event can happen", not self._problems, "; ".join(self._problems[:3])),
         ]
-        total = max(counters.expected, 1)
-        shares = {"delivered": counters.delivered, "lost": counters.lost, "duplicated": counters.duplicated}
-        shares["missed"] = counters.missed
+        total = max(medium.expected, 1)
+        shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
+        shares["missed"] = medium.missed
         return Report(
             title=scenario.title,
             ground="simulate",
@@ -296,12 +304,15 @@ class Simulation:
             profile=scenario.profile,
             seed=scenario.seed,
             duration_s=scenario.duration_s,
+            provenance=Provenance.of(scenario, self.codec),
             findings=findings,
             convergences=self.clock.events,
             traffic=traffic,
-            delays=hop_delays(self._delays),
+            values=self.measurements.values.totals(),
+            delays=self.measurements.values.rows(),
+            consistency=self.measurements.consistency.found(self.network.now),
             shares={name: number / total for name, number in shares.items() if number or name == "delivered"},
-            expected=counters.expected,
+            expected=medium.expected,
             digest=self.network.digest.hexdigest(),
             elapsed_s=elapsed,
             cpu_s=cpu,
@@ -311,22 +322,38 @@ class Simulation:
         interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)} | set(
             self.scenario.down_at_start
         )
-        for each in self.network.stations:
-            up = None if each.up_since is None or each.index in interrupted else self.network.now - each.up_since
-            rate = each.beacons_sent / (up / NS_PER_S) if up else None
-            yield NodeTraffic(each.index, each.beacons_sent, each.octets_sent, each.beacons_received, rate)
+        counted = Traffic.of(self.network).since(self._before).nodes
+        for each, (sent, octets, received) in zip(self.network.stations, counted, strict=True):
+            rate = None
+            if each.up_since is not None and each.index not in interrupted:
+                up = self.network.now - max(each.up_since, self.scenario.warm_up)
+                rate = sent / (up / NS_PER_S) if up else None
+            yield NodeTraffic(each.index, sent, octets, received, rate)
 
 
-def _distances(source: int, neighbours: Callable[[int], tuple[int, ...]]) -> dict[int, int]:
-    """Hops from ``source`` to each node that can be reached."""
-    found, waiting = {source: 0}, deque([source])
-    while waiting:
-        node = waiting.popleft()
-        for other in neighbours(node):
-            if other not in found:
-                found[other] = found[node] + 1
-                waiting.append(other)
-    return found
+class Traffic(NamedTuple):
+    """Counters of a network at one moment, or between two of them."""
+
+    nodes: list[tuple[int, int, int]]
+    """For each node: beacons and octets sent, beacons received."""
+    medium: MediumCounters
+
+    @classmethod
+    def of(cls, network: Network) -> Traffic:
+        """The counters as they are now."""
+        nodes = [(each.beacons_sent, each.octets_sent, each.beacons_received) for each in network.stations]
+        return cls(nodes, copy.copy(network.medium.counters))
+
+    def since(self, before: Traffic) -> Traffic:
+        """What was counted after ``before``."""
+        nodes = [
+            (now[0] - then[0], now[1] - then[1], now[2] - then[2])
+            for now, then in zip(self.nodes, before.nodes, strict=True)
+        ]
+        medium = MediumCounters(
+            *(now - then for now, then in zip(astuple(self.medium), astuple(before.medium), strict=True))
+        )
+        return Traffic(nodes, medium)
 
 
 def simulate(scenario: Scenario, **options: Any) -> Report:

@@ -8,7 +8,9 @@ from typing import Any
 import msgspec
 
 from .agreement import Convergence
-from .scenario import NS_PER_MS, NS_PER_S
+from .measuring import DelayRow, ValueTotals, VariableConsistency
+from .provenance import Provenance
+from .scenario import NS_PER_S
 
 
 class Finding(msgspec.Struct, frozen=True):
@@ -32,16 +34,6 @@ class NodeTraffic(msgspec.Struct, frozen=True):
     left_out_per_s: float = 0.0
 
 
-class HopDelay(msgspec.Struct, frozen=True):
-    """How long values took to nodes so many hops from their producer."""
-
-    hops: int
-    count: int
-    mean_ms: float
-    p95_ms: float
-    max_ms: float
-
-
 class Report(msgspec.Struct):
     """Times of convergences are ns, all others what their name says."""
 
@@ -52,10 +44,14 @@ class Report(msgspec.Struct):
     profile: str
     seed: int
     duration_s: float
+    provenance: Provenance | None = None
     findings: list[Finding] = []
     convergences: list[Convergence] = []
     traffic: list[NodeTraffic] = []
-    delays: list[HopDelay] = []
+    values: ValueTotals = ValueTotals()
+    delays: list[DelayRow] = []
+    """Empty for testbeds, where nobody sees when a value arrives."""
+    consistency: list[VariableConsistency] = []
     shares: dict[str, float] = {}
     """Of the medium: what became of the frames, as shares of what a perfect medium would have delivered."""
     expected: int = 0
@@ -92,17 +88,6 @@ class Report(msgspec.Struct):
         return {**found, "speed_up": round(self.speed_up, 3), "met": self.met}
 
 
-def hop_delays(delays: dict[int, list[int]]) -> list[HopDelay]:
-    """Delays in ns by hops, put into numbers."""
-    found = []
-    for hops, times in sorted(delays.items()):
-        times.sort()
-        p95 = times[min(len(times) - 1, len(times) * 95 // 100)]
-        mean = sum(times) / len(times)
-        found.append(HopDelay(hops, len(times), mean / NS_PER_MS, p95 / NS_PER_MS, times[-1] / NS_PER_MS))
-    return found
-
-
 #: Rows of a table that are printed; the rest is summed up in one line.
 SHOWN = 24
 #: Seconds of delay by the machine from which on it is told: scenarios expect things within seconds.
@@ -116,10 +101,15 @@ def lines(report: Report) -> Iterator[str]:
     yield ""
     yield from _convergences(report.convergences)
     yield from _traffic(report)
-    yield from _delays(report.delays)
+    yield from _values(report)
     if report.shares:
         numbers = (f"{round(share * report.expected)} {name} ({share:.2%})" for name, share in report.shares.items())
         yield f"medium     {report.expected} deliveries to neighbours: {', '.join(numbers)}"
+    if report.provenance is not None:
+        made = report.provenance
+        warm_up = made.scenario["warm_up_s"]
+        counted = f", counted from {warm_up:g} s on" if warm_up else ""
+        yield f"scenario   {made.scenario_sha256[:16]}, kit {made.kit_version}{counted}"
     if report.digest:
         yield f"digest     {report.digest}"
     if report.ground == "simulate":
@@ -165,11 +155,38 @@ def _traffic(report: Report) -> Iterator[str]:
         yield f"rate       {mean:.2f} beacons/s per node ({min(rates):.2f} to {max(rates):.2f})"
 
 
-def _delays(delays: Sequence[HopDelay]) -> Iterator[str]:
-    if not delays:
-        return
-    for each in delays[:SHOWN]:
-        yield (
-            f"values     {each.hops:2} hops: {each.mean_ms:7.1f} ms on average, 95 % within {each.p95_ms:7.1f} ms, "
-            f"{each.max_ms:7.1f} ms at most ({each.count})"
+def _values(report: Report) -> Iterator[str]:
+    totals = report.values
+    if totals.due:
+        late = (
+            f", {totals.missed_newest} of them the newest of their variable at the end" if totals.missed_newest else ""
         )
+        yield (
+            f"values     {totals.produced} produced; of {totals.due} that could arrive at the other nodes "
+            f"{totals.received} were received ({totals.received / totals.due:.1%}), {totals.missed} missed{late}"
+        )
+    yield from map(_delay, report.delays[:SHOWN])
+    if len(report.delays) > SHOWN:
+        yield f"           and {len(report.delays) - SHOWN} more distances: --json has them all"
+    if report.consistency:
+        seconds = sum(each.seconds for each in report.consistency)
+        newest = sum(each.newest_share * each.seconds for each in report.consistency) / seconds
+        complete = sum(each.complete_share * each.seconds for each in report.consistency) / seconds
+        count = len(report.consistency)
+        yield (
+            f"newest     {newest:.1%} of the other nodes have the newest value on average over time, all of them "
+            f"{complete:.1%} of the time ({count} variable{'s' * (count != 1)})"
+        )
+    yield from (f"note       {note}" for note in totals.notes)
+
+
+def _delay(row: DelayRow) -> str:
+    where = "no path" if row.hops is None else f"{row.hops:2} hop{' ' if row.hops == 1 else 's'}"
+    found = f"  {row.kind + 's':9}  {where:7}  {row.received} of {row.due} received ({row.share:.1%})"
+    if row.mean_ms is None:
+        return found
+    sd = "" if row.sd_ms is None else f", sd {row.sd_ms:.1f}"
+    return (
+        f"{found}: mean {row.mean_ms:.1f} ms, median {row.median_ms:.1f}{sd}, 95 % within {row.p95_ms:.1f}, "
+        f"at most {row.max_ms:.1f}"
+    )

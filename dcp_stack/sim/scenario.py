@@ -82,7 +82,8 @@ class Topology(Strict, kw_only=True, frozen=True):
     neighbours: tuple[tuple[int, ...], ...] = ()
     """For each node in order the nodes next to it; naming a connection at one of its ends is enough."""
     positions: tuple[tuple[float, float, float], ...] = ()
-    """For each node in order its place in m."""
+    """For each node in order its place in m. In simulations ``tracks`` move their nodes; if all nodes have one,
+    there need not be any positions."""
     range_m: float = 0.0
     """Nodes at most this far apart hear each other."""
 
@@ -96,7 +97,7 @@ class Topology(Strict, kw_only=True, frozen=True):
             case "grid":
                 return Grid(self.columns or grid_columns(count), diagonal=self.diagonal)
             case "positions":
-                return Positions(self.positions, self.range_m)
+                return Positions(self.positions or [None] * count, self.range_m)
             case _:
                 heard: dict[int, set[int]] = {node: set() for node in range(count)}
                 for node, row in enumerate(self.neighbours):
@@ -324,6 +325,8 @@ class Scenario(Strict, kw_only=True, frozen=True):
     title: str = ""
     profile: str = "dcp-2.0"
     seed: int = 1
+    warm_up_s: float = 0.0
+    """Simulations count values, consistency and traffic from here on; events and expectations are not affected."""
     topology: Topology = Topology()
     link: LinkQuality = PERFECT
     """Of all connections that ``links`` does not name."""
@@ -341,6 +344,11 @@ class Scenario(Strict, kw_only=True, frozen=True):
     def duration(self) -> int:
         """Length in ns."""
         return round(self.duration_s * NS_PER_S)
+
+    @property
+    def warm_up(self) -> int:
+        """Length of the warm-up in ns."""
+        return round(self.warm_up_s * NS_PER_S)
 
     @property
     def srp_config(self) -> SRPConfig | None:

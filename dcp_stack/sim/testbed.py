@@ -19,6 +19,7 @@ from .loading import check, check_nodes, scenario_codec
 from .namespaces import own_prefix, sweep
 from .network import node_id
 from .processes import END_PATIENCE, NodeProcess, seconds_between, settings_for
+from .provenance import Provenance
 from .report import Finding, NodeTraffic, Report
 from .requests import request, trouble
 from .scenario import (
@@ -34,6 +35,7 @@ from .scenario import (
     Partition,
     Restart,
     Scenario,
+    ScenarioError,
     SetLink,
     Up,
     Update,
@@ -63,9 +65,14 @@ class Testbed:
         Raises ScenarioError, NamespaceError.
         """
         self.scenario = check(scenario)
+        if scenario.topology.kind == "positions" and not scenario.topology.positions:
+            raise ScenarioError(
+                "topology.positions: a testbed needs the place of each node: tracks move links in simulations only"
+            )
         codec = scenario_codec(scenario)
         check_nodes(scenario, codec)
         self.profile = codec.profile
+        self._provenance = Provenance.of(scenario, codec)
         self.agreement = Agreement(scenario.nodes)
         self.clock = ConvergenceClock()
         self.findings: list[Finding] = []
@@ -282,6 +289,7 @@ class Testbed:
             profile=scenario.profile,
             seed=scenario.seed,
             duration_s=scenario.duration_s,
+            provenance=self._provenance,
             findings=[
                 *judge_all(scenario.expect, self.clock.events, traffic),
                 *self.findings,

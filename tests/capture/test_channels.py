@@ -19,10 +19,10 @@ from dcp_spec.version import __version__
 from mcap.reader import make_reader
 
 from dcp_codec import Codec, get_codec
-from dcp_codec.capture import Frame, create_capture
+from dcp_codec.capture import Frame, create_capture, rawframe
 from dcp_codec.export.example import example_beacon
 from dcp_codec.mcap_channels import MAX_POSE_TOPICS, DecodedChannels, capture_metadata, pose_topic
-from dcp_codec.values import ExtendedSafetyData, Payload
+from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload, VarSumm
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 RECORDINGS = tomllib.loads((CAPTURES / "manifest.toml").read_text())["capture"]
@@ -50,6 +50,10 @@ def read(path):
 def assert_valid_messages(messages):
     validators = {}
     for schema, channel, message in messages:
+        if schema.encoding == "protobuf":
+            assert (channel.topic, channel.message_encoding) == ("/dcp/frames", "protobuf")
+            assert rawframe.decode(message.data).data
+            continue
         assert schema.encoding == "jsonschema"
         assert channel.message_encoding == "json"
         if schema.id not in validators:
@@ -290,6 +294,28 @@ def test_of_a_malformed_frame_there_is_what_could_be_read():
     assert "senderId" not in header
     assert header["magicNo"] == 0x497E
     assert decoded(codec, b"")["/dcp/bp"][0]["payloads"] == []
+
+
+def test_a_bad_state_report_is_no_message_and_hides_nothing():
+    codec = get_codec("cpp-1.2")
+    vardis = codec.encode_containers((Container(1, (VarSumm(7, 3),)),))
+    blocks = (Payload(1, bytes(range(0x20, 0x48))), Payload(2, vardis))
+    octets = codec.encode_envelope(Beacon(BPHeader(b"\x02\0\0\0\0\1", 4), blocks))
+    found = decoded(codec, octets)
+    assert set(found) == {"/dcp/bp", "/dcp/vardis", "/dcp/errors"}
+    assert found["/dcp/vardis"][0]["records"] == [{"varId": 7, "seqno": 3}]
+    # Nothing that the bad report says breaks a rule of its own.
+    (error,) = found["/dcp/errors"]
+    assert (error["reason"], error["path"]) == ("wrong-length", "payloads[0].srp")
+
+
+def test_a_bad_container_leaves_the_state_report_and_its_position():
+    codec = get_codec("cpp-2.0")
+    report = example_beacon(codec).payloads[0]
+    blocks = (Payload(1, codec.encode_report(report.srp)), Payload(2, b"\x09\x01\x05"))
+    found = decoded(codec, codec.encode_envelope(Beacon(BPHeader(b"\x02\0\0\0\0\1", 4, 0x1111), blocks)))
+    assert [each["reason"] for each in found["/dcp/errors"]] == ["unknown-type"]
+    assert len(found["/dcp/srp"]) == len(found["/dcp/pose/02-00-00-00-00-01"]) == 1
 
 
 @pytest.mark.parametrize("name", ["cpp-2.0", "cpp-1.3", "dcp-1.0", "sim-1.0", "student-2024"])

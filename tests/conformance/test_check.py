@@ -225,6 +225,16 @@ def report_ages(air: Script, wrong: bool) -> Outcome:
     return Outcome(("SRP-TYP-05", "DATA-05"), (number,), verdict=Verdict.INFO)
 
 
+@script("CK_SRP_VALUES")
+def report_values(air: Script, wrong: bool) -> Outcome:
+    report = air.report(A)
+    data = msgspec.structs.replace(report.s_data, x=float("nan") if wrong else 1.0)
+    air.say(A, report=report)
+    number = air.say(A, report=msgspec.structs.replace(air.report(A), s_data=data))
+    expected = ("SRP-TYP-02", "SRP-TYP-05")
+    return Outcome(expected, (number,), verdict=Verdict.INFO)
+
+
 @script("CK_VD_ORDER")
 def container_order(air: Script, wrong: bool) -> Outcome:
     create, summary = air.create(1, A), VarSumm(1, 0)

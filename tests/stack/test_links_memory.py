@@ -311,3 +311,33 @@ def test_time_does_not_go_back():
         medium.broadcast(0, b"", 9)
     with pytest.raises(ValueError, match="two groups"):
         medium.partition([0, 1], [1])
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-100, 100)] * 3), min_size=1, max_size=30),
+    st.floats(0.5, 150),
+    st.dictionaries(st.integers(0, 29), st.floats(0.1, 300), max_size=3),
+    st.lists(st.tuples(st.integers(0, 29), st.tuples(*[st.floats(-100, 100)] * 3)), max_size=10),
+)
+def test_positions_are_the_same_as_comparing_all_pairs(points, radio_range, ranges, moves):
+    places, now = Positions(points, radio_range, ranges=ranges), list(points)
+    for node, place in moves:
+        if node < len(now):
+            places.move(node, place)
+            now[node] = place
+    for sender, (x, y, z) in enumerate(now):
+        limit = ranges.get(sender, radio_range) ** 2
+        near = {
+            node
+            for node, (a, b, c) in enumerate(now)
+            if (a - x) * (a - x) + (b - y) * (b - y) + (c - z) * (c - z) <= limit
+        }
+        assert set(places.neighbours(sender, len(now))) == near
+
+
+def test_nodes_without_a_place_hear_nobody():
+    places = Positions([None, (0, 0, 0), None], 5.0)
+    medium, _ = medium_of(3, topology=places)
+    assert [medium.neighbours(node) for node in range(3)] == [(), (), ()]
+    places.move(0, (0, 0, 1))
+    assert [medium.neighbours(node) for node in range(3)] == [(1,), (0,), ()]

@@ -63,7 +63,9 @@ class TestPlaying:
         )
         # Nothing takes more than two beacon periods a hop.
         assert all(0 < each.took < 4 * 220_000_000 for each in report.convergences)
-        assert [each.hops for each in report.delays] == [1, 2, 3, 4]
+        assert [(each.kind, each.hops) for each in report.delays] == [
+            (kind, hops) for kind in ("creation", "update") for hops in (1, 2, 3, 4)
+        ]
 
     def test_who_comes_late_catches_up(self, play):
         play(

@@ -80,7 +80,8 @@ def test_recordings(run, tmp_path):
 
 def test_a_recording_that_ends_early_is_told(tmp_path):
     """Files may become so long and no longer: as on a full disk."""
-    simulate = [sys.executable, "-m", "dcp_stack.cli", "simulate", "-n", "4", "--duration", "30"]
+    # Without -B the interpreter would leave compiled modules that are cut off, for all who come after.
+    simulate = [sys.executable, "-B", "-m", "dcp_stack.cli", "simulate", "-n", "4", "--duration", "30"]
     limited = ["sh", "-c", 'ulimit -f 20; exec "$@"', "sh", *simulate, "--record-medium", str(tmp_path / "all.mcap")]
     done = subprocess.run(limited, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -140,3 +141,35 @@ def test_times_without_end_are_refused_before_anything_is_played(run, tmp_path, 
     assert (status, output) == (2, "")
     assert complaint in errors
     assert "Traceback" not in errors
+
+
+def test_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, capsys):
+    from dcp_codec.cli import main as codec
+
+    medium, folder = tmp_path / "medium.mcap", tmp_path / "nodes"
+    run("simulate", "-n", 2, "--duration", 5, "--loss", 0.5, "--record-medium", medium, "--record", folder)
+
+    def stats(*arguments: object) -> str:
+        with pytest.raises(SystemExit):
+            codec(["stats", *map(str, arguments)])
+        return capsys.readouterr().out
+
+    assert {each["lost"] for each in json.loads(stats(medium, "--format", "json"))["senders"].values()} == {None}
+    assert "lost: unknown; each transmission once" in stats(medium)
+    # What a node recorded itself has the losses of its own reception.
+    own = json.loads(stats(folder / "node-0.mcap", "--format", "json"))["senders"]
+    assert own["02:00:00:00:00:00"]["lost"] == 0
+    assert own["02:00:00:00:00:01"]["lost"] > 5
+
+
+def test_the_default_scenario_knows_how_far_values_have_to_go(run):
+    """Values need 1.5 beacon periods a hop: 5 s are too few for 62 hops, and nothing is amiss."""
+    report = json.loads(
+        run("simulate", "-n", 60, "--topology", "line", "--duration", 16, "--variables", 1, "--json")[1]
+    )
+    (expected,) = report["provenance"]["scenario"]["expect"]
+    assert expected["within_s"] == pytest.approx(1 + 0.2 * 59)
+    assert report["met"]
+    # Too short for that: nothing is expected, rather than something that cannot be.
+    short = json.loads(run("simulate", "-n", 60, "--topology", "line", "--duration", 8, "--json")[1])
+    assert short["provenance"]["scenario"]["expect"] == []

@@ -124,6 +124,94 @@ def test_the_next_payload_follows_the_last() -> None:
     assert rig.entry().count_create == 0
 
 
+BEACON = 100 * MS
+
+
+@pytest.mark.req("VD-RUN-01")
+def test_a_payload_is_composed_with_what_arrives_before_its_beacon() -> None:
+    rig = Rig(buffer_check_period_ms=20)
+    rig.bp.beacon = BEACON
+    rig.create(rep_cnt=3)
+    rig.vardis.payload_transmitted(rig.now, rig.wall)
+    assert rig.bp.slot is None
+    assert rig.vardis.poll_timeout() == BEACON
+    rig.wait(99)
+    assert rig.bp.queries == 1, "an empty buffer is no reason to compose while the beacon is still to come"
+    rig.update(value=b"late")
+    rig.wait(1)
+    assert rig.bp.slot is not None
+    creation, *_ = rig.codec.decode_containers(rig.bp.slot)
+    assert [(each.upd.seqno, each.upd.value) for each in creation.records] == [(1, b"late")]
+
+
+@pytest.mark.req("VD-RUN-02")
+@pytest.mark.parametrize(("period", "composed_at"), [(20, 100), (100, 100), (130, 130), (240, 240)])
+def test_after_idling_the_look_at_the_buffer_waits_for_the_beacon(period: int, composed_at: int) -> None:
+    rig = Rig(buffer_check_period_ms=period, scrubbing_period_ms=60_000)
+    rig.bp.beacon = BEACON
+    rig.create()
+    while rig.bp.slot is None:
+        due = rig.vardis.poll_timeout()
+        assert due is not None
+        assert due > rig.now
+        rig.wait((due - rig.now) // MS)
+        if rig.bp.slot is None:
+            rig.bp.beacon += BEACON
+    assert rig.now == composed_at * MS
+
+
+@pytest.mark.req("VD-RUN-01")
+@pytest.mark.parametrize("lead", [1, 2.5, 99, 100, 1000])
+def test_the_lead_is_the_time_between_composing_and_beacon(lead: float) -> None:
+    rig = Rig(compose_lead_ms=lead)
+    rig.create(rep_cnt=3)
+    rig.bp.beacon = BEACON
+    rig.vardis.payload_transmitted(rig.now, rig.wall)
+    due = rig.vardis.poll_timeout()
+    assert due == BEACON - round(lead * MS)
+    rig.vardis.handle_timeout(max(due, 0), rig.wall)
+    assert rig.bp.slot is not None
+
+
+@pytest.mark.req("VD-RUN-01")
+def test_a_beacon_that_is_brought_forward_is_not_missed() -> None:
+    rig = Rig()
+    rig.create(rep_cnt=3)
+    rig.bp.beacon = BEACON
+    rig.vardis.payload_transmitted(rig.now, rig.wall)
+    rig.bp.beacon = 20 * MS
+    assert rig.vardis.poll_timeout() == 20 * MS
+    rig.wait(20)
+    assert rig.bp.slot is not None
+
+
+@pytest.mark.req("VD-RUN-01")
+@pytest.mark.req("VD-RUN-02")
+def test_composing_after_the_beacon_can_be_chosen() -> None:
+    rig = Rig(readings={"X54": "after-the-beacon"}, buffer_check_period_ms=20)
+    rig.bp.beacon = BEACON
+    rig.create(rep_cnt=3)
+    assert rig.vardis.poll_timeout() == 20 * MS
+    rig.wait(20)
+    assert rig.bp.slot is not None
+    rig.bp.take()
+    rig.vardis.payload_transmitted(rig.now, rig.wall)
+    assert len(rig.bp.submitted) == 2
+
+
+@pytest.mark.req("VD-RUN-02")
+def test_what_bp_still_holds_is_not_displaced() -> None:
+    rig = Rig()
+    rig.create(rep_cnt=3)
+    rig.bp.beacon = BEACON
+    rig.wait(100)
+    assert len(rig.bp.submitted) == 1
+    rig.bp.beacon += BEACON
+    rig.update()
+    rig.wait(100)
+    assert len(rig.bp.submitted) == 1
+
+
 @pytest.mark.req("VD-RUN-02")
 def test_the_buffer_is_looked_at_in_every_period() -> None:
     rig = Rig(buffer_check_period_ms=20)

@@ -54,6 +54,11 @@ class OneSlot:
     refuse: list[BPStatus] = field(default_factory=list)
     query_status: BPStatus = BPStatus.OK
     submitted: list[bytes] = field(default_factory=list)
+    beacon: int | None = None
+    """When the next beacon is prepared; None: BP does not say."""
+
+    def next_beacon(self) -> int | None:
+        return self.beacon
 
     def register(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -10,12 +11,14 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
+from dcp_spec.constants import BP_PROTID_SRP
 from dcp_spec.profile import Link
 
-from dcp_codec import Codec, DecodeError, Field, get_codec
+from dcp_codec import Codec, Field, Payload, get_codec
 from dcp_codec.capture import Frame, open_capture
 from dcp_codec.frames import FrameDissector
 from dcp_codec.framing import OtherTraffic, locate, mac
+from dcp_codec.jsonform import beacon_json
 
 from ..odd_profiles import NAMES, codec_of
 
@@ -61,30 +64,47 @@ def expected_tables(codec: Codec, frames: Iterable[Frame], link: Link | None = N
         found = dissector.dissect(frame)
         assert not isinstance(found, OtherTraffic)
         keys = {"frame": frame.number, "time": frame.time_ns, "sender": found.sender}
-        try:
-            _, end = codec.decode_from(frame.data[: framing.end], framing.start)
-        except DecodeError as error:
-            problem = error.problem
-            values = {name: getattr(problem, name) for name in ("reason", "path", "offset", "requirement")}
+        octets = frame.data[framing.start : framing.end]
+        salvaged = codec.salvage(octets)
+        for problem in salvaged.faults:
+            values = {name: getattr(problem, name) for name in ("reason", "path", "requirement")}
+            values["offset"] = problem.offset + framing.start
             for name in ("needed", "available"):
                 number = getattr(problem, name)
                 values[name] = number if number is None else min(number, 2**63 - 1)
-            tables["errors"].append(keys | values)
+            block = re.match(r"payloads\[(\d+)\]", problem.path)
+            tables["errors"].append(keys | values | {"payload": None if block is None else int(block[1])})
+        if salvaged.beacon is None or not salvaged.clear:
             continue
-        data = found.as_json()
+        tree = codec.salvage_tree(octets, salvaged)
+        data = beacon_json(codec, tree.root)
         header = {name: value for name, value in (data.get("bp") or {}).items() if name not in constant(codec)}
         ours = {
             "interface": frame.interface,
             "frameLength": frame.orig_len,
-            "octets": end - framing.start,
-            "padding": framing.end - end,
+            "octets": salvaged.end,
+            "padding": len(octets) - salvaged.end,
             "src": mac(framing.src or b""),
             "dst": mac(framing.dst or b""),
         }
         tables["beacons"].append(keys | ours | header)
-        for index, payload in enumerate(data["payloads"]):
-            payload_rows(tables, keys | {"payload": index}, payload, found.payloads[index])
+        blocks = tree.root.child("payloads")
+        assert blocks is not None
+        for index, payload in enumerate(salvaged.beacon.payloads):
+            said = sound_part(codec, data["payloads"][index], payload, salvaged.octets_of(index) is not None)
+            payload_rows(tables, keys | {"payload": index}, said, blocks.children[index])
     return tables
+
+
+def sound_part(codec: Codec, said: dict[str, Any], payload: Payload, damaged: bool) -> dict[str, Any]:
+    """What a payload block says as JSON, without what is wrong."""
+    if not damaged:
+        return said
+    header = {name: value for name, value in said.items() if name not in ("srp", "vardis", "data")}
+    name = "srp" if payload.protocol_id == BP_PROTID_SRP and codec.report_plan else "data"
+    if payload.vardis is not None:
+        return header | {"vardis": said.get("vardis", [])[: len(payload.vardis)]}
+    return header | {name: None}
 
 
 def constant(codec: Codec) -> set[str]:
@@ -97,7 +117,7 @@ def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any], 
     content = next(name for name in ("srp", "vardis", "data") if name in payload)
     own = {name: value for name, value in payload.items() if name not in ("srp", "vardis")}
     tables["payloads"].append(beside(keys, {"data": None, **own, "content": content}, "payload"))
-    if content == "srp":
+    if payload.get("srp") is not None:
         report = payload["srp"]
         tables["srp"].append(beside(keys, flat(report), "srp"))
     for place, container in enumerate(payload.get("vardis", ())):

@@ -45,8 +45,9 @@ def decoded(decoder: ColumnDecoder, blocks: Any, rows: Any) -> dict[str, list[di
         done = 0
         for batch in decoder.batches(block):
             done += batch.frames
-            assert batch.tables["errors"].num_rows == batch.malformed
-            assert batch.tables["beacons"].num_rows + batch.malformed + batch.other == batch.frames
+            errors = batch.tables["errors"]
+            assert len(set(errors.column("frame").to_pylist())) == batch.malformed
+            assert batch.frames - batch.malformed <= batch.tables["beacons"].num_rows + batch.other <= batch.frames
             for name, table in batch.tables.items():
                 table.validate(full=True)
                 tables[name] += rows(table)

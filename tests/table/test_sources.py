@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
-from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture
+from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture, rawframe
 from dcp_codec.capture.mcapfile import RECORD_HEAD
 from dcp_codec.table import Recording
 
@@ -151,51 +151,81 @@ def test_pcapng_where_nothing_is_plain(folder):
     check(start + b"".join(pcapng.packet(b"plain", n) + odd + odd for n in range(1500)), folder)
 
 
-def mcap_message(**fields: Any) -> dict[str, Any]:
-    message = {"timestamp": {"sec": 1, "nsec": 2}, "number": 3, "interface": 0, "linkType": 1, "origLen": 4}
-    return message | {"data": "AAECAw=="} | fields
+def mcap_message(**fields: Any) -> bytes:
+    """A message as our writer makes it, but for these fields; None leaves a field out."""
+    values = {"timestamp": (1, 2), "number": 3, "interface": 0, "link_type": 1, "orig_len": 4, "data": b"\0\1\2\3"}
+    found = b""
+    for number, value in enumerate((values | fields).values(), start=1):
+        if isinstance(value, int):
+            found += bytes([8 * number]) + varint(value)
+        elif value is not None:
+            inner = (
+                value
+                if isinstance(value, bytes)
+                else b"".join(bytes([8 * place]) + varint(part) for place, part in enumerate(value, start=1) if part)
+            )
+            found += bytes([8 * number + 2]) + varint(len(inner)) + inner
+    return found
+
+
+def varint(value: int, least: int = 1) -> bytes:
+    """A number as protobuf has it, in at least so many octets."""
+    value &= 2**64 - 1
+    octets = []
+    while value or len(octets) < least:
+        octets.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*octets[:-1], octets[-1] & 0x7F])
 
 
 ODD_MESSAGES = [
-    json.dumps(mcap_message(), indent=1),
-    json.dumps(mcap_message(extra=1), separators=(",", ":")),
     *(
-        json.dumps(mcap_message(**fields), separators=(",", ":"))
+        mcap_message(**fields)
         for fields in (
             {},
             {"number": 0},
+            {"number": None},
             {"number": 2**62},
             {"number": 2**62 + 1},
+            {"number": 2**64 - 1},
+            {"interface": None},
+            {"interface": 2**32 - 1},
             {"interface": 2**32},
-            {"origLen": 0},
-            {"origLen": 2**32 - 1},
-            {"linkType": 105},
-            {"timestamp": {"sec": 9223372036, "nsec": 854775807}},
-            {"timestamp": {"sec": 9223372036, "nsec": 854775808}},
-            {"timestamp": {"sec": 5, "nsec": 2**32 - 1}},
-            {"timestamp": {"sec": -1, "nsec": 0}},
-            {"data": ""},
-            {"data": "AA=="},
-            {"data": "AB=="},
-            {"data": "AAA="},
-            {"data": "AAB="},
-            {"data": "A==="},
-            {"data": "===="},
-            {"data": "AA==AAAA"},
-            {"data": "AAA"},
-            {"data": "AA A"},
-            {"data": "AA\\u0041A"},
-            {"data": "-_-_"},
+            {"orig_len": 0},
+            {"orig_len": None},
+            {"orig_len": 2**32 - 1},
+            {"link_type": 105},
+            {"link_type": None},
+            {"link_type": 0},
+            {"timestamp": (0, 0)},
+            {"timestamp": (7, 0)},
+            {"timestamp": (0, 7)},
+            {"timestamp": None},
+            {"timestamp": (9223372036, 854775807)},
+            {"timestamp": (9223372036, 854775808)},
+            {"timestamp": (5, 1_000_000_000)},
+            {"timestamp": (5, 2**31 - 1)},
+            {"timestamp": (-1, 0)},
+            {"timestamp": (1, -1)},
+            {"timestamp": (1, 2, 3)},
+            {"timestamp": bytes(200)},
+            {"timestamp": b"\x10\x02\x08\x01"},
+            {"timestamp": b"\x08" + varint(1, 5) + b"\x10" + varint(2, 10)},
+            {"data": b""},
+            {"data": None},
+            {"data": bytes(300)},
         )
     ),
-    "{}",
-    '{"data":"AAAA"}',
-    '{"timestamp":{"sec":01,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"AAAA"}',
-    '{"timestamp":{"sec":,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"AAAA"}',
-    '{"timestamp":{"sec":1,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"',
-    '{"timestamp":{"sec":1,"nsec":2},"number":3,"interface":0,"linkType":1,"origLen":4,"data":"}',
-    '{"timestamp":{"sec":1',
-    "",
+    mcap_message() + mcap_message(number=9),
+    mcap_message() + b"\x3a\x01x",
+    mcap_message()[:-1],
+    mcap_message()[:10],
+    mcap_message(data=None) + b"\x32" + varint(4, 3) + b"abcd",
+    mcap_message(data=None) + b"\x32" + varint(2**63 + 4) + b"abcd",
+    b"\x32\x04abcd",
+    b'{"data":"AAAA"}',
+    b"\xff" * 12,
+    b"",
 ]
 
 
@@ -219,15 +249,15 @@ def test_mcap_messages_of_any_kind(folder):
     schema, channel = described(octets)
     number = struct.unpack_from("<H", channel, 9)[0]
 
-    def record(text: str, where: int = number) -> bytes:
-        content = struct.pack("<HIQQ", where, 0, 77, 78) + text.encode()
+    def record(message: bytes, where: int = number) -> bytes:
+        content = struct.pack("<HIQQ", where, 0, 77, 78) + message
         return RECORD_HEAD.pack(5, len(content)) + content
 
-    plain = record(json.dumps(mcap_message(), separators=(",", ":")))
-    for text in ODD_MESSAGES:
-        check(head + schema + channel + plain + record(text) + plain, folder)
-    everything = b"".join(plain + record(text) for text in ODD_MESSAGES)
-    check(head + schema + channel + everything + record("{}", number + 1) + plain, folder)
+    plain = record(mcap_message())
+    for message in ODD_MESSAGES:
+        check(head + schema + channel + plain + record(message) + plain, folder)
+    everything = b"".join(plain + record(message) for message in ODD_MESSAGES)
+    check(head + schema + channel + everything + record(b"{}", number + 1) + plain, folder)
     check(head + schema + channel + everything + RECORD_HEAD.pack(5, 3) + b"abc" + plain, folder)
     inside = schema + channel + everything + plain
     for cut in (0, 5, 20):
@@ -239,14 +269,34 @@ def test_mcap_messages_of_any_kind(folder):
 def test_mcap_messages_with_another_octet(folder):
     """A message in which any one octet is another: the walk sees every octet of it."""
     octets = properties.written(properties.SOME[3:5], "mcap", compression="none")
-    start = octets.index(b'{"timestamp"') - 22 - RECORD_HEAD.size
+    start = octets.index(rawframe.encode(properties.SOME[3])) - 22 - RECORD_HEAD.size
     length = RECORD_HEAD.size + RECORD_HEAD.unpack_from(octets, start)[1]
     message = octets[start : start + length]
     schema, channel = described(octets)
     head = octets[:8] + schema + channel
     for place in range(RECORD_HEAD.size + 22, length):
-        for octet in {b'"'[0], b"0"[0], b"="[0], 0, 255, message[place] ^ 1}:
+        for octet in {0x0A, 0x10, 0x32, 0, 0x7F, 0x80, 255, message[place] ^ 1}:
             check(head + message + message[:place] + bytes([octet]) + message[place + 1 :] + message, folder)
+
+
+def test_mcap_files_with_frames_in_json(folder):
+    """Older files have raw frames as JSON; a file may have both, and chunks larger than what a block usually has."""
+    stream = io.BytesIO()
+    writer = Writer(stream, chunk_size=1 << 24)
+    writer.start()
+    schemas = [writer.register_schema("dcp.RawFrame", "jsonschema", b"{}") for _ in range(2)]
+    channels = [
+        writer.register_channel("/new", "protobuf", schemas[0]),
+        writer.register_channel("/old", "json", schemas[1]),
+    ]
+    message = b'{"data":"' + b"QUJD" * 2000 + b'"}'
+    for number in range(1, 3000):
+        old = number % 700 == 0
+        data = message if old else mcap_message(number=number, data=bytes(6000))
+        writer.add_message(channels[old], log_time=5, publish_time=5, data=data)
+    writer.finish()
+    check(stream.getvalue(), folder)
+    check(stream.getvalue(), folder, frames=100)
 
 
 def test_a_pipe_is_read_too(recording):

@@ -18,6 +18,7 @@ from dcp_conformance.verdict import Verdict
 from .lives import Lives
 from .said import Said, said_in, speaker
 from .senders import Senders
+from .stations import Origin, Stations
 
 #: Findings of one invariant that are shown with their frames; all are counted.
 MOST_FINDINGS = 20
@@ -50,6 +51,8 @@ class Seen:
         "frame",
         "heard",
         "number",
+        "origin",
+        "origin_frame",
         "sender",
         "start",
         "time",
@@ -62,7 +65,10 @@ class Seen:
         self.time = heard.wall
         """ns since 1970."""
         self.sender = speaker(heard)
-        """The node that speaks; for a beacon without sender the station it came from."""
+        """The node that speaks; for a beacon without sender, or with a forged one, the station it came from."""
+        self.origin = Origin.USUAL
+        """What the address of the frame says about its sender, with an earlier frame to compare."""
+        self.origin_frame: int | None = None
         self.frame = frame
         self.start = start
         self.destination = destination
@@ -88,7 +94,7 @@ class Seen:
     def said(self) -> tuple[Said, ...]:
         """All that it says of variables, in order."""
         if self._said is None:
-            self._said = said_in(self.heard)
+            self._said = said_in(self.heard, self.sender)
         return self._said
 
     @property
@@ -134,10 +140,12 @@ class Context:
         self.overload: Callable[[], str] = lambda: ""
         """Why the machine may have slowed down what it runs, in words; empty if it had time for everything."""
         self.senders = Senders(MOST_SENDERS)
+        self.stations = Stations(MOST_SENDERS)
         self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
 
     def feed(self, seen: Seen) -> None:
         """The next frame, before the invariants get it."""
+        seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
         for each in seen.said:
             self.lives.feed(each)

@@ -12,8 +12,9 @@ from dcp_conformance.header_rules import judge
 from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
-from .base import MOST_SENDERS, Context, Invariant, Seen, Trace, name
+from .base import MOST_SENDERS, Context, Evidence, Invariant, Seen, Trace, name
 from .rules_counters import SequenceNumbers
+from .stations import Origin
 
 MS = 1_000_000
 BROADCAST = b"\xff" * 6
@@ -233,33 +234,38 @@ class BeaconPeriod(Invariant):
 
 
 class SenderIdentifier(Invariant):
-    """Who sends."""
+    """The node identifier in the header against the station that the frame comes from."""
 
     id = "CK_BP_SENDER"
     section = "dcp-bp.md: Data Types"
-    purpose = "One station sends under one node identifier"
+    purpose = "A station sends under its own node identifier"
     requirements = ("BP-HDR-03", "BP-PAR-09", "DATA-04")
-    expect = "the same senderId in all beacons of a station"
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self._known: dict[bytes, tuple[bytes, Trace]] = {}
+    expect = "the same senderId in all beacons of a station, and in those of no other station"
 
     def feed(self, seen: Seen) -> None:
-        """Compare by source address."""
+        """Compare by source address; :mod:`.stations` has found out what it says."""
         sender, source = seen.heard.sender, seen.heard.source
         if sender is None or seen.heard.beacon is None or not any(source):
             return
-        before = self._known.get(source)
-        if before is None:
-            if len(self._known) < MOST_SENDERS:
-                self._known[source] = (sender, seen.trace)
+        if seen.origin is Origin.USUAL:
+            # The first beacon of a station has nothing to be compared with.
+            known = self.context.senders.get(seen.sender)
+            if known is not None and known.beacons > 1:
+                self.exercised()
             return
         self.exercised()
-        if before[0] != sender:
+        frames: list[Evidence] = [*([Mark(seen.origin_frame)] if seen.origin_frame is not None else []), seen]
+        address = source.hex(":")
+        if seen.origin is Origin.WRONG:
+            text = f"{address} sends a beacon as {name(sender)} that continues the numbers of its own beacons"
+            self.violated(text, frames, "BP-HDR-03", once=(source, sender), cite=3)
+        elif seen.origin is Origin.FORGED:
+            text = f"{address} sends beacons as {name(sender)}, which is another station with other numbers"
+            self.violated(text, frames, "BP-HDR-03", once=(source, sender), cite=3)
+        else:
             # A gateway may carry the beacons of others.
-            text = f"frames from {source.hex(':')} carry {name(before[0])} and {name(sender)}"
-            self.violated(text, [before[1], seen], once=(source, sender), verdict=Verdict.INFO)
+            text = f"frames from {address} also carry the identifier {name(sender)}"
+            self.violated(text, frames, once=(source, sender), verdict=Verdict.INFO)
 
 
 RULES: tuple[type[Invariant], ...] = (

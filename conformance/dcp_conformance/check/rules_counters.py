@@ -108,6 +108,8 @@ class SequenceNumbers(Invariant):
             )
         elif self._restarted(number, seen.time - last.time, step):
             restarts += 1
+            # What is missing of the life before will not come any more.
+            self._missing.pop(seen.sender, None)
             self._restarts[seen.sender] = (restarts, beacons)
             if restarts >= _RESTARTS and beacons < _LIVED * restarts:
                 self.violated(

@@ -269,6 +269,10 @@ class OneSpec(_OfAllNodes):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._specs: OrderedDict[tuple[Any, ...], Said] = OrderedDict()
+        self._forgotten = False
+        """Whether there were more creations than are remembered."""
+        self._producers: dict[tuple[int, int], Said] = {}
+        """(variable, creation time) -> the creation with the producer that was named first."""
 
     def feed(self, seen: Seen) -> None:
         """Compare with whoever sent the creation first."""
@@ -278,11 +282,14 @@ class OneSpec(_OfAllNodes):
             key = (each.var_id, spec.prod_id, spec.creation_time)
             before = self._specs.get(key)
             if before is None or (spec.creation_time is None and spec.prod_id == seen.sender):
-                if before is None and spec.prod_id != seen.sender:
-                    self._unheard(each, seen)
+                if before is None:
+                    self._producer(each)
+                    if spec.prod_id != seen.sender and not self._forgotten:
+                        self._unheard(each, seen)
                 self._specs[key] = each
                 if len(self._specs) > MOST_VARIABLES:
                     self._specs.popitem(last=False)
+                    self._forgotten = True
                 continue
             if before.sender != seen.sender:
                 self.exercised()
@@ -296,6 +303,32 @@ class OneSpec(_OfAllNodes):
                 born = self.context.lives.born(each.var_id)
                 if born is not None:
                     self.contradict(born, before, each, text, key)
+
+    def _producer(self, each: Said) -> None:
+        """Whether a creation was said before with another producer and everything else alike."""
+        spec = each.record.spec
+        key = (each.var_id, spec.creation_time or 0)
+        before = self._producers.get(key)
+        if before is None:
+            if len(self._producers) < MOST_VARIABLES:
+                self._producers[key] = each
+            return
+        first = before.record.spec
+        if first.prod_id == spec.prod_id or (first.rep_cnt, first.timeout, first.descr) != (
+            spec.rep_cnt, spec.timeout, spec.descr,
+        ):  # fmt: skip
+            return
+        # Before 2.0: only if number and value are the same, too, and nobody else could be the producer.
+        alike = before.record.upd == each.record.upd and self.context.senders.get(spec.prod_id) is None
+        if spec.creation_time is None and not alike:
+            return
+        later_is_wrong = before.sender == first.prod_id or each.sender != spec.prod_id
+        wrong, right = (each, before) if later_is_wrong else (before, each)
+        text = (
+            f"variable {each.var_id}: {name(wrong.sender)} passes on the creation of {name(right.record.spec.prod_id)} "
+            f"with prodId {name(wrong.record.spec.prod_id)}"
+        )
+        self.contradict(before.time, before, each, text, ("prodId", *key))
 
     def _unheard(self, each: Said, seen: Seen) -> None:
         """A creation that its producer never sent, later than the one that it made before our eyes.

@@ -30,7 +30,6 @@ def speaker(heard: Heard) -> bytes:
     return heard.sender or heard.source
 
 
-def said_in(heard: Heard) -> tuple[Said, ...]:
-    """What a frame says of variables."""
-    sender = speaker(heard)
+def said_in(heard: Heard, sender: bytes) -> tuple[Said, ...]:
+    """What a frame of ``sender`` says of variables."""
     return tuple(Said(each.kind, each.record, heard.number, heard.wall, sender) for each in heard.instructions())

@@ -27,6 +27,10 @@ class Port:
         """``BP-QueryNumberBufferedPayloads``."""
         return self.bp.query_number_buffered(prot_id)
 
+    def next_beacon(self) -> Any:
+        """When BP prepares its next beacon."""
+        return self.bp.next_beacon()
+
 
 def registration(args: tuple[Any, ...], **changes: Any) -> list[Any]:
     """The arguments of ``BP-RegisterProtocol`` with some of them changed."""

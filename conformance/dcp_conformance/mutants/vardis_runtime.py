@@ -127,9 +127,9 @@ class QueueSurvives(Air):
 
 @mutant("sends", "VD-MGT-02 VD-RUN-03", "goes on composing payloads while it is inactive", unseen=ALWAYS_ACTIVE)
 class SendsInactive(Vardis):
-    def _generate(self, now: int, wall: int) -> None:
+    def handle_timeout(self, now: int, wall: int) -> None:
         active, self._core.active = self._core.active, self.registered
-        super()._generate(now, wall)
+        super().handle_timeout(now, wall)
         self._core.active = active
 
 
@@ -171,6 +171,11 @@ class NeverChecks(Vardis):
 # What it composes too early replaces the answer to a probe: to the tester VarDis may seem to have stopped.
 @mutant("always", "VD-RUN-02 VD-ROB-01", "composes a payload at every look, whatever is in the buffer")
 class AlwaysComposes(Ported):
+    def __init__(self, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        # Just before a beacon the buffer is empty anyway (X54).
+        self._composes_ahead = False
+
     class port(Port):  # noqa: N801 - as above
         def query_number_buffered(self, prot_id: int) -> Any:
             confirm = self.bp.query_number_buffered(prot_id)

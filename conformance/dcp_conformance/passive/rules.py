@@ -14,8 +14,9 @@ from one state of its database. Of the invariants of ``check``:
   is that of the report, the header is wrong).
 * Not used: ``CK_DATA_PACKED`` (the profile itself declares the octets that belong to no field), ``CK_BP_SENDER``
   (frames of another sender are never attributed to the implementation), ``CK_VD_RECORDS`` (most of what it finds is
-  forwarded from a lying peer; what is not is judged by ``CK_VD_DISTINCT`` and ``CK_BP_EMPTY``), ``CK_SRP_TIME`` (judges
-  nothing, and cases look at it), ``CK_SRP_LENGTH`` (a report of another length is what ``CK_BP_FORMAT`` finds).
+  forwarded from a lying peer; what is not is judged by ``CK_VD_DISTINCT`` and ``CK_BP_EMPTY``), ``CK_SRP_TIME``
+  and ``CK_SRP_VALUES`` (they judge nothing, and cases look at that), ``CK_SRP_LENGTH`` (a report of another length is
+  what ``CK_BP_FORMAT`` finds).
 * Not used, since their occasions come from peers that lie: ``CK_VD_SEQNO``, ``CK_VD_VALUE``, ``CK_VD_SPEC``,
   ``CK_VD_DELETED``, ``CK_VD_CREATION``, ``CK_VD_REPEAT``, ``CK_VD_REQUEST``, ``CK_VD_ANSWER_UPDATE``,
   ``CK_VD_ANSWER_CREATE``, ``CK_VD_TAKES_UPDATE`` and the rest of ``rules_dialogue``.

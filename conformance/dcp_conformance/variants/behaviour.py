@@ -140,36 +140,6 @@ class TwoContainers(Composer):
 # -- when --------------------------------------------------------------------------------------------------------------
 
 
-class JustBefore(Node):
-    """Composes the next VarDis payload 2 ms before the beacon that the indication announces."""
-
-    _LEAD = 2 * MS
-    _compose_at: int | None = None
-
-    def _build(self, now: int, wall: int) -> None:
-        super()._build(now, wall)
-        self._compose_at = None
-
-    def _transmitted(self, protocol_id: int, now: int, wall: int) -> bool:
-        if protocol_id == BP_PROTID_VARDIS and self.vardis is not None and self._vardis_port.holds:
-            due = self.bp.poll_timeout()
-            self._compose_at = now if due is None else max(due - self._LEAD, now)
-            return True
-        return super()._transmitted(protocol_id, now, wall)
-
-    def poll_timeout(self) -> int | None:
-        due = super().poll_timeout()
-        return due if self._compose_at is None else min(self._compose_at, self._compose_at if due is None else due)
-
-    def handle_timeout(self, now: int, wall: int) -> None:
-        if self._compose_at is not None and now >= self._compose_at and self.vardis is not None:
-            self._compose_at = None
-            # Another look at the buffer may have composed one meanwhile, which must not be displaced.
-            if not self._vardis_port.query_number_buffered(BP_PROTID_VARDIS).number:
-                self.vardis.payload_transmitted(now, wall)
-        super().handle_timeout(now, wall)
-
-
 class CoarsePeriod(BeaconSchedule):
     """Beacons only at ticks of 10 ms."""
 
@@ -423,9 +393,15 @@ VARIANTS = (
     ),
     Variant(
         "V-VD-RUN-just-before",
-        "composes a VarDis payload just before its beacon",
+        "composes a VarDis payload 2 ms before its beacon",
         "VD-RUN-01: the indication tells when the next beacon is prepared, so that payloads can be fresh",
-        _part(JustBefore, vardis=VardisConfig(buffer_check_period_ms=150)),
+        lambda profile: setup(profile, vardis=VardisConfig(buffer_check_period_ms=150, compose_lead_ms=2.0)),
+    ),
+    Variant(
+        "V-VD-RUN-early",
+        "composes a VarDis payload 60 ms before its beacon",
+        "X54: how far ahead of its beacon a payload is composed is open",
+        lambda profile: setup(profile, vardis=VardisConfig(compose_lead_ms=60.0)),
     ),
     Variant(
         "V-VD-SCR-while-active",

@@ -24,6 +24,12 @@ _V = SpecVersion
 #: Two payloads of one beacon are taken apart, so that what the second takes back may have left.
 _ONE_BY_ONE = r"^TC_VD_PEND_BV_0[123]: .*; but it takes received payloads one at a time, and may answer between"
 
+#: After idling, a variable with a short timeout has timed out before VarDis looks at the buffer.
+_TIMED_OUT = (
+    r"^TC_VD_(INI_BV_05|STATE_TI_01-[a-z-]+\.timeout): .*, which this case needs: it does not( repeat it)?$",
+    r"^TC_VD_SCR_TI_0[18](-1500)?: the implementation learns a variable with a timeout: it does not pass it on$",
+)
+
 
 def polling(interval_ms: int, room: int | None = None) -> MakeNode:
     """A node whose VarDis takes one received payload from BP every ``interval_ms``.
@@ -83,6 +89,19 @@ def _variants() -> Iterator[Variant]:
             lambda profile, period=period: setup(  # type: ignore[misc]
                 profile, vardis=VardisConfig(buffer_check_period_ms=period)
             ),
+            explains=_TIMED_OUT if period >= 1000 else (),
+        )
+    for period in (1, 10, 300, 1000):
+        yield Variant(
+            f"V-TIME-check-{period}-after",
+            f"looks at the buffer every {period} ms, and composes as soon as it is empty",
+            "VD-PAR-08, X54",
+            lambda profile, period=period: setup(  # type: ignore[misc]
+                profile,
+                vardis=VardisConfig(buffer_check_period_ms=period),
+                readings={"X54": "after-the-beacon"},
+            ),
+            explains=_TIMED_OUT if period >= 1000 else (),
         )
     for period in (1, 100, 2000, 5000):
         yield Variant(

@@ -1,0 +1,21 @@
+"""Where a recording was made, as far as it says so: by a node, or on a simulated medium.
+
+A recording of the medium has each transmission once, whoever received it. The sequence numbers in it have no gaps,
+whatever the receivers lost, so nothing about losses follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+MEDIUM: Final = "medium"
+"""``vantage`` in the metadata record ``dcp.recording`` of a recording of all transmissions; otherwise a node."""
+
+NO_LOSSES: Final = "each transmission once, as it was sent: what receivers lost is not in this recording"
+"""What to say instead of a number of losses."""
+
+
+def records_transmissions(metadata: Mapping[str, Mapping[str, str]]) -> bool:
+    """Whether the metadata of a capture say that it has each transmission once, and no receptions."""
+    return metadata.get("dcp.recording", {}).get("vantage") == MEDIUM

@@ -1,0 +1,354 @@
+"""Follow each value from its producer to the nodes that take it.
+
+A sequence number of a few bits does not say which value a node has: after 256 updates it says the same again, and
+with a long delay or a lost connection both are under way at once. Here a value is an object with an identity: its
+producer, its variable, the creation it belongs to and its number since then, which never wraps. A receiver has it from
+the node that sent the beacon, and that node's own history says which value it held under this number when it sent.
+
+Times are virtual ns, nodes are numbers from 0.
+"""
+
+from __future__ import annotations
+
+import statistics
+from array import array
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import msgspec
+
+from dcp_stack.sim.scenario import NS_PER_MS
+
+from .reach import UNREACHABLE, Reach
+
+#: Entries of a history from which on it is looked through for what can be forgotten.
+_TIDY_FROM = 64
+#: Entries that one history can have. Longer ones would be of more than a beacon's delay of 1.8 h at 10 updates/s.
+LONGEST_HISTORY = 1 << 16
+#: Sentences kept about numbers that went back.
+_EXAMPLES = 3
+
+Kind = Literal["creation", "update"]
+
+
+class Series:
+    """A variable from one creation on."""
+
+    __slots__ = ("creation_time", "last", "ordinal", "producer", "seqno", "var_id")
+
+    def __init__(self, producer: int, var_id: int, creation_time: int | None, ordinal: int) -> None:
+        """``ordinal`` counts the creations by this producer, from 0."""
+        self.producer = producer
+        self.var_id = var_id
+        self.creation_time = creation_time
+        self.ordinal = ordinal
+        self.seqno = -1
+        self.last: Value | None = None
+
+
+class Value:
+    """One value that a producer gave a variable; ``number`` counts from 0, the creation, and never wraps."""
+
+    __slots__ = ("born", "number", "octets", "reach", "received", "seqno", "series")
+
+    def __init__(self, series: Series, number: int, seqno: int, octets: bytes, born: int, reach: Reach | None) -> None:
+        """``reach`` None: the value is followed and not counted."""
+        self.series = series
+        self.number = number
+        self.seqno = seqno
+        self.octets = octets
+        self.born = born
+        self.reach = reach
+        self.received = 0
+        """The nodes that took it, as bits."""
+
+    @property
+    def kind(self) -> Kind:
+        """Whether it came into the world with the variable or later."""
+        return "update" if self.number else "creation"
+
+
+class DelayRow(msgspec.Struct, frozen=True):
+    """What became of the values of one kind at nodes of one distance. Times in ms; None without any reception.
+
+    ``received + missed == due``.
+    """
+
+    kind: Kind
+    hops: int | None
+    """Shortest path when the value was born over connections that carry frames; None: there was no path."""
+    due: int
+    """Values, each counted once for each node that was switched on when it was born."""
+    received: int
+    missed: int
+    share: float
+    """``received / due``."""
+    mean_ms: float | None = None
+    median_ms: float | None = None
+    sd_ms: float | None = None
+    """Sample standard deviation; None below two receptions."""
+    p95_ms: float | None = None
+    """The smallest delay that 95 % of the receptions do not exceed."""
+    max_ms: float | None = None
+
+
+class ValueTotals(msgspec.Struct, frozen=True):
+    """All values of a run that were born after the warm-up. ``received + missed == due``."""
+
+    produced: int = 0
+    due: int = 0
+    received: int = 0
+    missed: int = 0
+    missed_newest: int = 0
+    """Of ``missed``: the newest value of a variable that lives, so that it could still come after the end."""
+    wrapped: int = 0
+    """How often a sequence number of a producer began again at its lowest value."""
+    older_for_newer: int = 0
+    """How often a node gave up a newer value for an older one of the same producer."""
+    unidentified: int = 0
+    """Receptions of which nobody can say which value it was: they are in no delay and in no share."""
+    notes: list[str] = []
+
+
+class _Group:
+    __slots__ = ("delays", "due")
+
+    def __init__(self) -> None:
+        self.due = 0
+        self.delays = array("q")
+
+
+class _History(NamedTuple):
+    """What a node held of a variable, in order: when it came, and the value."""
+
+    times: list[int]
+    values: list[Value]
+
+
+class ValueLog:
+    """All values of a network; see the module. Call it for each change of a variable at any node, in order of time."""
+
+    def __init__(self, nodes: int, *, oldest_in_flight: Callable[[], int], held_back: int) -> None:
+        """``oldest_in_flight`` says when the oldest frame under way was sent; what was held before that and
+        ``held_back`` (ns that a payload can wait at its node) earlier can be forgotten."""
+        self._oldest_in_flight = oldest_in_flight
+        self._held_back = held_back
+        self._series: dict[tuple[int, int], Series] = {}
+        self._histories: list[dict[int, _History]] = [{} for _ in range(nodes)]
+        self._tidy_at: dict[tuple[int, int], int] = {}
+        self._held: list[dict[int, Value]] = [{} for _ in range(nodes)]
+        self._groups: dict[tuple[Kind, int], _Group] = {}
+        self._produced = self._wrapped = self._older = self._unidentified = 0
+        self._wraps: Counter[int] = Counter()
+        self._examples: list[str] = []
+
+    def held(self, node: int, var_id: int) -> Value | None:
+        """What a node has as the value of a variable; None if it is unknown or deleted."""
+        return self._held[node].get(var_id)
+
+    def newest(self, producer: int, var_id: int) -> Value | None:
+        """The last value that a producer gave a variable."""
+        series = self._series.get((producer, var_id))
+        return None if series is None else series.last
+
+    # -- what happens --------------------------------------------------------------------------------------------------
+
+    def born(
+        self,
+        now: int,
+        producer: int,
+        var_id: int,
+        creation_time: int | None,
+        seqno: int,
+        octets: bytes,
+        *,
+        created: bool,
+        reach: Reach | None,
+    ) -> Value:
+        """A producer created a variable or gave it a new value. ``reach`` None leaves it out of the counts."""
+        series = self._series.get((producer, var_id))
+        if created or series is None:
+            ordinal = 0 if series is None else series.ordinal + 1
+            series = self._series[producer, var_id] = Series(producer, var_id, creation_time, ordinal)
+        number = 0 if series.last is None else series.last.number + 1
+        value = Value(series, number, seqno, octets, now, reach)
+        if seqno < series.seqno and reach is not None:
+            self._wrapped += 1
+            self._wraps[var_id] += 1
+        series.seqno, series.last = seqno, value
+        if reach is not None:
+            self._produced += 1
+            for hops, count in reach.by_hops.items():
+                self._group(value.kind, hops).due += count
+        self._hold(now, producer, value)
+        return value
+
+    def taken(
+        self,
+        now: int,
+        node: int,
+        var_id: int,
+        producer: int,
+        creation_time: int | None,
+        seqno: int,
+        octets: bytes,
+        *,
+        sender: int,
+        sent: int,
+    ) -> Value | None:
+        """A node took a value from a frame that ``sender`` had sent at ``sent``; None if nobody can say which."""
+        value = self._identify(var_id, producer, creation_time, seqno, octets, sender, sent)
+        if value is None:
+            self._unidentified += 1
+            self._held[node].pop(var_id, None)
+            return None
+        before = self._held[node].get(var_id)
+        if before is not None and before.series.producer == producer:
+            self._compare(now, node, before, value)
+        self._hold(now, node, value)
+        bit = 1 << node
+        if value.reach is not None and value.reach.mask & bit and not value.received & bit:
+            value.received |= bit
+            self._group(value.kind, value.reach.hops.get(node, UNREACHABLE)).delays.append(now - value.born)
+        return value
+
+    def lost(self, node: int, var_id: int) -> None:
+        """A variable is deleted at a node, or the node has forgotten it."""
+        self._held[node].pop(var_id, None)
+
+    def switched_off(self, node: int) -> None:
+        """A node lost its memory. What it had sent before is still under way, so its history stays."""
+        self._held[node].clear()
+
+    # -- what came of it -----------------------------------------------------------------------------------------------
+
+    def rows(self) -> list[DelayRow]:
+        """Delays and shares: creations, then updates, each by distance, nodes without a path last."""
+        order = sorted(self._groups, key=lambda key: (key[0], key[1] == UNREACHABLE, key[1]))
+        return [_row(kind, hops, self._groups[kind, hops]) for kind, hops in order]
+
+    def totals(self) -> ValueTotals:
+        """The sums, and what a reader of the delays has to know."""
+        due = sum(group.due for group in self._groups.values())
+        received = sum(len(group.delays) for group in self._groups.values())
+        return ValueTotals(
+            produced=self._produced,
+            due=due,
+            received=received,
+            missed=due - received,
+            missed_newest=sum(self._missed_newest(series) for series in self._series.values()),
+            wrapped=self._wrapped,
+            older_for_newer=self._older,
+            unidentified=self._unidentified,
+            notes=self._notes(),
+        )
+
+    def _missed_newest(self, series: Series) -> int:
+        last = series.last
+        if last is None or last.reach is None or self._held[series.producer].get(series.var_id) is not last:
+            return 0
+        return (last.reach.mask & ~last.received).bit_count()
+
+    def _notes(self) -> list[str]:
+        notes = []
+        if self._wraps:
+            which = ", ".join(f"{var_id} ({times})" for var_id, times in sorted(self._wraps.items())[:8])
+            more = f", and {len(self._wraps) - 8} more" if len(self._wraps) > 8 else ""
+            notes.append(f"sequence numbers wrapped {self._wrapped} times; by variable: {which}{more}")
+        if self._older:
+            notes.append(
+                f"{self._older} times a node replaced a newer value by an older one (serial number comparison); "
+                + "; ".join(self._examples)
+            )
+        if self._unidentified:
+            notes.append(f"{self._unidentified} received values could not be identified: delays do not contain them")
+        return notes
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _group(self, kind: Kind, hops: int) -> _Group:
+        group = self._groups.get((kind, hops))
+        if group is None:
+            group = self._groups[kind, hops] = _Group()
+        return group
+
+    def _identify(
+        self,
+        var_id: int,
+        producer: int,
+        creation_time: int | None,
+        seqno: int,
+        octets: bytes,
+        sender: int,
+        sent: int,
+    ) -> Value | None:
+        history = self._histories[sender].get(var_id)
+        if history is None:
+            return None
+        # The latest that fits: a payload is composed shortly before it is sent.
+        for index in range(bisect_right(history.times, sent) - 1, -1, -1):
+            value = history.values[index]
+            series = value.series
+            if (
+                value.seqno == seqno
+                and series.producer == producer
+                and series.creation_time == creation_time
+                and value.octets == octets
+            ):
+                return value
+        return None
+
+    def _compare(self, now: int, node: int, before: Value, value: Value) -> None:
+        if (value.series.ordinal, value.number) >= (before.series.ordinal, before.number):
+            return
+        if value.reach is None:
+            return
+        self._older += 1
+        if len(self._examples) < _EXAMPLES:
+            self._examples.append(
+                f"at {now / 1e9:.3f} s node {node} took value {value.number} of variable {value.series.var_id} "
+                f"(sequence number {value.seqno}) for value {before.number} ({before.seqno})"
+            )
+
+    def _hold(self, now: int, node: int, value: Value) -> None:
+        var_id = value.series.var_id
+        self._held[node][var_id] = value
+        history = self._histories[node].get(var_id)
+        if history is None:
+            history = self._histories[node][var_id] = _History([], [])
+        history.times.append(now)
+        history.values.append(value)
+        if len(history.times) > self._tidy_at.get((node, var_id), _TIDY_FROM):
+            self._tidy(node, var_id, history)
+
+    def _tidy(self, node: int, var_id: int, history: _History) -> None:
+        """Forget what no frame under way can contain; the last value from before that time is kept."""
+        first = bisect_right(history.times, self._oldest_in_flight() - self._held_back) - 1
+        first = max(first, len(history.times) - LONGEST_HISTORY, 0)
+        del history.times[:first], history.values[:first]
+        self._tidy_at[node, var_id] = max(_TIDY_FROM, 2 * len(history.times))
+
+
+def _row(kind: Kind, hops: int, group: _Group) -> DelayRow:
+    delays, received = sorted(group.delays), len(group.delays)
+    found = DelayRow(
+        kind=kind,
+        hops=None if hops == UNREACHABLE else hops,
+        due=group.due,
+        received=received,
+        missed=group.due - received,
+        share=received / group.due if group.due else 0.0,
+    )
+    if not delays:
+        return found
+    mean = statistics.fmean(delays)
+    return msgspec.structs.replace(
+        found,
+        mean_ms=mean / NS_PER_MS,
+        median_ms=statistics.median(delays) / NS_PER_MS,
+        sd_ms=statistics.stdev(map(float, delays), mean) / NS_PER_MS if received > 1 else None,
+        p95_ms=delays[-(-received * 95 // 100) - 1] / NS_PER_MS,
+        max_ms=delays[-1] / NS_PER_MS,
+    )
