@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -19,19 +21,25 @@ _OPTIONS = (
 
 
 class Browser:
-    """One page in a browser. ``requests`` are the addresses that it asked for, ``complaints`` what it said was wrong."""
+    """One page in a browser. ``requests`` are the addresses it asked for, ``complaints`` what it said was wrong."""
 
     def __init__(self, folder: Path, *, limit: float = 120) -> None:
         self.limit = limit
         self.requests: list[str] = []
         self.complaints: list[str] = []
         self._last, self._buffer = 0, b""
-        theirs_in, self._write = os.pipe()
-        self._read, theirs_out = os.pipe()
+        low_in, self._write = os.pipe()
+        self._read, low_out = os.pipe()
+        # They become 3 and 4, which they must not be yet.
+        theirs_in, theirs_out = (fcntl.fcntl(each, fcntl.F_DUPFD_CLOEXEC, 20) for each in (low_in, low_out))
+        os.close(low_in)
+        os.close(low_out)
         command = ["chromium", *_OPTIONS, f"--user-data-dir={folder}", "about:blank"]
-        shell = f'exec "$@" 3<&{theirs_in} 4>&{theirs_out}'
+        become = (
+            f"import os, sys; os.dup2({theirs_in}, 3); os.dup2({theirs_out}, 4); os.execvp(sys.argv[1], sys.argv[1:])"
+        )
         self._process = subprocess.Popen(
-            ["/bin/sh", "-c", shell, "sh", *command], pass_fds=(theirs_in, theirs_out), stdout=subprocess.DEVNULL,
+            [sys.executable, "-c", become, *command], pass_fds=(theirs_in, theirs_out), stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(theirs_in)
@@ -57,9 +65,7 @@ class Browser:
 
     def look(self, width: int, height: int, *, dark: bool = False, touch: bool = False) -> None:
         """Set the size of the screen, the colour scheme, and whether there are fingers or a mouse."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=touch
-        )
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=touch)
         self.call("Emulation.setTouchEmulationEnabled", enabled=touch)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
@@ -113,7 +119,9 @@ class Browser:
                 details = found["exceptionDetails"]
                 self.complaints.append(details.get("exception", {}).get("description", details["text"]))
             case "Runtime.consoleAPICalled" if found["type"] in ("error", "warning", "assert"):
-                self.complaints.append(" ".join(str(each.get("value", each.get("description"))) for each in found["args"]))
+                self.complaints.append(
+                    " ".join(str(each.get("value", each.get("description"))) for each in found["args"])
+                )
             case "Log.entryAdded" if found["entry"]["level"] in ("error", "warning"):
                 self.complaints.append(found["entry"]["text"])
 

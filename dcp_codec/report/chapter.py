@@ -170,9 +170,10 @@ def _figures(
 
 def _holding(easel: Easel, found: holding.Holding) -> Section:
     section = Section("holding", "Who holds what")
-    recorded = easel.recorded
     if not found.pairs:
-        section.words.append("No node said which number of another node's variable it holds: there is nothing to compare.")
+        section.words.append(
+            "No node said which number of another node's variable it holds: there is nothing to compare."
+        )
         return section
     stale = [pair for pair in found.pairs if pair.differs_at_end]
     if stale:
@@ -218,7 +219,13 @@ def _at_the_end(easel: Easel, found: holding.Holding) -> Table:
             if pair is None:
                 row.append(_number("producer" if node == first.producer else "-"))
             else:
-                row.append(Cell(f"{'≠ ' if pair.differs_at_end else ''}{number_text(pair.held)}", number=True, bad=pair.differs_at_end))
+                row.append(
+                    Cell(
+                        f"{'≠ ' if pair.differs_at_end else ''}{number_text(pair.held)}",
+                        number=True,
+                        bad=pair.differs_at_end,
+                    )
+                )
         rows.append(row)
     heads = ["variable", "producer", "its number", *(easel.name(node) for node in easel.nodes)]
     caption = "The number of each variable that each node said last. ≠ in red: it differs from the producer's."
@@ -239,7 +246,10 @@ def _never_arrived(easel: Easel, found: Sequence[holding.Divergence]) -> Table:
         ]
         for each in found[: 2 * _LISTED]
     ]
-    caption = "Values that never arrived, or arrived late. The command shows the frame in which the producer said the first of them."
+    caption = (
+        "Values that never arrived, or arrived late. The command shows the frame in which the producer said the first "
+        "of them."
+    )
     heads = ["variable", "node", "since (s)", "arrived", "it holds", "the producer", "values missed", "frame"]
     return table(caption, heads, rows)
 
@@ -254,7 +264,9 @@ def _never_said(easel: Easel, found: holding.Holding) -> list[Table]:
         for producer in producers:
             own = [pair for pair in found.pairs if pair.node == node and pair.producer == producer]
             could, said = sum(pair.values for pair in own), sum(pair.said for pair in own)
-            row.append(_number(f"{100 * (could - said) / could:.2g} % ({could - said:,} of {could:,})" if could else "-"))
+            row.append(
+                _number(f"{100 * (could - said) / could:.2g} % ({could - said:,} of {could:,})" if could else "-")
+            )
         rows.append(row)
     caption = (
         "Loss per pair, end to end: values of the column's node that the row's node never said it holds. A value that "
@@ -354,8 +366,8 @@ def _ages(easel: Easel, found: reactions.Reactions) -> Section:
         rows.append(cells)
     if np.isfinite(high).any():
         caption = (
-            "95th percentile age (s) of what the row's node could know about the column's node. Lower bound: it assumes "
-            "that the node heard everything the recorder heard"
+            "95th percentile age (s) of what the row's node could know about the column's node. Lower bound: it "
+            "assumes that the node heard everything the recorder heard"
             f"{'; pairs that do not react to each other are left out' if inferred else ''}."
         )
         section.tables.append(table(caption, ["node", *(easel.name(node) for node in easel.nodes)], rows, matrix=True))
@@ -430,7 +442,11 @@ def _overhead(easel: Easel) -> Section:
         return section
     total = sum(part.octets for part in parts)
     rows = [
-        [Cell(part.name, series=place), _number(f"{part.octets:,}"), Cell(f"{share:.2g} %", number=True, bar=share / 100)]
+        [
+            Cell(part.name, series=place),
+            _number(f"{part.octets:,}"),
+            Cell(f"{share:.2g} %", number=True, bar=share / 100),
+        ]
         for place, part in enumerate(parts)
         for share in [100 * part.octets / total]
     ]

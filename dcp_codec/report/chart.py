@@ -92,8 +92,22 @@ class Plot:
 
     def item(self, target: str) -> dict[str, Any]:
         """What BokehJS embeds, as JSON."""
-        found: dict[str, Any] = json_item(self.figure, target, theme=_THEME)
+        found: dict[str, Any] = _numbered(json_item(self.figure, target, theme=_THEME), {})
         return found
+
+
+def _numbered(value: Any, known: dict[str, str]) -> Any:
+    """JSON with models numbered from 1, so that the same recording gives the same page: Bokeh counts on."""
+    if isinstance(value, list):
+        return [_numbered(each, known) for each in value]
+    if not isinstance(value, dict):
+        return value
+    return {
+        key: known.setdefault(each, f"m{len(known) + 1}")
+        if key in ("id", "root_id") and isinstance(each, str)
+        else _numbered(each, known)
+        for key, each in value.items()
+    }
 
 
 def safe_text(text: str) -> str:
@@ -139,9 +153,7 @@ class Chart:
                 milliseconds="%s.%MS s", seconds="%M:%S", minsec="%M:%S", minutes="%H:%M h", hourmin="%H:%M h",
                 hours="%H:%M h", days="%d days",
             )  # fmt: skip
-            self.figure.add_layout(
-                TimedeltaAxis(formatter=formats, axis_label="time since the first frame"), "below"
-            )
+            self.figure.add_layout(TimedeltaAxis(formatter=formats, axis_label="time since the first frame"), "below")
             room = 0.01 * (self.duration or 1.0) * _MS
             self.figure.x_range = Range1d(-room, (self.duration or 1.0) * _MS + room)
         if self.rows:
@@ -169,7 +181,10 @@ class Chart:
         drawn = draw("x", "y", source=source, **style, **options)
         # A mark for each series, few enough to be told apart.
         marks = self._marks(number, source, np.linspace(0, x.size - 1, min(x.size, 9)).astype(int))
-        self._pointer([drawn], shown, vline=False)
+        if step:
+            # Bokeh does not find steps under the pointer; it finds these.
+            drawn_there = self.figure.scatter("x", "y", source=source, size=9, fill_alpha=0, line_alpha=0)
+        self._pointer([drawn_there if step else drawn], shown)
         self._entry(name, [drawn, marks], y)
 
     def dots(self, number: int, name: str, x: Column, y: Column, **shown: Any) -> None:
@@ -192,9 +207,7 @@ class Chart:
     ) -> None:  # fmt: skip
         """Boxes in the colour of a role, with a hatch that says the same; ``shown`` is for the pointer."""
         scale = _MS if self.duration is not None else 1.0
-        source = ColumnDataSource(
-            {"left": left * scale, "right": right * scale, "bottom": bottom, "top": top, **shown}
-        )
+        source = ColumnDataSource({"left": left * scale, "right": right * scale, "bottom": bottom, "top": top, **shown})
         drawn = self.figure.quad(
             "left", "right", "bottom", "top", source=source, fill_color=light(role), line_color=None,
             hatch_pattern=hatch, hatch_color=light("card"), hatch_scale=6, hatch_weight=1.2,
@@ -209,15 +222,15 @@ class Chart:
         for number, (name, values) in enumerate(series):
             above = below + values
             source = ColumnDataSource(
-                {"left": edges[:-1] * _MS, "right": edges[1:] * _MS, "bottom": below, "top": above, "y": values},
-                name=safe_text(name)
+                {"left": edges[:-1] * _MS, "right": edges[1:] * _MS, "bottom": below, "top": above, self.label: values},
+                name=safe_text(name),
             )
             drawn = self.figure.quad(
                 "left", "right", "bottom", "top", source=source, fill_color=series_colour(number), line_color=None,
                 hatch_pattern=(None, "/", "x", "-", ".", "\\", "|", "o")[number % 8], hatch_color=light("card"),
                 hatch_scale=8, hatch_weight=1,
             )  # fmt: skip
-            self._pointer([drawn], {"y": values}, span=True)
+            self._pointer([drawn], {self.label: values}, span=True)
             self._entry(name, [drawn], values)
             below = above
         self._ends += [0.0, float(below.max(initial=0))]
@@ -254,7 +267,11 @@ class Chart:
 
     def _source(self, name: str, x: Column, y: Column, shown: dict[str, Any]) -> ColumnDataSource:
         scaled = x * _MS if self.duration is not None else x
-        columns = {"x": scaled, "y": np.asarray(y, np.float64), **{each: _compact(found) for each, found in shown.items()}}
+        columns = {
+            "x": scaled,
+            "y": np.asarray(y, np.float64),
+            **{each: _compact(found) for each, found in shown.items()},
+        }
         return ColumnDataSource(columns, name=safe_text(name))
 
     def _marks(self, number: int, source: ColumnDataSource, rows: Column) -> Any:
@@ -264,9 +281,9 @@ class Chart:
             line_color=series_colour(number),
         )  # fmt: skip
 
-    def _pointer(self, drawn: list[Any], shown: dict[str, Any], *, vline: bool = False, span: bool = False) -> None:
+    def _pointer(self, drawn: list[Any], shown: dict[str, Any], *, span: bool = False) -> None:
         """What is shown under the pointer: the name, when, the value, and the further columns."""
-        rows = [(name.replace("_", " "), f"@{{{name}}}{_number_format(values)}") for name, values in shown.items()]
+        rows = [(name, f"@{{{name}}}{_number_format(values)}") for name, values in shown.items()]
         at = "@left{" + _CLOCK + "} to @right{" + _CLOCK + "}" if span else "@x{" + _CLOCK + "}"
         if self.duration is not None:
             rows.insert(0, ("time", at))
@@ -281,9 +298,13 @@ class Chart:
         formatters: Any = {f"@{key}": "datetime" for key in keys} if self.duration is not None else {}
         self.figure.add_tools(
             HoverTool(
-                renderers=drawn, tooltips=rows, formatters=formatters, mode="vline" if vline else "mouse",
-                point_policy="follow_mouse" if span else "snap_to_data", visible=False,
-            )  # fmt: skip
+                renderers=drawn,
+                tooltips=rows,
+                formatters=formatters,
+                point_policy="follow_mouse" if span else "snap_to_data",
+                visible=False,
+                limit=1,
+            )
         )
 
     def _entry(self, name: str, drawn: list[Any], y: Column) -> None:

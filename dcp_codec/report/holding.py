@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dcp_codec.holdings import DELETED
+
 from .analysis import Time
-from .recorded import DELETED, Column, Recorded
+from .recorded import Column, Recorded
 from .series import usual_interval
 
 #: Nodes and variables that are compared: those of which most was heard.
@@ -39,8 +41,20 @@ class Pair:
     produced: int | None = None
     values: int = 0
     said: int = 0
-    #: Whether the last numbers differ while the node is still heard.
+    #: Whether the last numbers differ while the node is still heard, and have for long.
     differs_at_end: bool = False
+    #: What was said when, by the node (None: nothing) and by the producer.
+    claims: tuple[_Claims | None, _Claims] | None = None
+
+    def at(self, second: float) -> tuple[int | None, int | None]:
+        """The numbers that node and producer had said last before this time."""
+        assert self.claims is not None
+        rows = [-1 if each is None else int(np.searchsorted(each.time, second, "left")) - 1 for each in self.claims]
+        held, produced = (
+            None if each is None or row < 0 else int(each.number[row])
+            for each, row in zip(self.claims, rows, strict=True)
+        )
+        return held, produced
 
 
 @dataclass(frozen=True)
@@ -148,20 +162,26 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
         pieces = np.array([(start, end)] if missing else [], np.float64).reshape(-1, 2)
         differs = np.ones(len(pieces), bool)
     else:
-        said = _with_deletions(said, produced)
+        said = _with_deletions(said, produced, end)
         heard = _heard(produced, said)
         pair.held = int(said.number[-1])
         forgotten = max(_FORGOTTEN, _FORGOTTEN_BEACONS * interval)
         pieces, differs = _pieces(produced, said, end, forgotten)
         pair.known = _joined(pieces)
+    pair.claims = said, produced
     could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number != DELETED)
     pair.values, pair.said = int(could.sum()), int((could & heard).sum())
     pair.differs = _joined(pieces[differs])
-    pair.differs_at_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end)
+    # What it says in its last beacon counts, too.
+    final = np.array([end])
+    agrees = said is not None and said.number[said.at(final)[0]] == produced.number[produced.at(final)[0]]
+    open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
     found = []
     for start, stop in pair.differs:
         if stop - start < max(_PATIENCE, _PATIENCE_BEACONS * interval):
             continue
+        to_the_end = open_end and stop == end
+        pair.differs_at_end |= to_the_end
         inside = (produced.time >= start) & (produced.time < stop)
         missed = inside & ~heard
         # What differs at the start is the value before, or the first one said during it.
@@ -174,7 +194,7 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
                 producer=pair.producer,
                 start=start,
                 end=stop,
-                to_the_end=pair.differs_at_end and stop == end,
+                to_the_end=to_the_end,
                 held=int(said.number[last]) if said is not None and last >= 0 else None,
                 produced=int(produced.number[max(int(produced.at(np.array([stop - 1e-9]))[0]), 0)]),
                 missed=int(missed.sum()),
@@ -184,8 +204,11 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
     return found
 
 
-def _with_deletions(said: _Claims, produced: _Claims) -> _Claims:
-    """Take a node that falls silent about a variable after its deletion for one that deleted it."""
+def _with_deletions(said: _Claims, produced: _Claims, end: float) -> _Claims:
+    """Take a node that falls silent about a variable after its deletion for one that deleted it.
+
+    ``end`` is its last beacon: nothing is silent after that.
+    """
     times, frames = [], []
     ends = [*produced.time[1:].tolist(), np.inf]
     for at, until, number in zip(produced.time.tolist(), ends, produced.number.tolist(), strict=True):
@@ -196,8 +219,9 @@ def _with_deletions(said: _Claims, produced: _Claims) -> _Claims:
         if (said.number[inside] == DELETED).any() or not (inside.size or before.size):
             continue
         last = inside[-1] if inside.size else before[-1]
-        if inside.size or said.number[last] != DELETED:
-            times.append(max(at, float(said.time[last]) + 1e-9))
+        silent = max(at, float(said.time[last]) + 1e-9)
+        if silent < end and (inside.size or said.number[last] != DELETED):
+            times.append(silent)
             frames.append(int(said.frame[last]))
     if not times:
         return said

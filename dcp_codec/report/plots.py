@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from bokeh.models import BasicTickFormatter
 
+from dcp_codec.holdings import DELETED, UNKNOWN
+
 from . import analysis, holding
 from .analysis import KINDS, Part, Steps, Time
 from .chart import Chart, Plot
-from .recorded import DELETED, NOBODY, Column, Recorded
+from .recorded import NOBODY, Column, Recorded
 from .series import extremes, in_unit, ordinal, runs, seconds_text, usual_interval
 from .variables import Passings, Values, counted, numeric
 
@@ -21,6 +25,8 @@ DRAWN, ROWS = 20, 40
 _POINTS, _PIECES = 8_000, 60
 #: Reports of each node that a piece of time should have, so that its greatest age is one.
 _REPORTS = 4
+#: Marks of the kinds of anomalies.
+_KIND_SYMBOLS = ("x", "diamond", "triangle", "square", "inverted_triangle")
 #: Positions beyond this many units are not on this planet.
 _FAR = 1e8
 
@@ -93,7 +99,7 @@ def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
     if not rows:
         return None, 0
     time = easel.time
-    edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 24_000 // len(rows))) + 1)
+    edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 9_000 // len(rows))) + 1)
     caption = (
         "One row for each variable and node. Blue: the node says the number that the producer said last. Red and "
         "hatched: it says another number, or none at all; the height is the share of the time. White: it says nothing "
@@ -102,17 +108,26 @@ def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
     names = [f"{pair.variable} at {easel.name(pair.node)}{' ≠' if pair.differs_at_end else ''}" for pair in rows]
     chart = easel.chart("holding", "Who holds what", caption, rows=names, height=110 + 19 * len(rows))
     same: list[tuple[float, float, int]] = []
-    other: list[tuple[float, float, int, float]] = []
+    other: list[tuple[float, float, int]] = []
+    share: list[float] = []
+    held: list[str] = []
+    produced: list[str] = []
     for row, pair in enumerate(rows):
         known, differs = (holding.shares(spans, edges) for spans in (pair.known, pair.differs))
         same += [(edges[a], edges[b], row) for a, b in runs(known > 0)]
         # Neighbouring pieces of the same share are one box.
         turns = np.flatnonzero(np.diff(np.round(differs, 3), prepend=-1.0, append=-1.0))
-        other += [
-            (edges[a], edges[b], row, float(differs[a])) for a, b in zip(turns, turns[1:], strict=False) if differs[a]
-        ]
-    _boxes(chart, "good", same, legend="as the producer", hatch=None, rows=names)
-    _boxes(chart, "fail", other, legend="another number, or none", hatch="/", rows=names)
+        for a, b in pairwise(turns.tolist()):
+            if differs[a]:
+                other.append((edges[a], edges[b], row))
+                share.append(float(differs[a]))
+                # While they differ for the last time in it.
+                numbers = map(number_text, pair.at(next(y for x, y in reversed(pair.differs) if x < edges[b])))
+                for texts, text in zip((held, produced), numbers, strict=True):
+                    texts.append(text)
+    _boxes(chart, "good", same, np.ones(len(same)), legend="as the producer", row=names)
+    shown = {"percent of the time": 100 * np.array(share), "it holds": np.array(held), "producer": np.array(produced)}
+    _boxes(chart, "fail", other, np.array(share), legend="another number, or none", hatch="/", row=names, **shown)
     places = [(pair.differs[-1][1], row) for row, pair in enumerate(rows) if pair.differs_at_end]
     if places:
         ends = np.array(places)
@@ -120,17 +135,16 @@ def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
     return chart.plot(), len(pairs) - len(rows)
 
 
-def _boxes(chart: Chart, role: str, boxes: Sequence[tuple[float, ...]], *, legend: str, hatch: str | None, rows: list[str]) -> None:
-    if not boxes:
-        return
-    columns = np.array([each[:4] if len(each) == 4 else (*each, 1.0) for each in boxes], np.float64)
-    row, share = columns[:, 2], columns[:, 3]
-    # A short difference stays visible.
-    height = 0.84 * np.maximum(share, 0.12)
-    shown = {"row": np.array([rows[int(each)] for each in row])}
-    if role == "fail":
-        shown["percent_of_the_time"] = 100 * share
-    chart.boxes(role, columns[:, 0], columns[:, 1], row + 0.42, row + 0.42 - height, legend=legend, hatch=hatch, **shown)
+def _boxes(
+    chart: Chart, role: str, boxes: Sequence[tuple[float, float, int]], share: Column, *, row: list[str], **options: Any
+) -> None:
+    """Boxes as high as their share of a row; ``row`` are the names of rows."""
+    if boxes:
+        left, right, place = np.array(boxes, np.float64).T
+        # A short difference stays visible.
+        top = place + 0.42 - 0.84 * np.maximum(share, 0.12)
+        names = np.array([row[int(each)] for each in place])
+        chart.boxes(role, left, right, place + 0.42, top, row=names, **options)
 
 
 def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
@@ -202,7 +216,9 @@ def positions(easel: Easel) -> list[Plot]:
     words = drawn_words(sum(rows.size for rows in drawn.values()), total)
     caption = f"The square is where a node was last.{words}"
     x_label = f"x{in_unit(unit.get('position.x'))}"
-    chart = Chart(f"{easel.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380)
+    chart = Chart(
+        f"{easel.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380
+    )
     chart.figure.xaxis.axis_label = x_label
     chart.figure.match_aspect = True
     for node, rows in drawn.items():
@@ -214,7 +230,9 @@ def positions(easel: Easel) -> list[Plot]:
     if "position.z" not in unit:
         return plots
     words = drawn_words(sum(rows[2].size for rows in kept.values()), total)
-    chart = easel.chart("height", "Height", f"As state reports say it.{words}", label=f"z{in_unit(unit.get('position.z'))}")
+    chart = easel.chart(
+        "height", "Height", f"As state reports say it.{words}", label=f"z{in_unit(unit.get('position.z'))}"
+    )
     for node, (_, _, rows) in kept.items():
         chart.line(easel.nodes.index(node), easel.name(node), time.seconds(reports["time"][rows]), reports["z"][rows])
     return [*plots, chart.plot()]
@@ -245,9 +263,19 @@ def values(easel: Easel, found: Values) -> list[Plot]:
     )
     chart = easel.chart("seqno", "Sequence numbers of variables", caption, label="sequence number, unwrapped")
     for number, each, rows, count, created, restarted in series:
-        chart.line(number, f"variable {each}", found.time[rows], count, step=True, sent=found.seqno[rows], frame=found.frame[rows])
+        chart.line(
+            number,
+            f"variable {each}",
+            found.time[rows],
+            count,
+            step=True,
+            sent=found.seqno[rows],
+            frame=found.frame[rows],
+        )
         if created.size:
-            chart.marks_at("star", f"s{number % 10}", found.time[created], restarted, size=12, frame=found.frame[created])
+            chart.marks_at(
+                "star", f"s{number % 10}", found.time[created], restarted, size=12, frame=found.frame[created]
+            )
     plots = [chart.plot()]
     numbers = [each for each in easel.variables if numeric(found, each)]
     if not numbers:
@@ -296,13 +324,20 @@ def delays(easel: Easel, passed: Passings) -> list[Plot]:
             variable=passed.variable[rows], frame=passed.frame[rows],
         )  # fmt: skip
     plots = [chart.plot()]
-    caption = "Share of values that the 1st, 2nd, ... further node had passed on within this delay. The order in which nodes pass a value on is no number of hops."
-    ranked = Chart(f"{easel.prefix}delay-order", "Delay by order of passing on", caption, label="values (%)", height=300)
+    caption = (
+        "Share of values that the 1st, 2nd, ... further node had passed on within this delay. The order in which nodes "
+        "pass a value on is not a number of hops."
+    )
+    ranked = Chart(
+        f"{easel.prefix}delay-order", "Delay by order of passing on", caption, label="values (%)", height=300
+    )
     for number, rank in enumerate(np.unique(passed.order[ours]).tolist()[:DRAWN]):
         delay = np.sort(passed.delay[ours & (passed.order == rank)])
         share = 100 * np.arange(1, delay.size + 1) / delay.size
         kept = extremes(np.arange(delay.size), delay, 400)
-        ranked.line(number, f"{ordinal(rank)} node", np.append(delay[:1], delay[kept]), np.append(0.0, share[kept]), step=True)
+        ranked.line(
+            number, f"{ordinal(rank)} node", np.append(delay[:1], delay[kept]), np.append(0.0, share[kept]), step=True
+        )
     ranked.figure.xaxis.axis_label = "delay (s)"
     return [*plots, ranked.plot()]
 
@@ -330,7 +365,7 @@ def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
     )
     names = [f"{kind} ({times[kind].size:,})" for kind in KINDS]
     chart = easel.chart("anomalies", "When something was odd", caption, rows=names, height=230)
-    for row, (kind, symbol) in enumerate(zip(KINDS, ("x", "diamond", "triangle", "square", "inverted_triangle"), strict=True)):
+    for row, (kind, symbol) in enumerate(zip(KINDS, _KIND_SYMBOLS, strict=True)):
         role = "fail" if kind in ("malformed", "gap") else "accent"
         chart.marks_at(symbol, role, kept[kind], np.full(kept[kind].size, row))
     return chart.plot()
@@ -338,4 +373,4 @@ def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
 
 def number_text(number: int | None) -> str:
     """A held number as a table shows it."""
-    return "nothing" if number is None else "deleted" if number == DELETED else str(number)
+    return "nothing" if number is None else {DELETED: "deleted", UNKNOWN: "asked for it"}.get(number, str(number))

@@ -12,6 +12,7 @@ import pyarrow as pa
 from dcp_spec.profile import SafetyField
 
 from dcp_codec.codec import Codec
+from dcp_codec.holdings import DELETED, UNKNOWN
 from dcp_codec.plain import plain
 from dcp_codec.table.decoding import Batch, ColumnDecoder
 from dcp_codec.table.job import Advance, Outcome, others, resolve
@@ -25,10 +26,10 @@ NUMBER_OCTETS = 8
 NOBODY = "unknown"
 #: Rows of all tables that are kept of one recording: about four for each beacon, some 55 octets each while it is read.
 MOST_ROWS = 20_000_000
-#: Tables of records by which a node says which number of a variable it holds; a delete is the number DELETED.
-HOLDING = ("creates", "updates", "summaries", "deletes")
-DELETED = -1
-_PLACE = ("frame", "time", "varId")
+#: Tables of records by which a node says what it holds of a variable, as dcp_codec.holdings takes them.
+HOLDING = ("creates", "updates", "summaries", "deletes", "req_updates", "req_creates")
+#: What the tables without sequence numbers say instead.
+_INSTEAD = {"deletes": DELETED, "req_creates": UNKNOWN}
 _SECOND = 1_000_000_000
 #: Characters of a description that are kept.
 _DESCRIPTION = 120
@@ -143,7 +144,7 @@ class _Gatherer:
         for name in ("creates", "updates"):
             if name in tables and tables[name].num_rows:
                 self._said(tables[name])
-        self._held([tables[name] for name in HOLDING if name in tables and tables[name].num_rows])
+        self._held({name: tables[name] for name in HOLDING if name in tables and tables[name].num_rows})
         if "creates" in tables:
             self._creations(tables["creates"])
 
@@ -210,23 +211,22 @@ class _Gatherer:
         for each, row in _last_rows(variable):
             self._variable(each).value = rows["value"][row].as_py() or b""
 
-    def _held(self, tables: list[pa.RecordBatch]) -> None:
+    def _held(self, tables: dict[str, pa.RecordBatch]) -> None:
         """Keep what nodes say they hold: where it changes, and once a second, so that silence is seen."""
         if not tables:
             return
-        for rows in tables:
-            if "seqno" in rows.schema.names:
+        numbers = []
+        for name, rows in tables.items():
+            if name in _INSTEAD:
+                numbers.append(np.full(rows.num_rows, _INSTEAD[name], np.int64))
+            else:
                 self.number_modulus = 1 << rows.schema.field("seqno").type.bit_width
-        frame, time, variable = (np.concatenate([_integers(rows[name]) for rows in tables]) for name in _PLACE)
-        node = np.concatenate([self.nodes.numbers(rows["sender"]) for rows in tables])
-        number = np.concatenate(
-            [
-                _integers(rows["seqno"]).astype(np.int64)
-                if "seqno" in rows.schema.names
-                else np.full(rows.num_rows, DELETED)
-                for rows in tables
-            ]
+                numbers.append(_integers(rows["seqno"]).astype(np.int64))
+        number = np.concatenate(numbers)
+        frame, time, variable = (
+            np.concatenate([_integers(rows[name]) for rows in tables.values()]) for name in ("frame", "time", "varId")
         )
+        node = np.concatenate([self.nodes.numbers(rows["sender"]) for rows in tables.values()])
         order = np.lexsort((frame, node, variable))
         frame, time, node, variable, number = (each[order] for each in (frame, time, node, variable, number))
         kept = np.ones(order.size, bool)
@@ -235,6 +235,9 @@ class _Gatherer:
             kept[1:] &= each[1:] == each[:-1]
         kept = ~kept
         kept[0] = True
+        # The last word before a silence, and of this batch.
+        ends = (np.diff(variable) != 0) | (np.diff(node) != 0) | (np.diff(time) > _SECOND)
+        kept |= np.append(ends, True)
         rows = {"frame": frame, "time": time, "node": node, "variable": variable, "seqno": number}
         self._keep("held", **{name: column[kept] for name, column in rows.items()})
 

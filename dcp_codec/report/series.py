@@ -38,7 +38,8 @@ def unwrapped(numbers: Column, modulus: int, restarts: Column | None = None) -> 
     """
     if not numbers.size or not modulus:
         return numbers.astype(np.int64)
-    step = np.diff(numbers.astype(np.int64)) % modulus
+    step: Column = np.diff(numbers.astype(np.int64))
+    step = step % modulus
     step = np.where(step >= modulus // 2, step - modulus, step)
     found = np.concatenate([[0], np.cumsum(step)]) + int(numbers[0])
     if restarts is not None and restarts.any():
