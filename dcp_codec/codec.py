@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
 from dcp_spec.profile import Profile
@@ -14,11 +15,12 @@ from .dissector import Dissect, generate_dissector
 from .encoder import Encode, generate_encoder
 from .errors import DecodeError, Problem
 from .fields import Dissection
-from .layout import ValueTypes
+from .layout import ValueTypes, read_scalar, walk
 from .lint import DOUBTS, warnings
-from .plan import Node, lower
+from .measures import least_size, member, places, record
+from .plan import Many, Node, Scalar, Select, lower
 from .salvage import Salvaged, Salvager
-from .values import Beacon, Container, ExtendedSafetyData, SafetyData
+from .values import Beacon, Container, ExtendedSafetyData, OwnRecord, SafetyData
 
 
 class Codec:
@@ -61,9 +63,14 @@ class Codec:
         return lower(self.schema.containers)
 
     @functools.cached_property
+    def srp_plan(self) -> Node | None:
+        """The layout of an SRP payload; None if it is octets of any number."""
+        return None if self.schema.srp is None else lower(self.schema.srp)
+
+    @property
     def report_plan(self) -> Node | None:
-        """The layout of an SRP payload, None if the profile has no octets for it."""
-        return None if self.schema.state_report is None else lower(self.schema.state_report)
+        """The layout of a state report; None if what the profile sends over SRP is none."""
+        return self.srp_plan if self.profile.srp.is_report else None
 
     @functools.cached_property
     def _decode_beacon(self) -> Decode:
@@ -78,8 +85,16 @@ class Codec:
         return generate_decoder(self.containers_plan, self.types, f"{self.profile.name} containers")
 
     @functools.cached_property
+    def _decode_records(self) -> dict[int, Decode]:
+        """By type of container: a decoder of its records up to the end of the octets."""
+        plan, types = self.containers_plan, self.types
+        select = next(node for node in walk(plan) if isinstance(node, Select) and node.key == "icType")
+        lists = {number: replace(case, count=None) for number, case in select.cases.items() if isinstance(case, Many)}
+        return {number: generate_decoder(each, types, f"{self.profile.name} records") for number, each in lists.items()}
+
+    @functools.cached_property
     def _decode_report(self) -> Decode:
-        return generate_decoder(self._needed_report_plan(), self.types, f"{self.profile.name} state report")
+        return generate_decoder(self._needed_srp_plan(), self.types, f"{self.profile.name} SRP payload")
 
     @functools.cached_property
     def _encode_beacon(self) -> Encode:
@@ -95,7 +110,7 @@ class Codec:
 
     @functools.cached_property
     def _encode_report(self) -> Encode:
-        return generate_encoder(self._needed_report_plan(), self.types, f"{self.profile.name} state report")
+        return generate_encoder(self._needed_srp_plan(), self.types, f"{self.profile.name} SRP payload")
 
     @functools.cached_property
     def _dissect_beacon(self) -> Dissect:
@@ -105,10 +120,10 @@ class Codec:
     def _salvager(self) -> Salvager:
         return Salvager(self)
 
-    def _needed_report_plan(self) -> Node:
-        if self.report_plan is None:
+    def _needed_srp_plan(self) -> Node:
+        if self.srp_plan is None:
             raise ValueError(f"profile {self.profile.name} has no octets for a state report (srp.record is empty)")
-        return self.report_plan
+        return self.srp_plan
 
     @property
     def safety_data_type(self) -> type[SafetyData]:
@@ -185,22 +200,57 @@ class Codec:
     # -- client payloads --------------------------------------------------------------------------------------
 
     def decode_report(self, payload: bytes) -> ExtendedSafetyData:
-        """Decode an SRP payload, which must be exactly one state report (SRP-RX-01). Raises DecodeError."""
-        report: ExtendedSafetyData
+        """Decode an SRP payload, which must be exactly one state report (SRP-RX-01).
+
+        Raises DecodeError, and ValueError for a profile whose SRP payloads are no state reports.
+        """
+        report = self.decode_srp(payload)
+        if not isinstance(report, ExtendedSafetyData):
+            raise ValueError(f"profile {self.profile.name} has no state reports (srp.record has no standard field)")
+        return report
+
+    def decode_srp(self, payload: bytes) -> ExtendedSafetyData | OwnRecord:
+        """Decode an SRP payload: a state report, or what the profile sends in its place.
+
+        Raises DecodeError, and ValueError for a profile whose SRP payloads are octets of any number.
+        """
+        report: ExtendedSafetyData | OwnRecord
         report, end = self._decode_report(payload, 0, len(payload))
         if end != len(payload):
             # Only a report without a fixed size can end early.
             raise DecodeError(Problem("leftover", "", end, 0, len(payload) - end, "SRP-RX-01"), report)
         return report
 
-    def encode_report(self, report: ExtendedSafetyData) -> bytes:
-        """The SRP payload of a state report. Raises EncodeError."""
+    def encode_report(self, report: ExtendedSafetyData | OwnRecord) -> bytes:
+        """The SRP payload of a state report, or of what the profile sends in its place. Raises EncodeError."""
         return self._encode_report(report)
 
     def decode_containers(self, payload: bytes) -> tuple[Container, ...]:
         """Decode a VarDis payload up to its last octet. ``DecodeError.partial``: those before the fault."""
         containers: tuple[Container, ...] = self._decode_containers(payload, 0, len(payload))[0]
         return containers
+
+    def decode_leading_records(self, payload: bytes, start: int, most: int) -> Container | None:
+        """The container at ``payload[start:]`` with its first sound records only, at most ``most`` of them.
+
+        Its ``extra`` is left empty. None if its header is cut off or its type is unknown.
+        """
+        layout = record(self.containers_plan, "Container")
+        assert layout is not None
+        header, ic_type = least_size(layout), places(layout)["icType"]
+        number = member(layout, "icType")
+        assert isinstance(number, Scalar)
+        if start + header > len(payload):
+            return None
+        kind = read_scalar(number, payload[start + ic_type.start : start + ic_type.stop])
+        decode = self._decode_records.get(kind)
+        if decode is None:
+            return None
+        try:
+            found = decode(payload, start + header, len(payload))[0]
+        except DecodeError as error:
+            found = error.partial or ()
+        return Container(ic_type=kind, records=found[:most])
 
     def encode_containers(self, containers: tuple[Container, ...]) -> bytes:
         """The VarDis payload of ``containers``. Raises EncodeError."""

@@ -218,7 +218,9 @@ class _Reader:
         if f"{name}Hex" in data and isinstance(member, Text):
             return self.octets(data[f"{name}Hex"], f"{here}Hex")
         if name not in data:
-            optional = isinstance(member, Fill) or (isinstance(member, Scalar) and member.role in ("opaque", "extra"))
+            optional = isinstance(member, Fill) or (
+                isinstance(member, Scalar | Text) and member.role in ("opaque", "extra")
+            )
             if optional:
                 return None
             raise EncodeError(here, "is missing")

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import msgspec
-from dcp_spec.profile import Profile
+from dcp_spec.profile import Profile, own_fields
 
 from .plan import Fill, Group, Many, Node, Region, Scalar, Select, Text, snake
 from .source import Source
-from .values import VALUE_CLASSES, SafetyData
+from .values import VALUE_CLASSES, Extra, OwnRecord, SafetyData
 
 
 class Packing(NamedTuple):
@@ -141,13 +141,30 @@ def references(node: Node) -> frozenset[str]:
 
 
 class ValueTypes:
-    """The value class of every record of a profile; its SafetyData class is made here."""
+    """The value class of every record of a profile.
+
+    Made here: its SafetyData, the records that the specification does not have, and those of the specification to which
+    the profile adds fields: only they have ``extra``, so that the usual ones stay small.
+    """
 
     def __init__(self, profile: Profile) -> None:
-        fields = [(member.name, Any) for member in profile.srp.safety_data]
-        made = msgspec.defstruct("SafetyData", fields, bases=(SafetyData,), frozen=True, gc=False, module=__name__)
-        self.safety_data = cast(type[SafetyData], made)
-        self._classes: Mapping[str, type[msgspec.Struct]] = {**VALUE_CLASSES, "SafetyData": self.safety_data}
+        self.safety_data = cast(
+            type[SafetyData], _made("SafetyData", [member.name for member in profile.srp.safety_data], SafetyData)
+        )
+        classes = {**VALUE_CLASSES, "SafetyData": self.safety_data}
+        vardis = profile.vardis
+        for name, members in (("VarSpec", vardis.var_spec), *vardis.records.by_name().items()):
+            if own_fields(members):
+                classes[name] = msgspec.defstruct(
+                    name, [("extra", Extra, ())], bases=(VALUE_CLASSES[name],), frozen=True, gc=False, module=__name__
+                )
+        own = {container.type_name: container.record for container in vardis.own_containers}
+        if profile.srp.record and not profile.srp.is_report:
+            own["OwnReport"] = profile.srp.record
+        for name, members in own.items():
+            names = [snake(member if isinstance(member, str) else member.name) for member in members]
+            classes[name] = _made(name, names, OwnRecord)
+        self._classes: Mapping[str, type[msgspec.Struct]] = classes
 
     def __getitem__(self, type_name: str) -> type[msgspec.Struct]:
         return self._classes[type_name]
@@ -172,6 +189,11 @@ class ValueTypes:
         """The attribute of the value class that holds ``member``, or None when it is derived or goes to ``extra``."""
         if isinstance(member, Scalar) and not member.stored:
             return None
-        # Fields of SafetyData carry the profile's own names.
+        # Fields of SafetyData have the profile's own names.
         name = member.name if group.type_name == "SafetyData" else snake(member.name)
         return name if name in self[group.type_name].__struct_fields__ and name != "extra" else None
+
+
+def _made(name: str, fields: Sequence[str], base: type[msgspec.Struct]) -> type[msgspec.Struct]:
+    typed = [(field, Any) for field in fields]
+    return msgspec.defstruct(name, typed, bases=(base,), frozen=True, gc=False, module=__name__)

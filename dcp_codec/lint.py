@@ -52,7 +52,8 @@ def _var_create(record: Field) -> Iterator[Problem]:
     if spec is None or upd is None:
         return
     first, second = spec.child("varId"), upd.child("varId")
-    if first and second and second.value is not None and first.value != second.value:
+    # Either can be cut off: a profile may list upd before spec.
+    if first and second and None not in (first.value, second.value) and first.value != second.value:
         yield _warning(second, "id-mismatch", "VD-TYP-07", first.value, second.value)
 
 

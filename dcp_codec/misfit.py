@@ -28,6 +28,8 @@ def zero(node: Node) -> Any:
             return bytes(node.size)
         case Scalar():
             return 0
+        case Text():
+            return b""
         case _:
             return None
 

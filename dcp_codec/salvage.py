@@ -33,7 +33,7 @@ from .errors import DecodeError, Problem
 from .fields import Dissection, Field
 from .layout import walk
 from .plan import Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
-from .values import Beacon, Container, ExtendedSafetyData, Payload
+from .values import Beacon, Container, ExtendedSafetyData, OwnRecord, Payload
 
 if TYPE_CHECKING:
     from .codec import Codec
@@ -237,9 +237,9 @@ class Salvager:
 
     def _client(
         self, name: str, octets: bytes
-    ) -> tuple[ExtendedSafetyData | tuple[Container, ...] | bytes, Problem | None]:
+    ) -> tuple[ExtendedSafetyData | OwnRecord | tuple[Container, ...] | bytes, Problem | None]:
         try:
-            return (self._codec.decode_report if name == "srp" else self._codec.decode_containers)(octets), None
+            return (self._codec.decode_srp if name == "srp" else self._codec.decode_containers)(octets), None
         except DecodeError as error:
             return (octets if name == "srp" else error.partial or ()), error.problem
 

@@ -20,7 +20,7 @@ Importing this module imports scapy, which is licensed GPL-2.0-only.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,6 +56,7 @@ __all__ = [
     "VardisContainer",
     "VardisPayload",
     "export_script",
+    "own_layer",
     "use_profile",
 ]
 
@@ -144,7 +145,11 @@ class VarReqCreate(_Layer):
     name = "VarReqCreate"
 
 
-_RECORDS = (VarCreate, VarDelete, VarUpdate, VarSumm, VarReqUpdate, VarReqCreate)
+class _OwnRecord(_Layer):
+    """An instruction record that only the profile has."""
+
+
+_RECORDS = (VarCreate, VarDelete, VarUpdate, VarSumm, VarReqUpdate, VarReqCreate, _OwnRecord)
 
 
 class VardisContainer(_Layer):
@@ -279,12 +284,22 @@ _BY_TYPE: dict[str, type[_Layer]] = {
 }
 
 
+def _own_layers(groups: Mapping[str, Group]) -> dict[str, type[_Layer]]:
+    """A layer for each record type that only the profile has. A header is opened into the beacon and needs none."""
+    names = [name for name in groups if name not in _BY_TYPE and name != "BPHeader"]
+    return {
+        name: type(name, (_Layer if name == "OwnReport" else _OwnRecord,), {"name": name, "__module__": __name__})
+        for name in names
+    }
+
+
 class _Session:
     """The profile in use. Scapy's layers and their bindings are global, so this has to be, too."""
 
     def __init__(self) -> None:
         self.codec = get_codec(DEFAULT_PROFILE)
         self.unbind: list[Callable[[], None]] = []
+        self.own: dict[str, type[_Layer]] = {}
 
     def use(self, codec: Codec) -> None:
         """Lay the layers out as the profile says and bind them where its beacons are found."""
@@ -292,19 +307,21 @@ class _Session:
         groups = {node.type_name: node for node in walk(codec.beacon_plan) if isinstance(node, Group)}
         containers = codec.containers_plan
         assert isinstance(containers, Many)
+        packets = {**_own_layers(groups), **_BY_TYPE}
         groups["VardisPayload"] = Group("", "VardisPayload", (replace(containers, name="vardis"),), None)
-        for type_name, layer in _BY_TYPE.items():
+        for type_name, layer in packets.items():
             # A profile without octets for a record still has a layer of that name, which holds any octets.
             group = groups.get(type_name) or Group("", type_name, (Rest("data"),), None)
             shape = Shape(
                 group,
-                packets=_BY_TYPE,
+                packets=packets,
                 representation=profile.types.node_id.representation,
                 defaults={"network-id": profile.bp.network_id or 0},
                 base=PlanPacket,
                 opened="BPHeader",
             )
             layer.lay_out(codec.report_plan or group if layer is SRPReport else group, shape)
+        self.own = {name: layer for name, layer in packets.items() if name not in _BY_TYPE}
         self.codec = codec
         for undo in self.unbind:
             undo()
@@ -348,6 +365,14 @@ def use_profile(profile: Profile | str | Path) -> Codec:
     if codec.profile != _session.codec.profile:
         _session.use(codec)
     return _session.codec
+
+
+def own_layer(type_name: str) -> type[Packet]:
+    """The layer of a record type that only the profile in use has, such as ``GeoFence`` or ``OwnReport``.
+
+    Raises KeyError if the profile has no such record type.
+    """
+    return _session.own[type_name]
 
 
 def export_script(profile_name_or_path: str) -> str:

@@ -127,9 +127,12 @@ class Stats:
 
     def __init__(self, codec: Codec, link: Link | None = None) -> None:
         self.codec = codec
+        #: Why the profile, which was guessed, may be the wrong one; for the JSON form.
+        self.doubt: str | None = None
         self._link = link or codec.profile.link
         numbers = codec.profile.vardis.container_types.by_name()
         self._names = {number: name for name, number in numbers.items()}
+        self._names |= {own.number: own.name for own in codec.profile.vardis.own_containers}
         self._updates = numbers["UPDATES"]
         self._creates = numbers["CREATE-VARIABLES"]
         self.frames = 0
@@ -207,7 +210,7 @@ class Stats:
         """Whose payload it is, also if it cannot be read."""
         if isinstance(payload.content, tuple):
             return "vardis"
-        report = payload.protocol_id == BP_PROTID_SRP and self.codec.report_plan is not None
+        report = payload.protocol_id == BP_PROTID_SRP and self.codec.srp_plan is not None
         return "srp" if report or isinstance(payload.content, ExtendedSafetyData) else "other"
 
     def _count_container(self, container: Container) -> None:
@@ -231,6 +234,7 @@ class Stats:
             span = (self.last_time_ns - self.first_time_ns) / 1e9
         return {
             "profile": self.codec.profile.name,
+            **({} if self.doubt is None else {"profileDoubt": self.doubt}),
             "frames": self.frames,
             "beacons": self.beacons,
             "first_time_ns": self.first_time_ns,

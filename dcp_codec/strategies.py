@@ -351,7 +351,9 @@ class _GroupShape:
             if part.name in self.area_of:
                 continue
             if part.attribute is None:
-                size += part.least
+                # A choice is never one of these.
+                assert part.shape is not None
+                size += part.shape.size(value.extra[self.foreign.index(part.name)])
                 continue
             shape = part.shape or part.shape_for(getattr(value, attributes[part.key or ""] or ""))
             size += shape.size(getattr(value, part.attribute))

@@ -38,6 +38,18 @@ class SafetyData(msgspec.Struct, frozen=True, gc=False):
         return {name: getattr(self, name) for name in self.__struct_fields__}
 
 
+class OwnRecord(msgspec.Struct, frozen=True, gc=False):
+    """Base of the classes that a profile has for records that the specification does not have.
+
+    These are the records of container types of its own (``codec.types[...]``), and ``OwnReport``, which is what an
+    implementation sends in the place of state reports. Attributes are the names of the fields in snake_case.
+    """
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields by attribute, in wire order."""
+        return {name: getattr(self, name) for name in self.__struct_fields__}
+
+
 class ExtendedSafetyData(msgspec.Struct, frozen=True, gc=False):
     """``ExtendedSafetyDataT``, a state report (dcp-srp.md, "Data Types"). ``seqno`` is 0..2^32-1."""
 
@@ -112,16 +124,24 @@ class Container(msgspec.Struct, frozen=True, gc=False):
 
 
 class Payload(msgspec.Struct, frozen=True, gc=False):
-    """A payload block. ``content`` is a state report, a tuple of containers, or octets of another protocol."""
+    """A payload block. ``content`` is a state report, a tuple of containers, or octets of another protocol.
+
+    For a profile whose SRP payloads are no state reports it is a record of its own (:class:`OwnRecord`).
+    """
 
     protocol_id: int
-    content: ExtendedSafetyData | tuple[Container, ...] | bytes
+    content: ExtendedSafetyData | tuple[Container, ...] | bytes | OwnRecord
     extra: Extra = ()
 
     @property
     def srp(self) -> ExtendedSafetyData | None:
         """The state report, when this is one."""
         return self.content if isinstance(self.content, ExtendedSafetyData) else None
+
+    @property
+    def own_report(self) -> OwnRecord | None:
+        """What the implementation sends in the place of a state report, when this is such a payload."""
+        return self.content if isinstance(self.content, OwnRecord) else None
 
     @property
     def vardis(self) -> tuple[Container, ...] | None:

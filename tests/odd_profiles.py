@@ -83,6 +83,40 @@ ODD_PROFILES: dict[str, str] = {
         record = []
         safety_data = []
     """,
+    "odd-own": """
+        extends = "dcp-2.0"
+        name = "odd-own"
+        [bp]
+        header = ["version", "magicNo", { name = "hops", extra = { width = 3 } }, "senderId", "networkId", "length",
+                  "numPayloads", "seqno", { name = "load", real = { width = 4, byte_order = "little" } }]
+        payload_header = ["protocolId", { name = "priority", extra = { width = 1 } }, "length"]
+        [srp]
+        record = [
+            { name = "counter", extra = { width = 2, byte_order = "little" } },
+            { name = "pattern", opaque = 6 },
+            { name = "battery", real = { width = 8 }, unit = "V" },
+        ]
+        record_size = 16
+        safety_data = []
+        [vardis]
+        var_spec = ["varId", "prodId", "repCnt", "creationTime", "timeout", "descr", { name = "kind", opaque = 2 }]
+        container_extra = [{ name = "label", block = { lengths = [{ width = 1 }] }, text = true }]
+        own_containers = [
+            { name = "GEO-FENCE", number = 9, record = [
+                "varId",
+                { name = "lat", extra = { width = 4, signed = true }, unit = "1e-7 deg" },
+                { name = "label", block = { lengths = [{ width = 1 }] }, text = true },
+                { name = "raw", opaque = 3 },
+            ] },
+            { name = "Ping", number = 10, record = ["prodId", "seqno", "value"] },
+        ]
+        [vardis.records]
+        VarSumm = ["seqno", "varId", { name = "age", extra = { width = 2 } }]
+        VarUpdate = ["varId", "seqno", { name = "quality", real = { width = 4 } }, "value"]
+        VarReqCreate = [{ name = "reason", block = { lengths = [], terminated = true }, text = true }, "varId"]
+        VarCreate = ["upd", { name = "mark", extra = { width = 1 } }, "spec"]
+        VarDelete = ["varId", { name = "cause", extra = { width = 1 } }]
+    """,
     "odd-header-size": """
         extends = "sim-2.0"
         name = "odd-header-size"

@@ -21,7 +21,7 @@ def why_not(bench: Bench, case: Case) -> str:
     for entity in needs.entities:
         if getattr(bench.pics, entity) is False:
             return f"the PICS says that there is no {entity}"
-    if "srp" in needs.entities and not bench.profile.srp.record:
+    if "srp" in needs.entities and not bench.profile.srp.is_report:
         return f"the profile {bench.profile.name} has no octets for a state report"
     for name in needs.header:
         if not bench.profile.has_header_field(name):

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
-from dcp_spec.profile_loading import srp_record_size
+from dcp_spec.profile_rules import srp_record_size
 
 from dcp_codec.codec import Codec
 

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
-from dcp_spec.profile import ByteOrder, IntType, Profile
+from dcp_spec.profile import ByteOrder, IntType, Profile, standard_fields
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
@@ -123,7 +123,7 @@ def _faults(codec: Codec) -> tuple[Fault, ...]:
 def _all_faults(codec: Codec) -> Iterator[Fault]:
     """The faults that are tried, the most frequent first."""
     profile = codec.profile
-    header = profile.bp.header
+    header = tuple(standard_fields(profile.bp.header))
     if not header:
         return
     replace = msgspec.structs.replace

@@ -176,7 +176,7 @@ def _block_header_size(codec: Codec) -> int:
         if isinstance(member, str):
             size += (types.protocol_id if member == "protocolId" else types.bp_length).width
         else:
-            size += member.opaque
+            size += member.width or 0
     return size
 
 

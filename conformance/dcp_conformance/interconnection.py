@@ -128,7 +128,7 @@ class _Test:
             self._play_client()
         if "RTDB-Create" in methods and self._bench.has_unknown_ids():
             self._create_variable()
-        if not self._bench.profile.srp.record or self._bench.pics.srp is False:
+        if not self._bench.profile.srp.is_report or self._bench.pics.srp is False:
             return
         if "SRP-NeighbourTable" in methods:
             self._tried.add("report")

@@ -185,7 +185,7 @@ def _reports(bench: Bench) -> str:
     layout = bench.profile.srp.safety_data
     if upper is None or not {_TABLE, _HAND_DOWN} <= upper.methods or bench.pics.srp is False:
         return ""
-    if not bench.profile.srp.record or any(each.type == "opaque" for each in layout):
+    if not bench.profile.srp.is_report or any(each.type == "opaque" for each in layout):
         return ""
     if any(stores_reports(bench) for _ in range(_ATTEMPTS)):
         return ""

@@ -359,7 +359,8 @@ def _what_is_seen(found: Draft, beacons: Sequence[Beacon]) -> None:
         if beacon.bp is not None and beacon.bp.network_id is not None:
             networks[beacon.bp.network_id] += 1
         protocols = Counter(payload.protocol_id for payload in beacon.payloads)
-        seen["srp"] += BP_PROTID_SRP in protocols
+        # What a profile knows to be no report is no sign of SRP.
+        seen["srp"] += any(each.protocol_id == BP_PROTID_SRP and each.own_report is None for each in beacon.payloads)
         seen["vardis"] += BP_PROTID_VARDIS in protocols
         seen["multiple_payloads"] += max(protocols.values(), default=0) > 1
         for payload in beacon.payloads:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
+from dcp_spec.profile import Profile
 from dcp_spec.profile_loading import ProfileError
+from dcp_spec.usability import refusal
 
 from dcp_codec.codec import Codec
 from dcp_codec.frames import with_ether_type
@@ -115,6 +117,7 @@ def describe(options: TargetOptions) -> tuple[Codec, Pics]:
         codec = Codec(name)
     except ProfileError as error:
         raise UsageError(str(error)) from None
+    refuse_unusable(codec.profile)
     _check_node_id(options, pics, codec)
     if options.ether_type is not None:
         link = with_ether_type(codec.profile.link, options.ether_type)
@@ -123,6 +126,12 @@ def describe(options: TargetOptions) -> tuple[Codec, Pics]:
         pixit = msgspec.structs.replace(pics.pixit, beacon_period_ms=options.beacon_period_ms)
         pics = msgspec.structs.replace(pics, pixit=pixit)
     return codec, pics
+
+
+def refuse_unusable(profile: Profile) -> None:
+    """Raise :class:`UsageError` for a profile with fields or containers that the suite cannot fill with sense."""
+    if (reason := refusal(profile)) is not None:
+        raise UsageError(reason)
 
 
 def _check_node_id(options: TargetOptions, pics: Pics, codec: Codec) -> None:

@@ -11,7 +11,7 @@ import click
 
 from dcp_codec.commandline import ExpectedError
 
-from .common import note, profile_options
+from .common import load_codec, note, profile_options
 from .recordings import check_input, extras, octets_progress, tell
 
 if TYPE_CHECKING:
@@ -27,13 +27,17 @@ _FORMATS = {".parquet": "parquet", ".csv": "csv", ".duckdb": "duckdb", ".db": "d
 
 def _tables(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]) -> tuple[str, ...] | None:
     """Names of tables, one by one or with commas."""
-    from dcp_codec.table.shape import TABLES
+    return tuple(dict.fromkeys(name.strip() for part in value for name in part.split(","))) or None
 
-    names = tuple(name.strip() for part in value for name in part.split(","))
-    for name in names:
-        if name not in TABLES:
-            raise click.BadParameter(f"{name!r} is none of {', '.join(TABLES)}")
-    return tuple(dict.fromkeys(names)) or None
+
+def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
+    """Refuse tables that a recording of that profile cannot have; a profile may have record types of its own."""
+    from dcp_codec.table.shape import TABLES, table_names
+
+    known = TABLES if profile == "auto" else table_names(load_codec(profile).profile)
+    for name in names or ():
+        if name not in known:
+            raise click.BadParameter(f"{name!r} is none of {', '.join(known)}", param_hint="'--tables'")
 
 
 @click.command(
@@ -98,6 +102,7 @@ def command(
     if scheduler is not None and engine != "dask":
         raise click.UsageError("--scheduler is for --engine dask")
     check_input(files, profile)
+    _known_tables(tables, profile)
     with extras():
         from dcp_codec.table.archive import Order, TableError, find_recordings
 

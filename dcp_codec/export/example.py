@@ -10,17 +10,14 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 from dcp_codec.codec import Codec
 from dcp_codec.fields import Field
 from dcp_codec.jsonform import scalar_json
-from dcp_codec.plan import Fill, Rest, Scalar
+from dcp_codec.misfit import zero
+from dcp_codec.plan import Exact, Fill, Group, Node, Rest, Scalar
 from dcp_codec.values import (
     Beacon,
     BPHeader,
     Container,
     ExtendedSafetyData,
     Payload,
-    VarCreate,
-    VarSpec,
-    VarSumm,
-    VarUpdate,
 )
 
 #: 2023-11-14T22:13:20Z
@@ -42,8 +39,21 @@ def example_beacon(codec: Codec) -> Beacon:
     payloads = []
     if codec.report_plan is not None:
         payloads.append(Payload(BP_PROTID_SRP, _report(codec, node_id)))
+    elif codec.srp_plan is not None:
+        payloads.append(Payload(BP_PROTID_SRP, _blank(_record(codec.srp_plan), codec)))
     payloads.append(Payload(BP_PROTID_VARDIS, _containers(codec, node_id)))
     return Beacon(header, tuple(payloads))
+
+
+def _record(plan: Node) -> Group:
+    record = plan.content if isinstance(plan, Exact) else plan
+    assert isinstance(record, Group)
+    return record
+
+
+def _blank(group: Group, codec: Codec) -> Any:
+    """A record of zeros."""
+    return codec.types[group.type_name](*(zero(member) for member in group.members))
 
 
 def _sized(node: bytes, codec: Codec) -> bytes:
@@ -69,9 +79,11 @@ def _report(codec: Codec, node_id: bytes) -> ExtendedSafetyData:
 
 
 def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
+    # A profile that adds fields to a record has a class of its own for it.
+    types = codec.types
     numbers = codec.profile.vardis.container_types.by_name()
     has = codec.profile.vardis.var_spec
-    spec = VarSpec(
+    spec = types["VarSpec"](
         7,
         node_id,
         2,
@@ -79,10 +91,10 @@ def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
         _now(codec) if "creationTime" in has else None,
         5000 % (1 << 8 * codec.profile.types.var_timeout.width) if "timeout" in has else None,
     )
-    create = VarCreate(spec, VarUpdate(7, 3, b"ABCD"))
+    create = types["VarCreate"](spec, types["VarUpdate"](7, 3, b"ABCD"))
     return (
         Container(numbers["CREATE-VARIABLES"], (create,)),
-        Container(numbers["SUMMARIES"], (VarSumm(7, 3), VarSumm(9, 0))),
+        Container(numbers["SUMMARIES"], (types["VarSumm"](7, 3), types["VarSumm"](9, 0))),
     )
 
 

@@ -27,6 +27,12 @@ _MAC = "^[0-9a-f]{2}(?::[0-9a-f]{2}){5}$"
 _MAX_TIME_NS = 2**63 - 1
 
 
+#: Only there if the profile was guessed and the guess is weak.
+_DOUBT: dict[str, JSONSchema] = {
+    "profileDoubt": {"type": "string", "description": "why the profile, which was guessed, may be the wrong one"}
+}
+
+
 def frame_schema(codec: Codec) -> JSONSchema:
     """The schema of :meth:`dcp_codec.frames.DissectedFrame.as_json`, well-formed beacons and others."""
     strict, partial = RecordSchemas(codec.profile, "strict"), RecordSchemas(codec.profile, "partial")
@@ -44,7 +50,7 @@ def frame_schema(codec: Codec) -> JSONSchema:
         "that could not be read are null or missing.",
         {
             "type": "object",
-            "properties": {**own, **members, **_findings()},
+            "properties": {**own, **_DOUBT, **members, **_findings()},
             "required": [*own, *_findings()],
             "additionalProperties": False,
             "if": {"properties": {"errors": {"maxItems": 0}}},
@@ -62,10 +68,10 @@ def beacon_schema(codec: Codec) -> JSONSchema:
 
 def report_schema(codec: Codec) -> JSONSchema | None:
     """The schema of a well-formed state report as a JSON object, None if the profile has no octets for it."""
-    plan = codec.report_plan
+    plan = codec.srp_plan
     if plan is None:
         return None
-    return _record_root(codec, record_group(plan), "One well-formed state report. Octets are lower-case hex.")
+    return _record_root(codec, record_group(plan), "One well-formed SRP payload. Octets are lower-case hex.")
 
 
 def container_schema(codec: Codec) -> JSONSchema:

@@ -85,7 +85,11 @@ def _glance(codec: Codec) -> Iterator[tuple[str, ...]]:
     heading = sum(member.size for member in block.members if isinstance(member, Scalar))
     yield "payload header", _octets(heading)
     report = sizes.get("ExtendedSafetyData")
-    yield "state report", _octets(report) if report else "of varying length" if codec.report_plan else "no octets"
+    if codec.srp_plan is not None and codec.report_plan is None:
+        own = sizes["OwnReport"]
+        yield "payload of SRP", f"no state report, {_octets(own) if own else 'of varying length'}"
+    else:
+        yield "state report", _octets(report) if report else "of varying length" if codec.report_plan else "no octets"
     node = profile.types.node_id
     width = "text behind a length" if node.length is not None else _octets(node.width)
     yield "node identifier", f"{width}, written as {node.representation}"
@@ -112,6 +116,7 @@ def _containers(codec: Codec) -> Iterator[tuple[str, ...]]:
     for node in walk(codec.containers_plan):
         if isinstance(node, Select):
             names = codec.profile.vardis.container_types.by_name()
+            names |= {own.name: own.number for own in codec.profile.vardis.own_containers}
             for name, number in sorted(names.items(), key=lambda item: item[1]):
                 case = node.cases[number]
                 yield str(number), name, _link(case.element.type_name) if isinstance(case, Many) else case.name

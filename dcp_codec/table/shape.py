@@ -11,7 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_spec.profile import Profile
+
+from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text, snake
 
 #: Record type of the schema -> name of its table, in the order in which tables are listed.
 TABLE_NAMES = {
@@ -29,6 +31,19 @@ TABLE_NAMES = {
 #: The table of frames that are no beacon of the profile; it has the same columns for every profile.
 ERRORS = "errors"
 TABLES = (*TABLE_NAMES.values(), ERRORS)
+
+
+def table_name(type_name: str) -> str:
+    """The name of the table of a record type; ``GeoFence``, a profile's own, has ``geo_fence``."""
+    return TABLE_NAMES.get(type_name) or snake(type_name)
+
+
+def table_names(profile: Profile) -> tuple[str, ...]:
+    """The tables that recordings of a profile can have: the usual ones, and those of its own record types."""
+    own = [table_name(container.type_name) for container in profile.vardis.own_containers]
+    report = ["own_report"] if profile.srp.record and not profile.srp.is_report else []
+    return (*TABLE_NAMES.values(), *report, *own, ERRORS)
+
 
 #: Our own column of the tables whose records say nothing of their length.
 OCTETS = "octets"
@@ -121,12 +136,12 @@ class Shape:
 
     def table_of(self, group: Group) -> Table:
         """The table of a record that is not laid flat into another; KeyError if it is."""
-        return self.named(TABLE_NAMES[group.type_name])
+        return self.named(table_name(group.type_name))
 
     # -- building -------------------------------------------------------------------------------------------
 
     def _table(self, group: Group, indices: list[tuple[str, int]]) -> Table:
-        table = Table(TABLE_NAMES[group.type_name], group.type_name, len(self.tables))
+        table = Table(table_name(group.type_name), group.type_name, len(self.tables))
         self.tables.append(table)
         self._add(table, Column("frame", "int", 8, 0, signed=True, doc="number of the frame in the recording, from 1"))
         self._add(table, Column("time", "time", 8, 0, unit="ns", doc="time of capture, UTC"))

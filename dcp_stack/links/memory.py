@@ -13,7 +13,7 @@ import heapq
 import random
 import struct
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from time import time_ns
 from typing import NamedTuple
 
@@ -93,6 +93,23 @@ class Delivery(NamedTuple):
     sent: int
 
 
+class Arrival(NamedTuple):
+    """A frame arrives at several nodes at one moment. ``time`` and ``sent`` are virtual, in ns."""
+
+    time: int
+    sender: int
+    receivers: tuple[int, ...]
+    """Those that are there, ascending."""
+    reception: Reception
+    """Shared by all receivers."""
+    sent: int
+
+    def deliveries(self) -> Iterator[Delivery]:
+        """The same for each receiver."""
+        for receiver in self.receivers:
+            yield Delivery(self.time, self.sender, receiver, self.reception, self.sent)
+
+
 class MediumCounters(msgspec.Struct):
     """``expected`` is what a perfect medium would have delivered: neighbours of the sender, for each frame.
 
@@ -109,20 +126,22 @@ class MediumCounters(msgspec.Struct):
 
 
 class TraceDigest:
-    """A hash of all deliveries in their order; equal digests mean that the same things happened at the same times."""
+    """A hash of all arrivals in their order; equal digests mean that the same things happened at the same times."""
 
     _RECORD = struct.Struct("<QIII")
+    """Time, sender, number of receivers, octets of the frame; then the receivers (4 octets each) and the frame."""
 
     def __init__(self) -> None:
         self._hash = hashlib.sha256()
         self.deliveries = 0
 
-    def __call__(self, delivery: Delivery) -> None:
-        """Take note of one delivery."""
-        octets = delivery.reception.octets
-        self._hash.update(self._RECORD.pack(delivery.time, delivery.sender, delivery.receiver, len(octets)))
+    def __call__(self, arrival: Arrival) -> None:
+        """Take note of one frame and whom it reached."""
+        octets, receivers = arrival.reception.octets, arrival.receivers
+        self._hash.update(self._RECORD.pack(arrival.time, arrival.sender, len(receivers), len(octets)))
+        self._hash.update(struct.pack(f"<{len(receivers)}I", *receivers))
         self._hash.update(octets)
-        self.deliveries += 1
+        self.deliveries += len(receivers)
 
     def hexdigest(self) -> str:
         """SHA-256 of what was seen so far."""
@@ -143,7 +162,7 @@ class _Flight(NamedTuple):
 class Medium:
     """The medium. Nodes have numbers from 0, in the order in which they joined.
 
-    ``observer`` sees every delivery in order (:class:`TraceDigest` is one). ``wall_start`` is the wall clock at time 0
+    ``observer`` sees every arrival in order (:class:`TraceDigest` is one). ``wall_start`` is the wall clock at time 0
     in ns since 1970. ``clock`` (ns, monotonic) makes the links of this medium run by themselves, for programs in real
     time, and the wall clock the real one; without it somebody calls :meth:`deliver` or :meth:`advance`.
     """
@@ -156,7 +175,7 @@ class Medium:
         topology: Topology | None = None,
         max_packet_size: int = 1500,
         wall_start: int | None = None,
-        observer: Callable[[Delivery], None] | None = None,
+        observer: Callable[[Arrival], None] | None = None,
         clock: Callable[[], int] | None = None,
     ) -> None:
         self.max_packet_size = max_packet_size
@@ -299,23 +318,26 @@ class Medium:
 
     def deliver(self, now: int) -> list[Delivery]:
         """What has arrived by ``now``: by time of arrival, then in the order of sending, then by receiver."""
+        return [delivery for arrival in self.arrivals(now) for delivery in arrival.deliveries()]
+
+    def arrivals(self, now: int) -> list[Arrival]:
+        """As :meth:`deliver`, with all receivers of a frame at one moment together."""
         self._go_to(now)
-        deliveries: list[Delivery] = []
+        arrivals: list[Arrival] = []
         flights, nodes, observer = self._flights, self._nodes, self._observer
         while flights and flights[0].time <= now:
             time, _, sender, receivers, octets, sent = heapq.heappop(flights)
             # Shared by all whom it reaches.
             reception = Reception(octets, self._wall_start + time, nodes[sender].source)
-            for receiver in receivers:
-                if nodes[receiver].closed:
-                    self.counters.missed += 1
-                    continue
-                deliveries.append(Delivery(time, sender, receiver, reception, sent))
-        self.counters.delivered += len(deliveries)
-        if observer is not None:
-            for delivery in deliveries:
-                observer(delivery)
-        return deliveries
+            there = tuple([receiver for receiver in receivers if not nodes[receiver].closed])
+            self.counters.missed += len(receivers) - len(there)
+            self.counters.delivered += len(there)
+            if there:
+                arrival = Arrival(time, sender, there, reception, sent)
+                arrivals.append(arrival)
+                if observer is not None:
+                    observer(arrival)
+        return arrivals
 
     def advance(self, now: int) -> None:
         """Deliver to the links, for those who use them: :meth:`MemoryLink.receive` then has it."""

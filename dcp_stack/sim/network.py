@@ -5,20 +5,23 @@ from __future__ import annotations
 import heapq
 import logging
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from dcp_spec.profile import Profile
 
 from dcp_codec.codec import Codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
-from dcp_stack.effects import Effect, SendBeacon
+from dcp_stack.effects import Effect, NeighbourExpired, SendBeacon, VariableChanged
 from dcp_stack.links.base import Watcher
-from dcp_stack.links.memory import PERFECT, WALL_START, Delivery, Medium, MemoryLink, Quality, TraceDigest
+from dcp_stack.links.memory import PERFECT, WALL_START, Arrival, Delivery, Medium, MemoryLink, Quality, TraceDigest
 from dcp_stack.links.topology import Positions, Topology
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource, SafetyFields
+from dcp_stack.positions.base import Sample
+from dcp_stack.positions.tracks import Track
 
+from .hearing import Heard, HearingNode, Parsed, Parser
 from .requests import answer
 from .sharing import SharedCodec
 
@@ -51,9 +54,13 @@ class Station:
         self.config = config
         self.rng = rng
         self.node: Node | None = None
+        self.hearing: HearingNode | None = None
+        """The node, if it can take in known beacons cheaply."""
         self.failure = ""
         """What the node raised, which ended it; empty as it should be."""
         self.sources: list[PositionSource] = []
+        self.tracks: list[Track] = []
+        """Of the sources those that are asked when a beacon is due, and not before."""
         self.watchers: list[Watcher] = []
         self.beacons_sent = 0
         self.octets_sent = 0
@@ -82,11 +89,13 @@ class Network:
         bp: BPConfig | None = None,
         srp: SRPConfig | None = None,
         vardis: VardisConfig | None = None,
+        readings: Mapping[str, str] | None = None,
         share_decoding: bool = True,
     ) -> None:
         """``srp`` and ``vardis`` None leave the protocol away. Raises ValueError for parameters out of bounds.
 
-        ``share_decoding`` False decodes a broadcast once for each receiver: slower, with the same outcome.
+        ``share_decoding`` False decodes a broadcast once for each receiver and lets plain nodes handle each: slower,
+        with the same outcome.
         """
         self._places = topology if isinstance(topology, Positions) else None
         self._fields = SafetyFields(codec.profile)
@@ -98,6 +107,7 @@ class Network:
         """See each transmission once."""
         self.stations: list[Station] = []
         self.now = 0
+        self._parse: Callable[[bytes], Parsed | None] | None = None
         self.delivering: Delivery | None = None
         """The frame whose effects listeners hear of right now; None for effects of a node's own services and timers."""
         # Entries are (time, number, station) and (time, number, action). The number is unique and keeps the order.
@@ -111,10 +121,13 @@ class Network:
                 bp=bp or BPConfig(),
                 srp=srp,
                 vardis=vardis,
+                readings=readings or {},
             )
             rng = random.Random(f"{seed}/node/{index}")  # noqa: S311 - to be repeatable is the point
             link.closed = True
             self.stations.append(Station(index, link, config, rng))
+        if share_decoding and self.stations:
+            self._parse = Parser(self.stations[0].config).parse
 
     def __len__(self) -> int:
         return len(self.stations)
@@ -138,15 +151,20 @@ class Network:
         station = self.stations[index]
         if station.node is not None:
             return
-        station.node = Node(station.config, rng=station.rng, now=self.now, wall=self.wall)
+        if self._parse is None:
+            station.node = Node(station.config, rng=station.rng, now=self.now, wall=self.wall)
+        else:
+            station.node = station.hearing = HearingNode(station.config, rng=station.rng, now=self.now, wall=self.wall)
         station.link.closed = False
         station.up_since = self.now
         self._guarded(station, lambda node: node.start(self.now, self.wall))
+        if station.hearing is not None:
+            station.hearing.look()
 
     def stop(self, index: int) -> None:
         """Switch a node off, now and without a word, as when its battery is empty."""
         station = self.stations[index]
-        station.node = None
+        station.node = station.hearing = None
         station.link.closed = True
         station.up_since = None
         # Whatever it was waiting for.
@@ -159,13 +177,22 @@ class Network:
         """
         station = self.stations[index]
         station.sources.append(source)
-        self.at(self.now, lambda: self._poll(station, source))
+        if isinstance(source, Track) and self._places is None and not station.config.bp.triggered:
+            # A track is a function of time: samples that no beacon would carry need not be computed. The first poll
+            # starts it.
+            station.tracks.append(source)
+            source.poll(self.now, self.wall)
+        else:
+            self.at(self.now, lambda: self._poll(station, source))
 
     def call(self, index: int, service: Callable[[Node, int, int], T]) -> T:
         """What ``service(node, now, wall)`` returns, and then whatever it set off at that node."""
         node = self.node(index)
+        station = self.stations[index]
         answer = service(node, self.now, self.wall)
-        self._guarded(self.stations[index], lambda node: node.settle(self.now, self.wall))
+        self._guarded(station, lambda node: node.settle(self.now, self.wall))
+        if station.hearing is not None:
+            station.hearing.look()
         return answer
 
     def request(self, index: int, method: str, /, **params: Any) -> dict[str, Any]:
@@ -176,8 +203,18 @@ class Network:
         return self.call(index, lambda node, now, wall: answer(node, method, params, now, wall))
 
     def listen(self, kind: type[Effect], listener: Listener) -> None:
-        """Have all effects of one kind, of all nodes, in the order in which they happen."""
+        """Have all effects of one kind, of all nodes, in the order in which they happen.
+
+        Call it before nodes start: known beacons are taken in without effects, unless somebody listens to them.
+        """
         self._listeners.setdefault(kind, []).append(listener)
+        if kind not in (VariableChanged, NeighbourExpired, SendBeacon):
+            self._parse = None
+            for station in self.stations:
+                if station.hearing is not None:
+                    station.hearing.forget_all()
+                    station.hearing.ready = False
+                    station.hearing = None
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
@@ -190,13 +227,13 @@ class Network:
 
         ``stop`` is asked after each event; when it says so this ends earlier and returns True.
         """
-        heap, medium, stations = self._heap, self.medium, self.stations
+        heap, medium = self._heap, self.medium
         while True:
             flight = medium.poll_timeout()
             if flight is not None and flight <= end and (not heap or flight <= heap[0][0]):
                 self.now = flight
-                for delivery in medium.deliver(flight):
-                    self._deliver(stations[delivery.receiver], delivery)
+                for arrival in medium.arrivals(flight):
+                    self._arrive(arrival)
             elif heap and heap[0][0] <= end:
                 time, _, subject = heapq.heappop(heap)
                 self.now = time
@@ -231,7 +268,42 @@ class Network:
             # Virtual time would stand still for ever.
             self._fail(station, RuntimeError(f"handle_timeout was called {MOST_CALLS} times and is due still"))
         else:
-            self._guarded(station, lambda node: node.handle_timeout(self.now, self.wall))
+            self._guarded(station, lambda node: self._timeout(station, node))
+
+    def _timeout(self, station: Station, node: Node) -> None:
+        now, wall = self.now, self.wall
+        if station.tracks:
+            beacon = node.bp.poll_timeout()
+            if beacon is not None and beacon <= now:
+                for track in station.tracks:
+                    self._hand_down(node, self._sample(station, track))
+        node.handle_timeout(now, wall)
+
+    def _arrive(self, arrival: Arrival) -> None:
+        stations, reception = self.stations, arrival.reception
+        beacon = self._parse(reception.octets) if self._parse is not None else None
+        if beacon is None:
+            for delivery in arrival.deliveries():
+                station = stations[delivery.receiver]
+                if station.hearing is not None:
+                    station.hearing.settle_all()
+                self._deliver(station, delivery)
+            return
+        heard = Heard(beacon, self.now, reception.wall)
+        for receiver in arrival.receivers:
+            station = stations[receiver]
+            node = station.hearing
+            if node is not None and node.ready and node.hear(heard):
+                station.beacons_received += 1
+                for watcher in station.watchers:
+                    watcher.saw(reception.octets, reception.wall, outgoing=False, source=reception.source)
+                continue
+            if node is not None:
+                # What waits of this sender came before.
+                node.settle_one(beacon.sender_id)
+            self._deliver(station, Delivery(arrival.time, arrival.sender, receiver, reception, arrival.sent))
+            if station.hearing is not None:
+                station.hearing.handled(beacon)
 
     def _deliver(self, station: Station, delivery: Delivery) -> None:
         station.beacons_received += 1
@@ -290,6 +362,16 @@ class Network:
         self.medium.broadcast(station.index, octets, self.now)
 
     def _poll(self, station: Station, source: PositionSource) -> None:
+        """Hand down what a source has now, and come back when it has more."""
+        samples = self._sample(station, source)
+        if samples:
+            self._guarded(station, lambda node: self._hand_down(node, samples))
+        due = source.poll_timeout()
+        if due is not None and not source.finished:
+            self.at(due, lambda: self._poll(station, source))
+
+    def _sample(self, station: Station, source: PositionSource) -> list[Sample]:
+        """What a source has now; in a topology of positions the node moves there, also while it is switched off."""
         samples = source.poll(self.now, self.wall)
         for sentence in source.take_complaints():
             log.warning("node %d: %s", station.index, sentence)
@@ -297,11 +379,11 @@ class Network:
             place = self._fields.place(samples[-1])
             if place is not None:
                 self._places.move(station.index, place)
-        node = station.node
-        if node is not None and node.srp is not None:
+        return samples
+
+    def _hand_down(self, node: Node, samples: list[Sample]) -> None:
+        """Give SRP its safety data; what that sets off is carried out with the next step of the node."""
+        if node.srp is not None:
             for sample in samples:
                 node.srp.update_safety_data(sample, now=self.now, wall=self.wall)
-                self._guarded(station, lambda node: node.settle(self.now, self.wall))
-        due = source.poll_timeout()
-        if due is not None and not source.finished:
-            self.at(due, lambda: self._poll(station, source))
+        node.settle(self.now, self.wall)

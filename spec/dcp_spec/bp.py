@@ -10,8 +10,8 @@ import construct as cs
 from .combinators import Choice, Counted, CountOf, Expect, Field, Filler, Record, Sized, SizeOf, UntilEnd
 from .constants import BP_MAGIC_NO, BP_VERSION
 from .profile import IntType, Profile
-from .profile_loading import header_size as header_size  # of the beacon, and asked for here
-from .scalars import foreign, integer, node_id
+from .profile_rules import header_size as header_size  # of the beacon, and asked for here
+from .scalars import integer, members, node_id
 
 
 def header(profile: Profile, payloads: Any) -> Record:
@@ -74,7 +74,7 @@ def header(profile: Profile, payloads: Any) -> Record:
             doc="counts the sender's beacons",
         ),
     }
-    return Record("BPHeader", *(fields[name] for name in profile.bp.header), requirement="BP-HDR-10")
+    return Record("BPHeader", *members(profile.bp.header, fields), requirement="BP-HDR-10")
 
 
 def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> Record:
@@ -86,25 +86,18 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
         default=("data", cs.GreedyBytes),
         requirement="BP-RX-08",
     )
-    members: list[Field] = []
-    for member in profile.bp.payload_header:
-        if not isinstance(member, str):
-            members.append(foreign(member))
-        elif member == "protocolId":
-            members.append(
-                Field("protocolId", integer(types.protocol_id), requirement="BP-HDR-11", doc="client protocol")
-            )
-        else:
-            members.append(
-                Field(
-                    "length",
-                    SizeOf(integer(types.bp_length), of="content", target=content),
-                    requirement="BP-HDR-11",
-                    unit="octets",
-                    doc="client payload without this header",
-                )
-            )
-    members.append(
+    fields = {
+        "protocolId": Field("protocolId", integer(types.protocol_id), requirement="BP-HDR-11", doc="client protocol"),
+        "length": Field(
+            "length",
+            SizeOf(integer(types.bp_length), of="content", target=content),
+            requirement="BP-HDR-11",
+            unit="octets",
+            doc="client payload without this header",
+        ),
+    }
+    block = members(profile.bp.payload_header, fields)
+    block.append(
         Field(
             "content",
             Sized("length", content, reason="block-overrun", requirement="BP-RX-09"),
@@ -113,7 +106,7 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
         )
     )
     if profile.bp.payload_area:
-        members.append(
+        block.append(
             Field(
                 "area",
                 Filler(profile.bp.payload_area, "length"),
@@ -121,7 +114,7 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
                 doc="unused rest of the fixed area",
             )
         )
-    return Record("Payload", *members, requirement="BP-RX-09")
+    return Record("Payload", *block, requirement="BP-RX-09")
 
 
 def beacon(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> Record:

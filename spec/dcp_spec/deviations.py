@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from .profile import IntType, Opaque, Profile, TextType
+from .profile import RECORD_MEMBERS, IntType, Members, Profile, TextType, own_fields, standard_fields
 from .profile_loading import load_profile
 from .requirements import requirements
 
@@ -35,7 +35,7 @@ _WIDTHS: Final = {
 DECLARABLE: Final = (
     *("DATA-01", "DATA-02", "DATA-04", "DATA-06", "DATA-07"),
     *(*_HEADER_FIELDS.values(), "BP-HDR-05", "BP-HDR-10", "BP-HDR-11", "BP-FMT-01"),
-    *("SRP-TYP-01", "SRP-TYP-03", "SRP-FMT-01", "VD-TYP-05", "VD-IC-01", "VD-IC-02"),
+    *("SRP-TYP-01", "SRP-TYP-03", "SRP-FMT-01", "VD-TYP-05", "VD-TYP-07", "VD-IC-01", "VD-IC-02"),
 )
 
 
@@ -70,7 +70,8 @@ def _integers(profile: Profile) -> Iterator[tuple[str, str]]:
         for name, field in (("magic_no", "magicNo"), ("network_id", "networkId"), ("bp_seqno", "seqno"))
         if not profile.has_header_field(field)
     }
-    unused |= {"srp_seqno"} if not profile.srp.record else set()
+    if not profile.srp.is_report:
+        unused |= {"srp_seqno"} if "creationTime" in profile.vardis.var_spec else {"srp_seqno", "timestamp"}
     unused |= {"var_timeout"} if "timeout" not in profile.vardis.var_spec else set()
     used = [name for name in types.__struct_fields__ if name not in unused]
     layouts = {name: getattr(types, name) for name in used}
@@ -96,7 +97,11 @@ def _is_little(layout: IntType) -> bool:
 
 
 def _octets(profile: Profile) -> Iterator[tuple[str, str]]:
-    opaque = [each for each in (*profile.srp.record, *profile.bp.payload_header) if isinstance(each, Opaque)]
+    # What is sent in the place of a state report is no record with octets between its fields.
+    report = profile.srp.record if profile.srp.is_report else ()
+    listed = (*report, *profile.bp.payload_header, *profile.bp.header, *profile.vardis.var_spec)
+    records = [member for members in profile.vardis.records.by_name().values() for member in members]
+    opaque = [each for each in own_fields((*listed, *records)) if each.opaque is not None]
     if opaque:
         notes = dict.fromkeys(each.note or each.name for each in opaque)
         yield "DATA-02", f"octets that belong to no field: {', '.join(notes)}"
@@ -115,12 +120,15 @@ def _octets(profile: Profile) -> Iterator[tuple[str, str]]:
 def _headers(profile: Profile) -> Iterator[tuple[str, str]]:
     bp = profile.bp
     wanted = load_profile(f"dcp-{profile.spec_version}").bp
-    for name in wanted.header:
+    for name in standard_fields(wanted.header):
         if name not in bp.header:
             yield _HEADER_FIELDS[name], f"there is no {name}"
-    if _reordered(bp.header, wanted.header):
-        yield "BP-HDR-10", f"the header is {', '.join(bp.header)}"
-    block = [each for each in bp.payload_header if isinstance(each, str)]
+    if _reordered(standard_fields(bp.header), wanted.header) or own_fields(bp.header):
+        yield "BP-HDR-10", f"the header is {_names(bp.header)}"
+    block = standard_fields(bp.payload_header)
+    numbers = [each for each in own_fields(bp.payload_header) if each.opaque is None]
+    if numbers:
+        yield "BP-HDR-11", f"the header of a payload also has {_names(tuple(numbers))}"
     if _reordered(block, wanted.payload_header):
         yield "BP-HDR-10", f"the header of a payload is {', '.join(block)}"
     if bp.length_means != "blocks" and "length" in bp.header:
@@ -131,14 +139,24 @@ def _headers(profile: Profile) -> Iterator[tuple[str, str]]:
 
 def _records(profile: Profile) -> Iterator[tuple[str, str]]:
     wanted = load_profile(f"dcp-{profile.spec_version}")
-    record = [each for each in profile.srp.record if isinstance(each, str)]
+    record = standard_fields(profile.srp.record)
+    own = [each for each in own_fields(profile.srp.record) if each.opaque is None]
     if not profile.srp.record:
         yield "SRP-FMT-01", "a state report has no octets"
+    elif not record:
+        yield "SRP-FMT-01", f"a payload of SRP is no state report but {_names(profile.srp.record)}"
+    elif own:
+        yield "SRP-TYP-03", f"a state report is {_names(profile.srp.record)}"
     elif record != list(wanted.srp.record):
         yield "SRP-TYP-03", f"a state report is {', '.join(record)}"
     vardis = profile.vardis
     if vardis.var_spec != wanted.vardis.var_spec:
-        yield "VD-TYP-05", f"a VarSpec is {', '.join(vardis.var_spec)}"
+        yield "VD-TYP-05", f"a VarSpec is {_names(vardis.var_spec)}"
+    for name, members in vardis.records.by_name().items():
+        if members != RECORD_MEMBERS[name]:
+            yield "VD-TYP-07", f"a {name} is {_names(members)}"
+    for container in vardis.own_containers:
+        yield "VD-IC-02", f"container type {container.number} is {container.name}"
     extra = [each.name for each in vardis.container_extra]
     if vardis.list_length is not None:
         extra.append("a length of the list")
@@ -147,6 +165,10 @@ def _records(profile: Profile) -> Iterator[tuple[str, str]]:
     if vardis.container_types != wanted.vardis.container_types:
         numbers = ", ".join(f"{number} {name}" for name, number in vardis.container_types.by_name().items())
         yield "VD-IC-02", f"the container types are {numbers}"
+
+
+def _names(members: Members) -> str:
+    return ", ".join(each if isinstance(each, str) else each.name for each in members)
 
 
 def _reordered(names: Sequence[object], wanted: Sequence[object]) -> bool:

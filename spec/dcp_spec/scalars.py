@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import construct as cs
 
 from .combinators import Field, VarBytes
-from .profile import Extra, IntType, NodeIdType, Opaque, TextType
+from .profile_types import IntType, Members, NodeIdType, OwnField, TextType
 
 # struct codes for the widths that have one; the others become construct's BytesInteger.
 _CODES = {1: "b", 2: "h", 4: "l", 8: "q"}
@@ -41,8 +42,20 @@ def octets(of: TextType, *, text: bool) -> Any:
     return VarBytes(*(integer(length) for length in of.lengths), terminated=of.terminated, text=text)
 
 
-def foreign(member: Opaque | Extra) -> Field:
-    """A field that the specification does not have: octets without meaning, or a number."""
-    if isinstance(member, Opaque):
-        return Field(member.name, cs.Bytes(member.opaque), role="opaque", doc=member.note)
-    return Field(member.name, integer(member.extra), role="extra", doc=member.note)
+def foreign(member: OwnField) -> Field:
+    """A field that the specification does not have."""
+    doc, unit = member.note, member.unit or None
+    if member.opaque is not None:
+        return Field(member.name, cs.Bytes(member.opaque), role="opaque", unit=unit, doc=doc)
+    if member.block is not None:
+        return Field(member.name, octets(member.block, text=member.text), role="extra", unit=unit, doc=doc)
+    if member.real is not None:
+        return Field(member.name, real(member.real.width, member.real.byte_order), role="extra", unit=unit, doc=doc)
+    if member.extra is None:
+        raise ValueError(f"field {member.name!r} has no layout")
+    return Field(member.name, integer(member.extra), role="extra", unit=unit, doc=doc)
+
+
+def members(listed: Members, fields: Mapping[str, Field]) -> list[Field]:
+    """The members of a record: the standard ones out of ``fields``, and those of the implementation's own."""
+    return [fields[member] if isinstance(member, str) else foreign(member) for member in listed]

@@ -13,20 +13,20 @@ class Schema(NamedTuple):
     """What a profile puts on the wire, as construct objects that parse and build by themselves.
 
     ``beacon`` is a bearer payload with its client payloads taken apart, ``envelope`` the same with client payloads
-    left as octets (what BP itself knows), ``state_report`` an SRP payload (None where a profile has no octets for
-    it), ``containers`` a VarDis payload.
+    left as octets (what BP itself knows), ``srp`` an SRP payload (None where it is octets of any number),
+    ``containers`` a VarDis payload.
     """
 
     profile: Profile
     beacon: Any
     envelope: Any
-    state_report: Any | None
+    srp: Any | None
     containers: Any
 
 
 def build_schema(profile: Profile) -> Schema:
     """Build the schemas of ``profile``."""
-    report = srp.state_report(profile)
+    report = srp.report(profile)
     containers = vardis.payload(profile)
     clients: dict[int, tuple[str, Any]] = {BP_PROTID_VARDIS: ("vardis", containers)}
     if report is not None:
@@ -35,6 +35,6 @@ def build_schema(profile: Profile) -> Schema:
         profile=profile,
         beacon=bp.beacon(profile, clients),
         envelope=bp.beacon(profile, {}),
-        state_report=report,
+        srp=report,
         containers=containers,
     )

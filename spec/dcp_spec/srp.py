@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import construct as cs
+
 from .combinators import Field, Record, WholeRegion
-from .profile import IntType, Opaque, Profile, SafetyField
-from .scalars import foreign, integer, node_id, real
+from .profile import IntType, OwnField, Profile, SafetyField
+from .scalars import foreign, integer, members, node_id, real
 
 
 def _safety_field(member: SafetyField) -> Field:
     if member.type == "opaque":
-        return foreign(Opaque(name=member.name, opaque=member.octets))
+        return foreign(OwnField(name=member.name, opaque=member.octets))
     if member.type.startswith("f"):
         subcon = real(member.width, member.byte_order)
     else:
@@ -28,10 +30,29 @@ def safety_data(profile: Profile) -> Record:
     )
 
 
-def state_report(profile: Profile) -> Any | None:
-    """``ExtendedSafetyDataT``, which fills its payload exactly (SRP-RX-01); None if the profile has no record."""
-    if not profile.srp.record:
+def report(profile: Profile) -> Any | None:
+    """The payload of SRP, which a report fills exactly (SRP-RX-01); None if it is octets of any number.
+
+    A record of fields of the implementation's own only has the type ``OwnReport``.
+    """
+    record = profile.srp.record
+    if not record:
         return None
+    if profile.srp.is_report:
+        return _filling(state_report(profile))
+    return _filling(Record("OwnReport", *members(record, {}), requirement="SRP-RX-01"))
+
+
+def _filling(record: Record) -> Any:
+    try:
+        record.sizeof()
+    except cs.SizeofError:
+        return record
+    return WholeRegion(record, requirement="SRP-RX-01")
+
+
+def state_report(profile: Profile) -> Record:
+    """``ExtendedSafetyDataT``."""
     types = profile.types
     fields = {
         "sData": Field("sData", safety_data(profile), requirement="SRP-TYP-03", doc="safety data of the application"),
@@ -58,9 +79,4 @@ def state_report(profile: Profile) -> Any | None:
             doc="counts the reports of this node",
         ),
     }
-    record = Record(
-        "ExtendedSafetyData",
-        *(fields[member] if isinstance(member, str) else foreign(member) for member in profile.srp.record),
-        requirement="SRP-RX-01",
-    )
-    return record if types.node_id.length is not None else WholeRegion(record, requirement="SRP-RX-01")
+    return Record("ExtendedSafetyData", *members(profile.srp.record, fields), requirement="SRP-RX-01")

@@ -200,7 +200,7 @@ def test_every_profile_has_channels(name, tmp_path):
     topics = Counter(channel.topic for _, channel, _ in messages)
     assert topics["/dcp/bp"] == 1
     assert topics["/dcp/vardis"] == 2
-    assert topics["/dcp/srp"] == (codec.report_plan is not None)
+    assert topics["/dcp/srp"] == (codec.srp_plan is not None)
     positions = [member for member in codec.profile.srp.safety_data if member.role.startswith("position")]
     assert sum("/pose/" in topic for topic in topics) == bool(positions)
 

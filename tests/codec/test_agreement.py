@@ -78,7 +78,7 @@ def view_of(codec: Codec, part: str) -> View:
             return View(
                 codec,
                 codec.report_plan,
-                schema.state_report,
+                schema.srp,
                 lambda octets: (codec.decode_report(octets), len(octets)),
                 codec.encode_report,
                 strategies.reports(codec),

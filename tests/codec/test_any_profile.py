@@ -7,21 +7,26 @@ from typing import Any
 import construct as cs
 import msgspec
 from dcp_spec.profile import (
+    RECORD_MEMBERS,
     BPLayout,
     ContainerTypes,
-    Extra,
     IntType,
     NodeIdType,
-    Opaque,
+    OwnContainer,
+    OwnField,
     Profile,
+    RealType,
+    RecordLayouts,
     SafetyField,
     SRPLayout,
     TextType,
     TimestampType,
     Types,
     VardisLayout,
+    standard_fields,
 )
-from dcp_spec.profile_loading import contradictions, load_profile
+from dcp_spec.profile_loading import load_profile
+from dcp_spec.profile_rules import contradictions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,6 +42,23 @@ _FLOATS_OR_INTS = st.sampled_from(["f64", "f32", "i8", "i16", "i32", "i64", "u8"
 def integers(low: int = 1, *, length: bool = False) -> st.SearchStrategy[IntType]:
     signed = st.just(False) if length else st.booleans()
     return st.builds(IntType, width=st.integers(low, 8), byte_order=_ORDERS, signed=signed)
+
+
+@st.composite
+def own_fields(draw: st.DrawFn) -> OwnField:
+    """A field of the implementation's own, of any kind."""
+    name = draw(st.sampled_from(["own1", "ownTwo", "own_3"]))
+    match draw(st.sampled_from(["opaque", "extra", "real", "block", "text"])):
+        case "opaque":
+            return OwnField(name=name, opaque=draw(st.integers(1, 9)))
+        case "extra":
+            return OwnField(name=name, extra=draw(integers()))
+        case "real":
+            return OwnField(name=name, real=RealType(width=draw(st.sampled_from([4, 8])), byte_order=draw(_ORDERS)))
+        case kind:
+            lengths = tuple(draw(st.lists(integers(length=True), max_size=2)))
+            ended = not lengths or draw(st.booleans())
+            return OwnField(name=name, block=TextType(lengths=lengths, terminated=ended), text=kind == "text")
 
 
 @st.composite
@@ -76,7 +98,7 @@ def profiles(draw: st.DrawFn) -> Profile:
         value=draw(st.builds(TextType, lengths=lengths, terminated=st.booleans())),
     )
     names = iter(draw(st.permutations(["alpha", "beta", "gammaRay", "delta_4", "x9", "Y", "z_", "n0ne"])))
-    opaque = Opaque(opaque=draw(st.integers(1, 9)), name=next(names))
+    opaque = OwnField(opaque=draw(st.integers(1, 9)), name=next(names))
     block: list[Any] = ["protocolId", "length", *([opaque] if draw(st.booleans()) else [])]
     bp = BPLayout(
         header=() if headless else tuple(draw(st.permutations(base.bp.header))),
@@ -90,19 +112,34 @@ def profiles(draw: st.DrawFn) -> Profile:
     ]
     data.append(SafetyField(name="hidden", type="opaque", octets=draw(st.integers(1, 9))))
     record: list[Any] = ["sData", "nodeId", "tStamp", "seqno"]
-    record += [Opaque(opaque=draw(st.integers(1, 9)), name=next(names)) for _ in range(draw(st.integers(0, 2)))]
-    numbers = draw(st.lists(st.integers(0, 255), min_size=6, max_size=6, unique=True))
+    record += [OwnField(opaque=draw(st.integers(1, 9)), name=next(names)) for _ in range(draw(st.integers(0, 2)))]
+    numbers = draw(st.lists(st.integers(0, 255), min_size=8, max_size=8, unique=True))
+
+    def with_own(*standard: str) -> tuple[Any, ...]:
+        own = draw(st.lists(own_fields(), max_size=2, unique_by=lambda field: field.name))
+        return tuple(draw(st.permutations([*standard, *own])))
+
+    containers = [
+        OwnContainer(name=name, number=number, record=listed)
+        for name, number in zip(("GEO-FENCE", "x1"), numbers[6:], strict=True)
+        if (listed := with_own(*draw(st.sampled_from([(), ("varId",), ("seqno", "value", "descr")]))))
+    ]
     extra = draw(st.lists(integers(), max_size=2))
     return msgspec.structs.replace(
         base,
         name="drawn",
         types=types,
         bp=bp,
-        srp=SRPLayout(record=tuple(draw(st.permutations(record))), safety_data=tuple(data)),
+        srp=SRPLayout(
+            record=tuple(draw(st.permutations(record))) if draw(st.integers(0, 3)) else with_own(),
+            safety_data=tuple(data),
+        ),
         vardis=VardisLayout(
-            var_spec=tuple(draw(st.permutations(base.vardis.var_spec))),
-            container_types=ContainerTypes(*numbers),
-            container_extra=tuple(Extra(extra=each, name=next(names)) for each in extra),
+            var_spec=with_own(*standard_fields(base.vardis.var_spec)),
+            records=RecordLayouts(*(with_own(*members) for members in RECORD_MEMBERS.values())),
+            own_containers=tuple(containers),
+            container_types=ContainerTypes(*numbers[:6]),
+            container_extra=tuple(OwnField(extra=each, name=next(names)) for each in extra),
             list_length=draw(st.one_of(st.none(), integers(length=True))),
         ),
         limits=msgspec.structs.replace(base.limits, max_value_length=1, max_description_length=1),

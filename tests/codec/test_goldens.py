@@ -16,7 +16,9 @@ from dcp_codec import (
     Beacon,
     BPHeader,
     Container,
+    DecodeError,
     ExtendedSafetyData,
+    OwnRecord,
     Payload,
     VarCreate,
     VarDelete,
@@ -295,12 +297,21 @@ def test_packed_report_of_the_simulator() -> None:
     assert codec.decode_report(octets) == report
 
 
-def test_declared_report_of_cpp_1_2() -> None:
+def test_pattern_of_cpp_1_2() -> None:
+    """That release sends 40 octets that count up, which are no state report."""
     codec = get_codec("cpp-1.2")
-    report = ExtendedSafetyData(codec.safety_data_type(1.0, 2.0, 3.0), PRODUCER, 4, 5)
-    octets = CAPTURED[:24] + bytes.fromhex("020000000001 0400000000000000 05000000")
+    octets = bytes(range(200, 240))
+    report = codec.decode_srp(octets)
+    assert isinstance(report, OwnRecord)
+    assert report.as_dict() == {"pattern": octets}
     assert codec.encode_report(report) == octets
-    assert codec.decode_report(octets) == report
+    with pytest.raises(ValueError, match=r"cpp-1\.2 has no state reports"):
+        codec.decode_report(octets)
+    with pytest.raises(DecodeError, match="40"):
+        codec.decode_srp(octets[1:])
+    payload = Payload(1, report)
+    assert payload.own_report == report
+    assert payload.srp is payload.vardis is payload.data is None
 
 
 # -- one golden per record type ---------------------------------------------------------------------------------

@@ -54,10 +54,13 @@ def test_records(codec: Codec) -> None:
     def check(data: st.DataObject) -> None:
         for name, cls in RECORDS.items():
             record = data.draw(strategies.records(codec, name))
-            assert type(record) is cls
+            assert type(record) is codec.types[cls.__name__]
+            assert isinstance(record, cls)
             containers = (Container(numbers[name], (record,)),)
             if codec.profile.vardis.list_length is None:
-                assert codec.decode_containers(codec.encode_containers(containers))[0].records == (record,)
+                found = codec.decode_containers(codec.encode_containers(containers))[0]
+                # As text: a NaN does not equal itself.
+                assert repr(found.records) == repr((record,))
 
     check()
 

@@ -38,6 +38,8 @@ from .rig import codec_of
 
 MS = 1_000_000
 SECOND = 1000 * MS
+#: The first number of a node in a script: it is older than the recording.
+_FIRST = 1000
 
 
 class Recorder:
@@ -127,10 +129,18 @@ def _has_timeout(network: Network) -> bool:
     return features(network.codec.profile.spec_version).creation_time
 
 
-def judged(frames: Iterable[Frame], profile: str, pics: Pics | None = None) -> RunResult:
-    """What the invariants say of a recording; without ``pics`` nobody has stated its beacon period."""
+def judged(frames: Iterable[Frame], profile: str, pics: Pics | None = None, *, enough: int | None = 1) -> RunResult:
+    """What the invariants say of a recording; without ``pics`` nobody has stated its beacon period.
+
+    Recordings of tests are short: one occasion is ``enough`` for a pass, None for as many as users need.
+    """
     judge = Judge(
-        codec_of(profile), pics or Pics(), recording="test.mcap", command="again", period_known=pics is not None
+        codec_of(profile),
+        pics or Pics(),
+        recording="test.mcap",
+        command="again",
+        period_known=pics is not None,
+        enough=enough,
     )
     for frame in frames:
         judge.feed(frame)
@@ -206,7 +216,7 @@ class Script:
         payloads = ((Payload(1, report),) if report is not None else ()) + (
             (Payload(2, containers),) if containers else ()
         )
-        this = self.seqno.get(number, 0) if seqno is None else seqno
+        this = self.seqno.get(number, _FIRST) if seqno is None else seqno
         self.seqno[number] = (this + 1) % 2**32
         has_network = self.codec.profile.has_header_field("networkId")
         header = BPHeader(self.node(number), this, network_id=network_id if has_network else None)

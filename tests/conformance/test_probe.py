@@ -39,6 +39,8 @@ def codec(name: str) -> Codec:
 
 
 CANDIDATES = [codec(name) for name in BUILTIN_PROFILES]
+#: Without the profile whose SRP payloads are the pattern of the mutant: for whoever sends one that no profile knows.
+WITHOUT_PATTERN = [each for each in CANDIDATES if each.profile.name != "cpp-1.2"]
 
 
 def node(profile: str, **options: Any) -> InProcess:
@@ -273,16 +275,29 @@ def with_mutant(identifier: str, profile: str = "dcp-2.0") -> InProcess:
 
 
 def test_one_bad_block_does_not_hide_what_the_others_say():
-    sut = with_mutant("M-SRP-FMT-01-test-pattern", "cpp-1.2")
+    sut = with_mutant("M-SRP-FMT-01-test-pattern", "dcp-1.2")
     busy(sut)
     for number in range(40):
         assert sut.upper_tester().call("SRP-UpdateSafetyData", {"sData": {"x": number, "y": 2, "z": 3}}).ok
         sut.elapse(100_000_000)
-    pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10, asked_for="cpp-1.2")
-    assert pics.pixit.profile == "cpp-1.2"
+    pics, remarks = draft(sut.lower_tester(), None, WITHOUT_PATTERN, 10, asked_for="dcp-1.2")
+    assert pics.pixit.profile == "dcp-1.2"
     assert (pics.pixit.node_id, pics.pixit.beacon_period_ms) == ("02:00:00:00:00:01", 100)
     assert (pics.pics.srp, pics.pics.vardis) == (True, True)
     assert any("cannot be read to their end: SRP-FMT-01: a payload of fixed size" in each for each in remarks)
+
+
+def test_a_pattern_that_a_profile_knows_is_no_state_report():
+    sut = with_mutant("M-SRP-FMT-01-test-pattern", "cpp-1.3")
+    busy(sut)
+    for number in range(40):
+        assert sut.upper_tester().call("SRP-UpdateSafetyData", {"sData": {"x": number, "y": 2, "z": 3}}).ok
+        sut.elapse(100_000_000)
+    pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10)
+    assert pics.pixit.profile == "cpp-1.2"
+    assert pics.pics.srp is not True
+    assert pics.pics.vardis is True
+    assert not any("SRP-FMT-01" in each for each in remarks)
 
 
 @pytest.mark.parametrize(
@@ -426,18 +441,18 @@ def test_how_fast_it_reacts_is_measured(check_ms: int, periods: str):
 
 def silent_but_for_a_pattern(**options):
     """A node that sends a test pattern in place of state reports in every beacon, and has no variables."""
-    sut = with_mutant("M-SRP-FMT-01-test-pattern", "cpp-1.2")
+    sut = with_mutant("M-SRP-FMT-01-test-pattern", "dcp-1.2")
     for number in range(40):
         assert sut.upper_tester().call("SRP-UpdateSafetyData", {"sData": {"x": number, "y": 2, "z": 3}}).ok
         sut.elapse(100_000_000)
-    return draft(sut.lower_tester(), None, CANDIDATES, 10, **options)
+    return draft(sut.lower_tester(), None, WITHOUT_PATTERN, 10, **options)
 
 
-@pytest.mark.parametrize("asked_for", [None, "cpp-1.2", "dcp-2.0"])
+@pytest.mark.parametrize("asked_for", [None, "dcp-1.2", "dcp-2.0"])
 def test_a_node_with_only_unreadable_blocks_is_told_by_its_headers(asked_for):
     pics, remarks = silent_but_for_a_pattern(ask=False, asked_for=asked_for)
-    assert pics.pixit.profile in ("cpp-1.2", "dcp-1.2", "dcp-1.3")
-    assert asked_for != "cpp-1.2" or pics.pixit.profile == asked_for
+    assert pics.pixit.profile in ("dcp-1.2", "dcp-1.3", "cpp-1.3")
+    assert asked_for != "dcp-1.2" or pics.pixit.profile == asked_for
     assert (pics.pixit.node_id, pics.pixit.beacon_period_ms) == ("02:00:00:00:00:01", 100)
     assert pics.pics.srp is True
     (profile,) = [each for each in remarks if each.startswith("pixit.profile: ")]
@@ -451,7 +466,7 @@ def test_a_node_with_only_unreadable_blocks_is_told_by_its_headers(asked_for):
 
 def test_who_sends_no_variables_is_asked_for_some():
     pics, remarks = silent_but_for_a_pattern()
-    assert pics.pixit.profile in ("cpp-1.2", "cpp-1.3", "dcp-1.2", "dcp-1.3")
+    assert pics.pixit.profile in ("cpp-1.3", "dcp-1.2", "dcp-1.3")
     assert pics.pics.vardis is True
     assert any("no VarDis payload was heard, and it has been asked" in each for each in remarks)
     assert any("0 of" in each and "for SRP can be read" in each for each in remarks)

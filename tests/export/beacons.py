@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from dcp_spec.usability import unusable_keys
 from hypothesis import HealthCheck, Phase, given, settings
 
 from dcp_codec import (
@@ -23,7 +25,8 @@ from dcp_codec import (
     VarSumm,
     VarUpdate,
 )
-from dcp_codec.plan import Scalar
+from dcp_codec.layout import walk
+from dcp_codec.plan import Group, Many, Node, Scalar, Select, Text
 
 RECORDINGS = sorted((Path(__file__).parent.parent.parent / "captures").glob("*.mcap"))
 
@@ -31,6 +34,8 @@ RECORDINGS = sorted((Path(__file__).parent.parent.parent / "captures").glob("*.m
 def everything(codec: Codec) -> Beacon:
     """A beacon with every kind of record that the profile has, and a payload of an unknown protocol."""
     profile, types = codec.profile, codec.profile.types
+    if unusable_keys(profile):
+        return _filled_beacon(codec)
     nodes = [bytes([2, 0, 0, 0, 0, number]) for number in (0xBB, 1)]
     if types.node_id.length is not None:
         sender, producer = (node.hex(":").encode() for node in nodes)
@@ -77,6 +82,50 @@ def everything(codec: Codec) -> Beacon:
     payloads += [Payload(2, tuple(containers if roomy else containers[1:])), Payload(99, b"\x00\xff?")]
     network = None if "networkId" not in profile.bp.header else profile.bp.network_id or 0
     return Beacon(BPHeader(sender, 41, network) if profile.bp.header else None, tuple(payloads))
+
+
+def _filled_beacon(codec: Codec) -> Beacon:
+    """The same for a profile with fields and containers of its own: every record, all fields counted up."""
+    numbers = itertools.count(40)
+
+    def value(node: Node) -> Any:
+        number = next(numbers)
+        match node:
+            case Scalar(kind="bytes"):
+                return bytes([number % 256]) * node.size
+            case Scalar(kind="float"):
+                return number + 0.5
+            case Scalar():
+                return number
+            case Text():
+                return f"text {number}".encode()
+            case Group():
+                return record(node)
+            case _:
+                raise TypeError(f"no value for {node}")
+
+    def record(group: Group, **given: Any) -> Any:
+        foreign = codec.types.slots(group)[1]
+        found = {
+            attribute: value(member)
+            for member in group.members
+            if (attribute := codec.types.attribute(group, member)) is not None and attribute not in given
+        }
+        if foreign:
+            found["extra"] = tuple(value(member) for member in foreign)
+        return codec.types[group.type_name](**found, **given)
+
+    groups = {node.type_name: node for node in walk(codec.beacon_plan) if isinstance(node, Group)}
+    choice = next(node for node in walk(codec.containers_plan) if isinstance(node, Select))
+    containers = tuple(
+        record(groups["Container"], ic_type=number, records=(record(case.element), record(case.element)))
+        for number, case in choice.cases.items()
+        if isinstance(case, Many)
+    )
+    report = record(groups["OwnReport"] if "OwnReport" in groups else groups["ExtendedSafetyData"])
+    contents = {1: report, 2: containers, 99: b"\x00\xff?"}
+    payloads = [record(groups["Payload"], protocol_id=key, content=content) for key, content in contents.items()]
+    return Beacon(record(groups["BPHeader"]), tuple(payloads))
 
 
 def malformed(codec: Codec, octets: bytes) -> Iterator[bytes]:

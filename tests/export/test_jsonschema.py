@@ -118,7 +118,7 @@ def test_beacons_of_every_profile_fit(profile):
     codec = get_codec(profile)
     check = validator(beacon_schema(codec))
     report, container = report_schema(codec), validator(container_schema(codec))
-    assert (report is None) == (codec.report_plan is None)
+    assert (report is None) == (codec.srp_plan is None)
     frame = validator(frame_schema(codec))
     dissector = FrameDissector(codec)
     for beacon in (example_beacon(codec), *(random_beacon(codec, seed) for seed in range(20))):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_spec.profile import Link, Opaque
+from dcp_spec.profile import Link, OwnField
 
 from dcp_codec import Codec, get_codec
 from dcp_codec.export.lua import filter_name, wireshark_dissector
@@ -152,7 +152,7 @@ def test_names_and_titles_of_a_profile_are_no_lua(tmp_path: Path) -> None:
 
 def test_two_fields_of_one_name_are_refused(codec: Codec) -> None:
     # No profile file gets so far, but a profile made by a program can.
-    header = ("protocolId", Opaque(name="srp", opaque=2), "length")
+    header = ("protocolId", OwnField(name="srp", opaque=2), "length")
     profile = codec.profile
     own = msgspec.structs.replace(profile, bp=msgspec.structs.replace(profile.bp, payload_header=header))
     with pytest.raises(ValueError, match=r"dcp\.payloads\.srp: rename one in the profile"):

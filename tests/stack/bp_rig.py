@@ -6,7 +6,7 @@ import random
 from typing import Any
 
 from dcp_spec.constants import QueueingMode
-from dcp_spec.profile_loading import header_size
+from dcp_spec.profile_rules import header_size
 from dcp_spec.status import BPStatus
 
 from dcp_codec import get_codec

@@ -28,7 +28,7 @@ TEXT = {OWN: b"02:00:00:00:00:aa", OTHER: b"02:00:00:00:00:bb", THIRD: b"02:00:0
 WALL = 1_700_000_000 * 10**9
 
 VERSIONS = ["dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0"]
-PROFILES = [*VERSIONS, "cpp-1.2", "cpp-1.3", "cpp-2.0", "sim-2.0", "student-2024"]
+PROFILES = [*VERSIONS, "cpp-1.3", "cpp-2.0", "sim-2.0", "student-2024"]
 
 
 @dataclass

@@ -37,6 +37,8 @@ RECORD_TABLES = {
     "CREATE-VARIABLES": "creates",
     "DELETE-VARIABLES": "deletes",
 }
+#: Containers of the profiles in tests that have some of their own.
+OWN_TABLES = {"GEO-FENCE": "geo_fence", "Ping": "ping", "x1": "x1"}
 #: What a node identifier or an opaque region may be beyond what fits a register.
 _LONG = """
     extends = "dcp-2.0"
@@ -119,7 +121,7 @@ def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any], 
     tables["payloads"].append(beside(keys, {"data": None, **own, "content": content}, "payload"))
     if payload.get("srp") is not None:
         report = payload["srp"]
-        tables["srp"].append(beside(keys, flat(report), "srp"))
+        tables["srp" if "sData" in report else "own_report"].append(beside(keys, flat(report), "srp"))
     for place, container in enumerate(payload.get("vardis", ())):
         keys_of_it = keys | {"container": place}
         octets = (part.child("vardis") or part).children[place].length
@@ -127,7 +129,7 @@ def payload_rows(tables: Tables, keys: dict[str, Any], payload: dict[str, Any], 
             {**keys_of_it, "octets": octets, **{k: v for k, v in container.items() if k != "records"}}
         )
         for number, record in enumerate(container["records"]):
-            name = RECORD_TABLES[container["icName"]]
+            name = RECORD_TABLES.get(container["icName"]) or OWN_TABLES[container["icName"]]
             tables[name].append({**keys_of_it, "record": number, **flat(record)})
 
 

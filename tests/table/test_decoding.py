@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dcp_spec.profile import Profile
-from dcp_spec.profile_loading import contradictions
+from dcp_spec.profile_rules import contradictions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -100,6 +100,7 @@ def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, r
     ``seed``: a worker's own; what it mutates is what all workers of a campaign do.
     """
     from dcp_spec.profile_loading import ProfileError
+    from dcp_spec.usability import refusal
 
     from dcp_codec.codec import Codec
     from dcp_codec.mutation import Mutator, drawn_pool
@@ -108,6 +109,8 @@ def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, r
         codec = Codec(options["profile"])
     except ProfileError as error:
         raise UsageError(str(error)) from None
+    if (reason := refusal(codec.profile)) is not None:
+        raise UsageError(reason)
     chance = _chance(options)
     recorded = _recorded(codec, options)
     pool = drawn_pool(codec, chance, 200, recorded[:200])

@@ -303,4 +303,4 @@ def reference_config(codec: Codec, *, beacon_period_ms: int = 100, node_id: byte
     if codec.profile.types.node_id.representation == "text" and len(node_id) == len(NODE_ID):
         node_id = node_id.hex(":").encode()
     bp = BPConfig(beacon_period_ms=beacon_period_ms)
-    return NodeConfig(node_id=node_id, codec=codec, bp=bp, srp=SRPConfig() if codec.profile.srp.record else None)
+    return NodeConfig(node_id=node_id, codec=codec, bp=bp, srp=SRPConfig() if codec.profile.srp.is_report else None)

@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol
 import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.profile import Profile
-from dcp_spec.profile_loading import contradictions
+from dcp_spec.profile_rules import contradictions
 
 from dcp_codec.codec import Codec
 from dcp_conformance.errors import UsageError
@@ -186,7 +186,7 @@ def by_letter(profile: Profile) -> bool:
 
 def has_srp(profile: Profile) -> bool:
     """Whether the profile has octets for state reports."""
-    return bool(profile.srp.record)
+    return bool(profile.srp.is_report)
 
 
 def variants_of(module: ModuleType) -> Iterable[Variant]:
