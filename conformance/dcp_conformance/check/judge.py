@@ -28,7 +28,16 @@ from dcp_conformance.results import (
 )
 from dcp_conformance.verdict import Verdict, worst
 
-from . import rules_bp, rules_data, rules_dialogue, rules_repetition, rules_srp, rules_vardis, rules_variables
+from . import (
+    rules_bp,
+    rules_data,
+    rules_dialogue,
+    rules_network,
+    rules_repetition,
+    rules_srp,
+    rules_vardis,
+    rules_variables,
+)
 from .base import Context, Invariant, Seen
 from .places import placed
 
@@ -40,6 +49,7 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_variables.RULES,
     *rules_repetition.RULES,
     *rules_dialogue.RULES,
+    *rules_network.RULES,
 )
 _STIMULUS: Final = "none: the recording as it is"
 #: Frames that are kept for findings that are made later; older ones are cited by number only.

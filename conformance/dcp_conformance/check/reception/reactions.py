@@ -311,10 +311,13 @@ class Reception:
         }
         found = [each for each in found if each.var_id is not None or (each.station.node, each.kind) not in alone]
         kept = [each for each in found if each.var_id is None or (each.station.node, each.kind) not in every - alone]
-        single = {(each.station.node, each.kind) for each in found if each.var_id is not None and each.certain}
+        # What is uncertain is told once, of all variables, and not beside what is certain.
+        told = {(each.station.node, each.kind) for each in kept if each.var_id is None or each.certain}
         kept = [
-            each for each in kept if each.certain or each.var_id is None or (each.station.node, each.kind) not in single
+            each for each in kept if each.certain or (each.var_id is None) or (each.station.node, each.kind) not in told
         ]
+        single = {(each.station.node, each.kind) for each in kept if each.var_id is not None and each.certain}
+        kept = [each for each in kept if each.certain or (each.station.node, each.kind) not in single]
         return sorted(kept, key=lambda each: each.tally.chance)
 
 
