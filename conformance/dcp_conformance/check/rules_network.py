@@ -38,10 +38,13 @@ class _Backing:
     """What a node says of a variable, and whether it has sent the value."""
 
     said: Said
+    """Where the node first stated the number."""
     number: int
     backed: bool
     time: int
     before: Said | None = None
+    last: Said | None = None
+    """Where the node stated it last."""
     beacons: int = 0
 
 
@@ -119,8 +122,8 @@ class Backed(Invariant):
             known[each.var_id] = _Backing(each, number, backed=True, time=seen.time)
             return
         if number != state.number:
-            state = known[each.var_id] = _Backing(each, number, backed=False, time=seen.time, before=state.said)
-        state.time = seen.time
+            state = known[each.var_id] = _Backing(each, number, backed=False, time=seen.time, before=state.last or state.said)
+        state.time, state.last = seen.time, each
         if state.backed:
             return
         state.beacons += room
