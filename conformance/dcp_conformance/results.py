@@ -37,6 +37,8 @@ class Check(msgspec.Struct, frozen=True, omit_defaults=True):
     table: Table = "conformance"
     shown: bool = False
     """A failure that is proved by what was received, which nothing that happened later can explain."""
+    seconds: float | None = None
+    """Of a recording: when it showed first, in seconds since the first frame."""
 
 
 class EventRecord(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -69,6 +71,12 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds on the lower tester's clock; virtual seconds in process."""
     table: Table = "conformance"
     checks: tuple[Check, ...] = ()
+    occasions: dict[str, int] = {}
+    """Of a recording: by requirement, how often it gave an occasion to break it."""
+    consequence: str = ""
+    """What follows from the findings for the network, in a sentence."""
+    show: str = ""
+    """The command that shows the frame of the first finding."""
     readings: dict[str, str] = {}
     """Disputed texts (A.7) and which of their readings was observed."""
     evidence: tuple[EventRecord, ...] = ()
@@ -125,6 +133,8 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     invariants: tuple[CaseResult, ...] = ()
     """Invariants over all beacons of the run that held, or gave no occasion; those that did not are among the cases."""
     requirements: dict[str, Verdict] = {}
+    occasions: dict[str, int] = {}
+    """Of a recording: by requirement, how often it gave an occasion to break it, over all cases."""
     summary: dict[str, dict[str, int]] = {}
     """By table, then by verdict: number of cases."""
     readings: dict[str, tuple[str, ...]] = {}
@@ -156,6 +166,8 @@ def requirement_verdicts(cases: tuple[CaseResult, ...]) -> dict[str, Verdict]:
             if case.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE):
                 bad = [verdict for verdict in verdicts if verdict.rank > Verdict.PASS.rank]
                 found.setdefault(each, []).extend(bad or ([] if verdicts else [Verdict.INCONCLUSIVE]))
+            elif Verdict.TOO_LITTLE in verdicts:
+                found.setdefault(each, []).extend(verdicts)
             else:
                 found.setdefault(each, []).append(case.verdict)
     return {each: _joined(verdicts) for each, verdicts in found.items()}

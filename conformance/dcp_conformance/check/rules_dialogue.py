@@ -18,7 +18,9 @@ from .reception.links import summary
 
 __all__ = ["RULES", "Counter"]
 
-#: Of a link, what is worth a line: a share that is not nothing, or so many trials without any reaction.
+#: A link is shown by so many reactions to a speaker alone, and a share that is at least this.
+_ALONE, _SHARE = 2, 0.1
+#: That there is none is shown by so many trials with a share that is next to nothing.
 _SOME, _TRIALS = 0.02, 20
 
 
@@ -30,6 +32,7 @@ class HearsWhom(Invariant):
     purpose = "Beacons reach the nodes around: who hears whom, as reactions show"
     requirements = ("UWB-01",)
     expect = "reactions of others to what a beacon says"
+    enough = 1
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -50,9 +53,10 @@ class HearsWhom(Invariant):
                 link = found.get((listener.node, speaker.node))
                 if listener is speaker:
                     continue
-                if link is None or (link.at_least < _SOME and (link.share > _SOME or link.trials < _TRIALS)):
+                heard = link is not None and link.alone >= _ALONE and link.at_least >= _SHARE
+                if link is None or (not heard and (link.share > _SOME or link.trials < _TRIALS)):
                     unknown.append(name(speaker.node))
-                elif link.share > _SOME:
+                elif heard:
                     self.exercised()
                     until = "" if link.lasts else f", not after {(link.end - self._reception.begin) / 1e9:.0f} s"
                     shown.append(f"{name(speaker.node)} ({link.share:.0%}, {link.reactions:.0f} reactions{until})")
@@ -65,6 +69,7 @@ class HearsWhom(Invariant):
 class _Reaction(Invariant):
     """Base: one kind of reaction."""
 
+    enough = 5
     kinds: ClassVar[tuple[Kind, ...]]
     by_cause: ClassVar[dict[ICType, str]] = {}
     """The requirement that a record calls upon, where it is not one for all."""
@@ -103,6 +108,7 @@ class _Reaction(Invariant):
         else:
             if reason := self._reason(each):
                 text += f"; the likely reason: {reason}"
+            self.exercised(*rules, times=tally.all_trials)
             self.violated(text, tally.examples, *rules)
 
     def _speakers(self, each: Shortage) -> str:

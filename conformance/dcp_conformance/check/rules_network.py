@@ -122,7 +122,9 @@ class Backed(Invariant):
             known[each.var_id] = _Backing(each, number, backed=True, time=seen.time)
             return
         if number != state.number:
-            state = known[each.var_id] = _Backing(each, number, backed=False, time=seen.time, before=state.last or state.said)
+            state = known[each.var_id] = _Backing(
+                each, number, backed=False, time=seen.time, before=state.last or state.said
+            )
         state.time, state.last = seen.time, each
         if state.backed:
             return

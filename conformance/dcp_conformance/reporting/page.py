@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from dcp_codec.codec import Codec
 from dcp_codec.plain import plain
+from dcp_conformance.check.wording import moment
 from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
 from dcp_conformance.verdict import Verdict
 
@@ -31,6 +32,7 @@ _ORDER = (
     Verdict.INCONCLUSIVE,
     Verdict.PASS,
     Verdict.INFO,
+    Verdict.TOO_LITTLE,
     Verdict.NOT_APPLICABLE,
 )
 
@@ -176,6 +178,9 @@ def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
         "recording": case.recording,
         "linked": _RECORDING.fullmatch(case.recording) is not None,
         "rerun": case.rerun,
+        "occasions": case.occasions,
+        "consequence": case.consequence,
+        "show": case.show,
         "killed": case.killed,
         "detail": case.error_detail,
         "search": f"{case.id} {case.purpose} {' '.join(case.requirements)} {case.section}".lower(),
@@ -193,6 +198,7 @@ def _check(check: Check, events: dict[int, EventRecord], apart: Frames, case: Ca
         "requirements": check.requirements,
         "expected": check.expected,
         "observed": check.observed,
+        "moment": "" if check.seconds is None else moment(check.seconds),
         "frames": [apart.frame(event, marks[event.frame], begin_of(case)) for event in shown],
         "more": len(marks) - len(shown) if notable else 0,
     }

@@ -23,9 +23,8 @@ SHAPES: Final[tuple[Literal["bus", "line"], ...]] = ("bus", "line")
 #: The place of the faulty node: in a line everything between the halves passes it.
 PLACE: Final = 2
 
-Fate = Literal["found", "otherwise", "doubted", "observed", "missed", "same", "silent"]
-"""Found by a rule that names the requirement; by others; pass withheld; only observed; not found; same octets as our
-node; the node stumbled or sent nothing."""
+Fate = Literal["found", "otherwise", "doubted", "observed", "missed", "same"]
+"""Found by a rule that names the requirement; by others; a pass is withheld; observed only; not found; our octets."""
 
 
 class Outcome(msgspec.Struct, frozen=True):

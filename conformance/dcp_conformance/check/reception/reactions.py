@@ -223,7 +223,8 @@ class Reception:
         for bit, (share, count, due) in inferred.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
-                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound))
+                alone = outcomes.get(bit, (0, 0))[1]
+                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
     def _suspect(self, key: Group, group: list[Trial], others: list[Trial]) -> None:
         """Add what was expected of a group, as all trials of the node that are well show it."""
