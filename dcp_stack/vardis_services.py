@@ -223,9 +223,8 @@ class VariableServices:
             raise ValueError(f"a node identifier has {sizes.node_id_width} octets, not {len(prod_id)}")
         if sizes.nul_terminated and b"\0" in descr:
             raise ValueError("a description of this profile ends with NUL and cannot contain it")
-        highest = sizes.highest_timeout if self._core.features.creation_time else 0
-        if not 0 <= timeout_ms <= highest:
-            raise ValueError(f"a timeout is 0 to {highest} ms, not {timeout_ms}")
+        if not 0 <= timeout_ms <= sizes.highest_timeout:
+            raise ValueError(f"a timeout is 0 to {sizes.highest_timeout} ms, not {timeout_ms}")
 
     def _refused_value(self, value: bytes) -> VardisStatus | None:
         ##= VD-CRE-05

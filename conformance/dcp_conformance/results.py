@@ -113,6 +113,20 @@ class Sut(msgspec.Struct, frozen=True, kw_only=True):
     methods: tuple[str, ...] = ()
 
 
+class LinkResult(msgspec.Struct, frozen=True, omit_defaults=True):
+    """That one node of a recording hears another, as its reactions show."""
+
+    listener: str
+    speaker: str
+    share: float
+    """The part of the speaker's beacons that the listener reacts to, 0..1."""
+    reactions: int
+    trials: int
+    """How often the speaker was among those who gave the listener a reason to react."""
+    until: float | None = None
+    """Seconds since the first frame after which nothing was heard any more; None: to the end."""
+
+
 class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """A whole run."""
 
@@ -135,6 +149,10 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     requirements: dict[str, Verdict] = {}
     occasions: dict[str, int] = {}
     """Of a recording: by requirement, how often it gave an occasion to break it, over all cases."""
+    holdings: dict[str, Any] = {}
+    """Of a recording: who holds what and when (:meth:`dcp_codec.holdings.History.as_json`)."""
+    links: tuple[LinkResult, ...] = ()
+    """Of a recording: who hears whom, where reactions are enough to say."""
     summary: dict[str, dict[str, int]] = {}
     """By table, then by verdict: number of cases."""
     readings: dict[str, tuple[str, ...]] = {}

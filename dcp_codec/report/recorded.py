@@ -12,7 +12,7 @@ from dcp_spec.profile import SafetyField
 
 from dcp_codec.codec import Codec
 from dcp_codec.plain import plain
-from dcp_codec.table.decoding import Batch, ColumnDecoder
+from dcp_codec.table.decoding import Batch, ColumnDecoder, worth_compiling
 from dcp_codec.table.job import Advance, Outcome, others, resolve
 from dcp_codec.table.sources import Recording
 
@@ -268,8 +268,8 @@ def gather(
     codec, link, note = resolve(path, profile, ether_type)
     outcome = Outcome(path, codec.profile.name, [note] if note else [])
     gatherer = _Gatherer(codec)
-    decoder = ColumnDecoder(codec, link)
     with Recording(path) as recording:
+        decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
         position = 0
         for block in recording.blocks():
             for batch in decoder.batches(block):

@@ -804,7 +804,7 @@ class TestCaptures:
             judge_recording(CAPTURES / "b_crud.mcap", "no-profile", Pics())
         with pytest.raises(UsageError, match="none of its 563 frames"):
             judge_recording(CAPTURES / "b_crud.mcap", "dcp-2.0", Pics(), ether_type="0x8888")
-        with pytest.raises(UsageError, match="no number"):
+        with pytest.raises(UsageError, match="is not an EtherType"):
             judge_recording(CAPTURES / "b_crud.mcap", None, Pics(), ether_type="x")
 
     def test_what_holds_no_beacon_says_so(self, tmp_path: Path):

@@ -11,6 +11,8 @@ from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.codec import Codec
+from dcp_codec.commandline import say
+from dcp_codec.ethertype import parse_ether_type
 from dcp_codec.frames import with_ether_type
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_codec.guess import Guess, guess, sample
@@ -104,6 +106,8 @@ class _Choice:
         if not found.certain:
             self.notes.append(f"the profile was guessed: {found}")
         self.weakness = weakness(found, path)
+        if not self.weakness:
+            _warn(path, found)
         if found.besides is not None and not self.weakness:
             candidate, _ = found.besides
             self.other = Codec(msgspec.structs.replace(candidate.profile, link=candidate.link))
@@ -152,14 +156,22 @@ def _codec(profile: str, ether_type: str | None) -> tuple[Codec, list[str]]:
 
 def _number(ether_type: str | None) -> int | None:
     try:
-        return None if ether_type is None else int(ether_type, 0)
-    except ValueError:
-        raise UsageError(f"--ether-type {ether_type!r} is no number; write 0x4953 or 18771") from None
+        return None if ether_type is None else parse_ether_type(ether_type)
+    except ValueError as error:
+        raise UsageError(f"--ether-type: {error}") from None
 
 
 def guessed_profile(path: Path) -> str:
     """The name of the profile that explains a recording best. Raises :class:`UsageError`."""
-    return _guessed(path).best.profile.name
+    found = _guessed(path)
+    _warn(path, found)
+    return found.best.profile.name
+
+
+def _warn(path: Path, found: Guess) -> None:
+    """A verdict on octets that the profile does not explain is worth nothing: say so, also without a report."""
+    if found.warning is not None:
+        say(f"{path}: {found.warning}: name one with --profile, or see dcp-codec guess {path}", err=True)
 
 
 def _guessed(path: Path, ether_type: int | None = None) -> Guess:

@@ -11,14 +11,11 @@ from dcp_codec.guess import Guess
 from dcp_conformance.results import CaseResult, Check, RunResult, summarise
 from dcp_conformance.verdict import Verdict
 
-#: A guess that explains less than this part of the frames is no ground to judge anybody on.
-_WEAK = 0.5
-
 
 def weakness(guess: Guess, path: object) -> str:
     """Why a guess is too weak to judge by, and what to do; empty if it is good enough."""
     best = guess.best
-    if best.score >= _WEAK:
+    if not guess.weak:
         return ""
     others = ", ".join(each.profile.name for each in guess.tied)
     return (

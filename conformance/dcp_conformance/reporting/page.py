@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from importlib import resources
 from typing import Any
 
+import msgspec
 from dcp_spec.requirements import requirements
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -99,8 +100,18 @@ def render(run: RunResult, codec: Codec | None) -> str:
             requirement_counts=_counts(run),
             readings=list(observed_readings(run)),
             known=known,
+            holdings=msgspec.json.encode(run.holdings).decode() if run.holdings.get("changes") else "",
+            links=_links(run),
         )
     )
+
+
+def _links(run: RunResult) -> dict[str, Any] | None:
+    """Who hears whom as a matrix: listeners, speakers, and the link of each pair."""
+    if not run.links:
+        return None
+    nodes = sorted({node for each in run.links for node in (each.listener, each.speaker)})
+    return {"nodes": nodes, "of": {(each.listener, each.speaker): each for each in run.links}}
 
 
 def _counts(run: RunResult) -> dict[str, int]:
