@@ -10,6 +10,7 @@ import msgspec
 from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec.capture import CaptureError, open_capture
+from dcp_codec.cli.common import progress
 from dcp_codec.codec import Codec
 from dcp_codec.commandline import say
 from dcp_codec.ethertype import parse_ether_type
@@ -36,14 +37,19 @@ def judge_recording(
     ether_type: str | None = None,
     command: str = "",
     period_known: bool = False,
+    show_progress: bool = False,
 ) -> tuple[RunResult, Codec]:
     """Judge one recording; also the codec it was read with.
 
     ``period_known``: the beacon period of ``pics`` is that of the network; otherwise the recording shows it.
+    ``show_progress``: show a bar on standard error, if that is a terminal and the file is long.
 
     Raises :class:`UsageError`: no such file, no capture, no such profile, nothing in it that looks like DCP.
     """
-    return judge_versions(path, profile, pics, ether_type=ether_type, command=command, period_known=period_known)[0]
+    return judge_versions(
+        path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
+        show_progress=show_progress,
+    )[0]  # fmt: skip
 
 
 def judge_versions(
@@ -54,6 +60,7 @@ def judge_versions(
     ether_type: str | None = None,
     command: str = "",
     period_known: bool = False,
+    show_progress: bool = False,
 ) -> list[tuple[RunResult, Codec]]:
     """Judge one recording as :func:`judge_recording` does; two results where two versions are on the air.
 
@@ -75,8 +82,10 @@ def judge_versions(
                 Judge(codec, each, recording=name, path=str(path), command=command, period_known=period_known)
                 for codec, each in zip(codecs, periods, strict=True)
             ]
-            for frame in reader:
-                judges[0 if versions is None else versions.of(frame)].feed(frame)
+            with progress(reader, str(path), show=show_progress) as advance:
+                for frame in reader:
+                    judges[0 if versions is None else versions.of(frame)].feed(frame)
+                    advance()
             notes += [problem.message for problem in reader.problems]
     except CaptureError as error:
         raise UsageError(str(error)) from None
