@@ -6,13 +6,20 @@ from pathlib import Path
 
 import click
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
 
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Where the page goes (HTML).")
-def command(results: tuple[Path, ...], output: Path | None) -> int:
+@click.option(
+    "--issues",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="For one run: write a report for each probable fault there, to be pasted into an issue tracker.",
+)
+def command(results: tuple[Path, ...], output: Path | None, issues: Path | None) -> int:
     """Make the page of a run again, or put several runs side by side.
 
     RESULTS are results.json files, or the folders they are in. Of several, a table of implementations and requirements
@@ -24,6 +31,14 @@ def command(results: tuple[Path, ...], output: Path | None) -> int:
     from dcp_conformance.reporting.page import render
 
     runs = [load_results(path) for path in results]
+    if issues is not None:
+        if len(runs) != 1:
+            raise UsageError("--issues is for the results of one run")
+        from dcp_conformance.issue_reports import write_issues
+
+        for path in write_issues(runs[0], issues, codec_of(runs[0])):
+            say(str(path))
+        return 0
     if len(runs) == 1:
         from .display import print_summary
 
