@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
 
@@ -15,7 +17,7 @@ _RECALL, _FALSE = 0.9, 0.1
 def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Run every case against the mutants, and write the dictionary. Returns the exit status.
 
-    With patterns, the other faults of an existing dictionary stay as they are.
+    With patterns, the other faults of an existing dictionary keep their signatures.
     """
     from dcp_conformance.diagnosis import Dictionary
     from dcp_conformance.diagnosis.dictionary import decode, encode
@@ -39,7 +41,14 @@ def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
         found = make(picked, jobs=options["jobs"], on_result=done)
     kept.update((fault.id, fault) for fault in found.faults)
-    dictionary = Dictionary(tuple(fault for name, fault in kept.items() if name in all_mutants()))
+    known = all_mutants()
+    dictionary = Dictionary(
+        tuple(
+            msgspec.structs.replace(fault, what=known[name].what, requirements=known[name].requirements)
+            for name, fault in kept.items()
+            if name in known
+        )
+    )
     try:
         file.write_bytes(encode(dictionary))
     except OSError as error:

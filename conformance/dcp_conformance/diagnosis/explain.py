@@ -18,7 +18,7 @@ from .dictionary import Dictionary, Fault
 
 #: Probability that a case fails, if an assumed fault has made it fail before; if it has made it inconclusive; and if no
 #: assumed fault has to do with it.
-_FAILS, _UNDECIDED, _NOISE = 0.93, 0.35, 0.003
+_FAILS, _UNDECIDED, _NOISE = 0.93, 0.03, 0.003
 #: Log likelihood that a further fault must add, and that explanations may differ by and still count as equal.
 _PRICE, _EQUAL = 5.0, 0.7
 #: Faults that are named at most, and alternatives to each.

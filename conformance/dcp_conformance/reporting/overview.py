@@ -29,7 +29,12 @@ def headline(run: RunResult) -> str:
         said = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
         if run.diagnosis is not None and (faults := len(run.diagnosis.faults)):
             said += f" for {faults} probable reason{'' if faults == 1 else 's'}"
-    others = {Verdict.INCONCLUSIVE: "inconclusive", Verdict.ERROR: "in error", Verdict.INFO: "only reported"}
+    others = {
+        Verdict.INCONCLUSIVE: "inconclusive",
+        Verdict.ERROR: "in error",
+        Verdict.INFO: "only reported",
+        Verdict.TOO_LITTLE: "seen too seldom to say",
+    }
     more = [f"{count[each]} {_are(count[each])} {word}" for each, word in others.items() if count[each]]
     return "; ".join(filter(None, [said, *more, undecided_deaths(run)]))
 
