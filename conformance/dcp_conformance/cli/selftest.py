@@ -92,6 +92,18 @@ _FEW = 40
     metavar="N",
     help="With --recordings, also judge N networks without a fault, in which nothing may be found.",
 )
+@click.option(
+    "--dictionary",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Run every case against the mutants, and write which ones fail: the fault dictionary of the diagnosis.",
+)
+@click.option(
+    "--diagnose",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Diagnose N nodes with two and N nodes with three faults at once, drawn with --seed.",
+)
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants or variants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
@@ -100,6 +112,10 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
     MUTANTS are identifiers of mutants or of the requirements that they violate, or globs of them; without any, all.
     """
+    if options["dictionary"] is not None or options["diagnose"] is not None:
+        from .diagnosis import make_dictionary, measure_diagnosis
+
+        return measure_diagnosis(options) if options["dictionary"] is None else make_dictionary(mutants, options)
     if options["side_by_side"]:
         return _side_by_side(mutants, options)
     if options["recordings"]:
