@@ -20,7 +20,7 @@ from dcp_codec.capture import SUFFIXES
 from dcp_codec.codec import get_codec
 from dcp_codec.wholefile import rename_durably, sync_tree
 
-from .jit import COMPILING, LOG, announcing
+from .jit import COMPILING, LOG, announce
 from .job import Advance, Job, Outcome, run
 from .shape import ERRORS, Shape
 from .writing import Format, write_database
@@ -193,7 +193,7 @@ class _Worker:
         # Ctrl-C goes to all processes of a terminal; the first one sees to it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         cls.done = done
-        announcing(lambda _: setattr(compiling, "value", 1)).__enter__()
+        announce(lambda _: setattr(compiling, "value", 1))
 
     @classmethod
     def work(cls, job: Job) -> Outcome:
