@@ -10,6 +10,7 @@ import msgspec
 from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec.capture import CaptureError, open_capture
+from dcp_codec.cli.common import progress
 from dcp_codec.codec import Codec
 from dcp_codec.commandline import say
 from dcp_codec.ethertype import parse_ether_type
@@ -35,10 +36,12 @@ def judge_recording(
     ether_type: str | None = None,
     command: str = "",
     period_known: bool = False,
+    show_progress: bool = False,
 ) -> tuple[RunResult, Codec]:
     """Judge one recording; also the codec it was read with.
 
     ``period_known``: the beacon period of ``pics`` is that of the network; otherwise the recording shows it.
+    ``show_progress``: show a bar on standard error, if that is a terminal and the file is long.
 
     Raises :class:`UsageError`: no such file, no capture, no such profile, nothing in it that looks like DCP.
     """
@@ -50,8 +53,10 @@ def judge_recording(
             # As text that a report can hold: names of files are octets.
             name = path.name.encode("utf-8", "backslashreplace").decode()
             judge = Judge(codec, pics, recording=name, path=str(path), command=command, period_known=period_known)
-            for frame in reader:
-                judge.feed(frame)
+            with progress(reader, str(path), show=show_progress) as advance:
+                for frame in reader:
+                    judge.feed(frame)
+                    advance()
             notes += [problem.message for problem in reader.problems]
     except CaptureError as error:
         raise UsageError(str(error)) from None

@@ -73,7 +73,13 @@ def command(
             words += [f"--{option}", str(value)] if value is not None else []
         words += ["--beacon-period", exact(beacon_period)] if beacon_period is not None else []
         run, codec = judge_recording(
-            capture, profile, known, ether_type=ether_type, command=as_typed(*words), period_known=stated
+            capture,
+            profile,
+            known,
+            ether_type=ether_type,
+            command=as_typed(*words),
+            period_known=stated,
+            show_progress=True,
         )
         report = ""
         if report_dir is not None:
