@@ -15,7 +15,7 @@ from dcp_codec.frames import with_ether_type
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_codec.guess import guess, sample
 
-from .decoding import ColumnDecoder
+from .decoding import ColumnDecoder, worth_compiling
 from .sources import Recording
 from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
 
@@ -89,7 +89,8 @@ def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
             outcome.notes.append(note)
         outcome.profile = codec.profile.name
         with Recording(job.path) as recording:
-            _write(job, recording, ColumnDecoder(codec, link), outcome, advance)
+            decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
+            _write(job, recording, decoder, outcome, advance)
             outcome.problems += [problem.message for problem in recording.problems]
         if outcome.other == outcome.frames:
             outcome.link = link

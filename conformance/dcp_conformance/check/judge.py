@@ -13,6 +13,7 @@ import msgspec
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing import OtherTraffic, locate
+from dcp_codec.holdings import History
 from dcp_conformance.case import Case, Kind
 from dcp_conformance.declared import declarations
 from dcp_conformance.heard import Heard
@@ -23,15 +24,27 @@ from dcp_conformance.results import (
     CaseResult,
     Check,
     EventRecord,
+    LinkResult,
     Mark,
     RunResult,
     Sut,
 )
 from dcp_conformance.verdict import Verdict, worst
 
-from . import rules_bp, rules_data, rules_dialogue, rules_repetition, rules_srp, rules_vardis, rules_variables
-from .base import Context, Finding, Invariant, Seen
+from . import (
+    rules_bp,
+    rules_data,
+    rules_dialogue,
+    rules_network,
+    rules_repetition,
+    rules_srp,
+    rules_vardis,
+    rules_variables,
+)
+from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
+from .reception import reception_of
+from .reception.links import summary
 from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (
@@ -42,10 +55,13 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_variables.RULES,
     *rules_repetition.RULES,
     *rules_dialogue.RULES,
+    *rules_network.RULES,
 )
 _STIMULUS: Final = "none: the recording as it is"
 #: Beacons from which a recording shows that something holds.
 LEAST_BEACONS: Final = 30
+#: Of a link, what is worth a line: a share that is not nothing, or so many trials without any reaction.
+_SOME, _TRIALS = 0.02, 20
 #: Frames of a finding that are shown together lie so close together.
 _NEAR = 10
 #: Frames that are kept for findings that are made later; older ones are cited by number only.
@@ -102,6 +118,7 @@ class Judge:
         self._recording = recording
         self._path = path or recording
         self._enough = enough
+        self._history = History(codec.profile.types.node_id.representation)
         self._first: int | None = None
         self._command = command
         self._context = Context(codec, pics, period_known=period_known)
@@ -136,6 +153,8 @@ class Judge:
         if len(self._recent) > _KEPT:
             self._recent.popitem(last=False)
         self._context.feed(seen)
+        if seen.news and heard.beacon is not None:
+            self._history.feed(frame.number, frame.time_ns, seen.sender, heard.beacon)
         for rule in self._active:
             rule.feed(seen)
         self._cite()
@@ -195,7 +214,23 @@ class Judge:
         for case in cases:
             for requirement, count in case.occasions.items():
                 occasions[requirement] = occasions.get(requirement, 0) + count
-        return msgspec.structs.replace(run, requirements=decided, occasions=dict(sorted(occasions.items())))
+        return msgspec.structs.replace(
+            run,
+            requirements=decided,
+            occasions=dict(sorted(occasions.items())),
+            holdings=self._history.as_json(),
+            links=tuple(self._links()),
+        )
+
+    def _links(self) -> Iterator[LinkResult]:
+        """Who hears whom, where there is something to say."""
+        for (listener, speaker), link in sorted(summary(reception_of(self._context).links).items()):
+            if link.at_least < _SOME and (link.share > _SOME or link.trials < _TRIALS):
+                continue
+            until = None if link.lasts or self._first is None else round((link.end - self._first) / 1e9, 3)
+            yield LinkResult(
+                name(listener), name(speaker), round(link.share, 3), round(link.reactions), link.trials, until
+            )
 
     def _case(self, rule: Invariant) -> CaseResult:
         checks = [

@@ -87,7 +87,9 @@ class LengthWithHeader(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return (int.from_bytes(octets, self._length_order) + self.header_size).to_bytes(2, self._length_order)
+        return (int.from_bytes(octets, self._block_length.order) + self.header_size).to_bytes(
+            2, self._block_length.order
+        )
 
 
 @mutant("payloads-only", "BP-HDR-06", "omits the headers of the blocks from the length")
@@ -95,7 +97,7 @@ class LengthOfPayloads(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return sum(len(payload) for _, payload in blocks).to_bytes(2, self._length_order)
+        return sum(len(payload) for _, payload in blocks).to_bytes(2, self._block_length.order)
 
 
 @mutant("first-block", "BP-HDR-06", "includes only the first block in the length")
@@ -103,7 +105,7 @@ class LengthOfFirst(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return self.block_size(blocks[0][1]).to_bytes(2, self._length_order)
+        return self.block_size(blocks[0][1]).to_bytes(2, self._block_length.order)
 
 
 @mutant("one", "BP-HDR-07", "always sends numPayloads 1")
@@ -155,7 +157,7 @@ class BlockLengthWithHeader(BPWire):
         octets = bytearray(super().build(seqno, network_id, blocks))
         offset = self.header_size
         for _, payload in blocks:
-            octets[offset + 2 : offset + 4] = (len(payload) + 4).to_bytes(2, self._length_order)
+            octets[offset + 2 : offset + 4] = (len(payload) + 4).to_bytes(2, self._block_length.order)
             offset += self.block_size(payload)
         return bytes(octets)
 
@@ -196,7 +198,7 @@ class CountedChecksum(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return (int.from_bytes(octets, self._length_order) + 4).to_bytes(2, self._length_order)
+        return (int.from_bytes(octets, self._block_length.order) + 4).to_bytes(2, self._block_length.order)
 
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         octets = super().build(seqno, network_id, blocks)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from importlib import resources
 from typing import Any
 
+import msgspec
 from dcp_spec.requirements import requirements
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -20,7 +21,7 @@ from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunRes
 from dcp_conformance.verdict import Verdict
 
 from .frames import Frames
-from .overview import deaths, headline, observed_readings
+from .overview import certainty, deaths, diagnosed, headline, observed_readings
 from .recordings import FOLDER
 from .timeline import MOST_FRAMES, begin_of, timeline_of, told_together
 
@@ -85,6 +86,9 @@ def render(run: RunResult, codec: Codec | None) -> str:
             run=run,
             title=" ".join(filter(None, (run.sut.name, run.sut.version))) or "An implementation of DCP",
             headline=headline(run),
+            diagnosed=diagnosed(run),
+            certainty=certainty,
+            keys={case["id"]: ("f-" if case["shown_above"] else "") + case["key"] for case in cases},
             summary=summary,
             number=sum(case.counted for case in run.cases),
             tables=[table for table in ("conformance", "robustness") if any(summary[table].values())],
@@ -99,8 +103,18 @@ def render(run: RunResult, codec: Codec | None) -> str:
             requirement_counts=_counts(run),
             readings=list(observed_readings(run)),
             known=known,
+            holdings=msgspec.json.encode(run.holdings).decode() if run.holdings.get("changes") else "",
+            links=_links(run),
         )
     )
+
+
+def _links(run: RunResult) -> dict[str, Any] | None:
+    """Who hears whom as a matrix: listeners, speakers, and the link of each pair."""
+    if not run.links:
+        return None
+    nodes = sorted({node for each in run.links for node in (each.listener, each.speaker)})
+    return {"nodes": nodes, "of": {(each.listener, each.speaker): each for each in run.links}}
 
 
 def _counts(run: RunResult) -> dict[str, int]:

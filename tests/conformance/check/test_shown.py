@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
+import subprocess
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
 from click.testing import CliRunner
 from dcp_conformance.check.base import Invariant
@@ -13,6 +17,7 @@ from dcp_conformance.check.judge import LEAST_BEACONS, RULES, Judge
 from dcp_conformance.check.wording import CONSEQUENCES, differences, moment, spec_text
 from dcp_conformance.cli.check import command
 from dcp_conformance.pics import Pics
+from dcp_conformance.reporting.page import render
 from dcp_conformance.verdict import Verdict
 
 from dcp_codec import VarSpec, get_codec
@@ -111,3 +116,43 @@ def test_the_command_shows_occasions(tmp_path):
     assert told["occasions"]["BP-FMT-02"] == 12
     page = (tmp_path / "r" / "report.html").read_text()
     assert "too little" in page
+
+
+def test_the_page_shows_who_holds_what_and_who_hears_whom():
+    """The data of the page is that of the results, and cannot end the element that it is in."""
+    run = judged(frames_of("b_crud.mcap"), "cpp-2.0", enough=None)
+    assert run.holdings["nodes"] == [f"02:00:00:00:00:0{each}" for each in (1, 2, 3)]
+    assert sorted(run.holdings["variables"])[:3] == [10, 11, 12]
+    assert all(0 < each.share <= 1 and each.reactions <= each.trials for each in run.links)
+    page = render(run, None)
+    assert _data(page) == json.loads(json.dumps(run.holdings))
+    assert "Who hears whom" in page
+    hostile = msgspec.structs.replace(run, holdings=run.holdings | {"nodes": ["</div><b>", "b", "c"]})
+    page = render(hostile, None)
+    assert "</div><b>" not in page
+    assert _data(page)["nodes"][0] == "</div><b>"
+
+
+def _data(page: str) -> dict[str, Any]:
+    found = re.search(r'<div id="holds-data" hidden>(.*?)</div>', page, re.DOTALL)
+    assert found is not None
+    data: dict[str, Any] = json.loads(html.unescape(found[1]))
+    return data
+
+
+@pytest.mark.tool("chromium")
+def test_the_page_marks_numbers_that_differ_from_the_producers(tmp_path):
+    run = judged(frames_of("b_crud.mcap"), "cpp-2.0", enough=None)
+    (tmp_path / "page.html").write_text(render(run, None), encoding="utf-8")
+    chromium = ["chromium", "--headless", "--no-sandbox", "--virtual-time-budget=3000", "--dump-dom"]
+    done = subprocess.run([*chromium, f"file://{tmp_path}/page.html"], capture_output=True, timeout=60, check=True)
+    dom = done.stdout.decode()
+    table = dom[dom.index('id="holds"') :]
+    row = re.search(r'<th scope="row" title="variable 11">11</th>(.*?)</tr>', table)
+    assert row is not None
+    assert re.findall(r'class="(\w*)"[^>]*>([^<]*)<', row[1]) == [
+        ("own", "1"),
+        ("bad", "\u2260 0"),
+        ("bad", "\u2260 0"),
+    ]
+    assert "4 numbers differ from the producer's" in dom
