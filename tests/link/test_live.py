@@ -344,7 +344,7 @@ def test_no_privilege(namespace: Any) -> None:
 
 def test_no_scapy(namespace: Any) -> None:
     message = failure(namespace, "near", "import sys; sys.modules['scapy'] = None\n")
-    assert message == "near: this needs scapy: pip install 'dcp-conformance-kit[scapy]'"
+    assert message == "near: scapy is not installed: pip install 'dcp-conformance-kit[scapy]'"
 
 
 def test_frames_that_are_not_ethernet(namespace: Any) -> None:
