@@ -61,7 +61,7 @@ def command(
     \b
     dcp-codec filter flight.pcap deletes.pcap -w 'vardis.icType == 6'
     dcp-codec filter flight.mcap start.pcapng --to +30 --other
-    dcp-codec filter flight.pcap odd.pcap -w 'errors.reason and eth.src == 02:00:00:00:00:01'
+    dcp-codec filter flight.pcap odd.pcap -w 'errors.reason or bp.seqno < 9'
     """
     if list_fields:
         codec = load_codec("cpp-2.0" if profile == "auto" else profile)

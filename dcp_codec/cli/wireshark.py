@@ -39,7 +39,7 @@ def command(action: str, profiles: tuple[str, ...], folder: Path | None) -> int:
     """Install dissectors in the folder of personal Lua plugins of Wireshark and tshark.
 
     \b
-    install   write one file for each profile; files of an earlier version are replaced
+    install   write one file for each profile, replacing earlier versions
     remove    remove them
     where     show the folder
     """
