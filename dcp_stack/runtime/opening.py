@@ -25,6 +25,7 @@ from .driver import Driver
 from .memory import settle
 from .privileges import PrivilegeError, become, find_user
 from .settings import Settings, SettingsError, codec_of, node_config
+from .sharing import share
 
 log = logging.getLogger(__name__)
 
@@ -121,6 +122,7 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         metrics.serve(NodeCollector(driver.server, link))
         log.info("metrics at http://127.0.0.1:%d/metrics", metrics.port)
     if control is not None:
+        share(control.path, settings.control_group, settings.control_mode)
         driver.add_control(control)
     if settings.control == STDIO:
         # Who started the node this way and closes its input has no more use for it.

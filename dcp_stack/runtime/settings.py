@@ -44,6 +44,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     interface: str | None = None
     link: str | None = None
     control: str | None = None
+    control_group: str | None = None
+    control_mode: str | None = None
     record: str | None = None
     record_decoded: bool = True
     position: str | None = None
@@ -53,6 +55,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     seed: int | None = None
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["text", "json"] = "text"
+    log_file: str | None = None
     bp: BPConfig = BPConfig()
     srp: SRPSettings = SRPSettings()
     vardis: VardisSettings = VardisSettings()
