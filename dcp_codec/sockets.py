@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import socket
 import struct
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import interfaces
@@ -201,14 +201,22 @@ def _scapy_socket(interface: str, ether_type: int, instead: str) -> Any:
     try:
         return L2Socket(iface=interface, type=ether_type, promisc=False, nofilter=1)
     except PermissionError:
-        python, other = os.path.realpath(sys.executable), instead and f"; {instead} needs no privilege"
-        raise OpeningError(
-            "this needs the right to open raw sockets: run as root, or give it to this Python: "
-            f"sudo setcap cap_net_raw+ep {python}{other}"
-        ) from None
+        other = instead and f"; {instead} needs no privilege"
+        raise OpeningError(f"this needs the right to open raw sockets: {_raw_socket_advice()}{other}") from None
     except ValueError as error:
         # Scapy does not find the interface: it went away since we looked.
         raise OSError(errno.ENODEV, str(error)) from None
+
+
+def _raw_socket_advice() -> str:
+    """How to get the right to open raw sockets, without giving it to every program of the machine."""
+    python = Path(sys.executable).resolve()
+    if sys.prefix != sys.base_prefix and python.is_relative_to(Path(sys.prefix).resolve()):
+        return f"run as root, or give it to this virtual environment's interpreter: sudo setcap cap_net_raw+ep {python}"
+    return (
+        "run as root, or install the kit in a virtual environment with an interpreter of its own "
+        "(python3 -m venv --copies DIR) and run: sudo setcap cap_net_raw+ep DIR/bin/python3"
+    )
 
 
 # -- UDP ----------------------------------------------------------------------------------------------------------

@@ -86,9 +86,10 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     readings: Mapping[str, str] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raises ``ValueError`` for a node id of the wrong width, an unknown reading or one that is no alternative.
+        """Raises ``ValueError`` for a node id of the wrong width or a choice that a reading does not have.
 
         Also for a profile with fields of the implementation's own that a node cannot fill (``dcp_spec.usability``).
+        Raises ``UnknownReadingError`` for an id that is not a reading's.
         """
         if (unusable := refusal(self.profile)) is not None:
             raise ValueError(unusable)

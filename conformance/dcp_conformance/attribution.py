@@ -48,6 +48,8 @@ class Trial:
     """The case stopped because no identifier was left that the implementation cannot know."""
     detail: str = ""
     """Traceback of a fault of the tester."""
+    hung_up: str = ""
+    """How the upper tester stopped answering; empty if it did not."""
 
     @property
     def verdict(self) -> Verdict:

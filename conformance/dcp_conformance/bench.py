@@ -167,7 +167,7 @@ class Bench(Listening):
         self.acts()
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
         self.changes.asked(method, params)
-        self.session.passive.called(method, params)
+        self.session.passive.called(method, params, self.case.id)
         begun = self.now()
         try:
             answer = upper.call(method, params)

@@ -27,11 +27,12 @@ def result_of(
     attempt: int = 1,
     killed: bool = False,
     executions: int = 1,
+    side_by_side: bool = False,
 ) -> CaseResult:
     """The result of a case with these checks, and with the evidence of the execution ``trial``.
 
     ``ended``: time of the lower tester's clock, ns. ``rerun``: the command of the run, without cases. ``executions``:
-    how often the case was executed.
+    how often the case was executed. ``side_by_side``: whether other cases were executed at the same time.
     """
     case, bench, checks = trial.case, trial.bench, tuple(checks)
     verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
@@ -56,6 +57,7 @@ def result_of(
         killed=killed,
         attempt=attempt,
         executions=executions,
+        side_by_side=side_by_side,
         error_detail=trial.detail,
     )
 

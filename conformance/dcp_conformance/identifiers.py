@@ -7,7 +7,7 @@ be given the identifier of such a variable, or it would blame the implementation
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 #: Beacons without any record of a deleted variable after which, up to 1.3, it counts as gone from the database.
@@ -47,6 +47,8 @@ class Identifiers:
         self._timed = timed
         self._uses: dict[int, _Use] = {}
         self._kept = frozenset(kept)
+        self.in_use: Callable[[], Iterable[int]] = frozenset
+        """The identifiers of the cases that are being executed at this moment, beside the one that asks."""
         self._next_unknown = 0
         self._next_for_peers = 0
 
@@ -108,6 +110,7 @@ class Identifiers:
         They stay unknown unless somebody creates them.
         """
         found: list[int] = []
+        without = {*without, *self.in_use()}
         for _ in range(self.size):
             if len(found) == count:
                 break
@@ -120,7 +123,7 @@ class Identifiers:
     def left(self, now: int, without: Collection[int] = ()) -> int:
         """How many identifiers are unknown to the database, but for those that are kept."""
         # Those that nobody has used are not asked one by one: there are hundreds, and this is asked for often.
-        taken = {*self._kept, *without}
+        taken = {*self._kept, *without, *self.in_use()}
         taken.update([each for each in tuple(self._uses) if each not in taken and not self.is_unknown(each, now)])
         every = self._all()
         return self.size - sum(each in every for each in taken)
@@ -142,6 +145,7 @@ class Identifiers:
         """
         if not reuse:
             return self.for_own(now, without)
+        without = {*without, *self.in_use()}
         shared = self.size // 2 if self._timed and self.size >= 2 * _KEPT else self.size
         # An earlier case may still be on the air with the last ones: those are given only if there are no others.
         for settled in (True, False):

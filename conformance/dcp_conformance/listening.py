@@ -161,18 +161,15 @@ class Listening(Naming):
                     return
                 continue
             heard = Heard(self.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
-            ours = self._is_sut(heard)
+            ours = self.is_sut(heard)
             start = len(arrival.frame) - len(arrival.octets)
             who = (heard.sender or arrival.source).hex(":")
             heard.number = self.traffic.frame("heard" if ours else "other", arrival.wall, who, arrival.frame, start)
             if ours:
                 self.heard.append(heard)
-                self.session.counting.heard(heard.seqno)
                 if self._stimulus is not None and arrival.time >= self._stimulus:
                     self._stimulus = None
-                self.session.passive.heard(heard, arrival.frame, start, self.case.id, self.traffic)
-                gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
-                self.session.identifiers.heard(heard.known - gone, gone, self.departure())
+                self.session.heard(heard, arrival, self)
                 # What the case does next it does on account of this frame.
                 self._acted = max(begun, heard.time)
                 yield heard
@@ -191,7 +188,8 @@ class Listening(Naming):
             self.traffic.note("notified", self.lower.wall(), notification.method, notification.params)
             self.notifications.append(notification)
 
-    def _is_sut(self, heard: Heard) -> bool:
+    def is_sut(self, heard: Heard) -> bool:
+        """Whether the implementation has sent a frame. The sender of the first one counts as it, if nobody said who."""
         known, sender = self.session.sut_id, heard.sender
         if sender is None:
             # Too short to say who sent it, or a profile without senders: whoever else is there is not ours either.

@@ -248,7 +248,9 @@ class Naming(Findings):
         Raises ``NamesUsedUp`` if the implementation may know it.
         """
         number = self.session.boundaries[name]
-        if number in self.created or not self.session.identifiers.is_unknown(number, self.now()):
+        identifiers = self.session.identifiers
+        taken = number in self.created or number in identifiers.in_use()
+        if taken or not identifiers.is_unknown(number, self.now()):
             self._no_variables_left(f"the identifier {number}, which no variable has had")
         self.created.add(number)
         return number

@@ -87,6 +87,8 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     executions: int = 1
     """How often the case was executed for this result, which is that of the last time. More than once if the tester
     itself was late, or lost frames, and could not decide the case for that reason alone."""
+    side_by_side: bool = False
+    """Whether other cases were executed at the same time. Only a pass can be; all else is repeated alone."""
     error_detail: str = ""
     """For a fault of the tester: where it happened."""
 

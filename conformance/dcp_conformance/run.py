@@ -55,12 +55,14 @@ class ConformanceRun:
         until_fail: bool = False,
         command: str = "",
         artefacts: Path | None = None,
+        side_by_side: int = 0,
         on_start: Callable[[int], None] | None = None,
         on_result: Callable[[Case, CaseResult, str], None] | None = None,
     ) -> None:
         """``on_start`` gets the number of executions to come, ``on_result`` each result and what is unexpected in it.
 
-        ``artefacts``: a folder of findings of the fuzzer, which become cases. Raises :class:`UsageError`.
+        ``artefacts``: a folder of findings of the fuzzer, which become cases. ``side_by_side``: the most cases that are
+        executed at the same time; with 0 one after the other. Raises :class:`UsageError`.
         """
         self.options = target
         self.cases = all_cases()
@@ -85,7 +87,10 @@ class ConformanceRun:
         )
         self.repeat = repeat
         self.until_fail = until_fail
+        self.side_by_side = side_by_side
         self.command = command
+        self.repeated_alone: dict[str, str] = {}
+        """By case: why a case that was executed side by side was repeated alone."""
         self.results: list[CaseResult] = []
         """Results of the cases, in the order of their executions."""
         self.passive: list[CaseResult] = []
@@ -155,18 +160,19 @@ class ConformanceRun:
         planned = self.plan()
         if self.on_start is not None:
             self.on_start(len(planned))
-        done = 0
         try:
             if not self.open():
                 return
-            for case in planned:
+            rest = planned
+            if self.side_by_side > 1 and self.repeat == 1 and not self.until_fail:
+                rest = self._run_side_by_side(planned)
+            for case in rest:
                 result, _ = self.run_case(case)
-                done += 1
                 if self.stops(result):
                     return
             self.finish()
         except KeyboardInterrupt:
-            self.interrupt(done, len(planned))
+            self.interrupt(len(self.results), len(planned))
         except ConformanceError as error:
             self.trouble = str(error)
         except Exception as error:
@@ -175,6 +181,30 @@ class ConformanceRun:
             with deferred():
                 self.close()
         self.account(planned)
+
+    def _run_side_by_side(self, planned: Sequence[Case]) -> list[Case]:
+        """Execute what can be executed side by side. Returns what is left to be executed alone, in its order."""
+        from .concurrent import execute
+
+        assert self._runner is not None
+        rest = list(planned)
+        if rest and rest[0].id == SANITY:
+            self.run_case(rest.pop(0))
+        passed: set[str] = set()
+
+        def on_result(case: Case, result: CaseResult) -> None:
+            self._attempts[case.id] = 1
+            passed.add(case.id)
+            self.take(case, result)
+
+        self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        if passed:
+            repeated = len(self.repeated_alone.keys() - passed)
+            self._notes.append(
+                f"{len(passed)} cases passed while others were executed beside them, at most {self.side_by_side} at a "
+                f"time; {repeated} that did not were repeated alone, and decided by that"
+            )
+        return [case for case in rest if case.id not in passed]
 
     def _faulty(self, error: Exception) -> None:
         """Record a fault of the tester. The results up to now are still reported."""

@@ -11,12 +11,13 @@ import msgspec
 from dcp_spec.parameters import parameters
 
 from .applicability import why_not
-from .attribution import Trial, attribute, blamed, came_back, likely_stimulus, with_failures_of
+from .attribution import Trial, attribute, blamed, came_back, with_failures_of
 from .bench import Bench, Session
 from .case import SANITY, Case
 from .case_results import result_of
 from .control import SutControl
-from .errors import ConformanceError, CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
+from .errors import UpperTesterError
+from .execution import delete_variables, recorded, run_body
 from .life import Life
 from .link import link_switch
 from .node_id import node_id_octets
@@ -70,6 +71,8 @@ class Runner:
         """Notes for the reader of the results, without those about deaths."""
         self.dead = ""
         """Why no further case can be executed; empty while the implementation lives."""
+        self.deaths_side_by_side = 0
+        """How often the implementation stopped taking part while cases were executed side by side."""
         self._deaths: dict[str, list[str]] = {}
         """Cases in which the implementation ended, by :attr:`.life.Loss.group`."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
@@ -162,6 +165,10 @@ class Runner:
             detail = "".join(traceback.format_exception(error))
             result = msgspec.structs.replace(result, error_detail=detail)
         return result
+
+    def why_not(self, case: Case) -> str:
+        """Why the case does not concern the implementation; empty if it does."""
+        return why_not(Bench(self.session, case), case)
 
     def take_revised(self) -> list[CaseResult]:
         """Results of earlier cases that were found to be wrong since; each replaces the one with its id and attempt."""
@@ -279,7 +286,7 @@ class Runner:
         # What it takes for the case to apply may itself be an assumption, which the bench then knows.
         why_not(bench, case)
         trial = Trial(case, bench, self.session.lower.now(), bench.checks)
-        try:
+        with recorded(trial):
             # Before the reset, which removes the variables that the measurement creates.
             self._measure()
             if not fresh:
@@ -290,36 +297,9 @@ class Runner:
                     Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
                 )
                 return trial
-            bench.mark()
-            bench.heard.clear()
             self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
-            # Losses from before the case are no excuse in it.
-            self.session.lower.health()
-            try:
-                case.run(bench)
-            finally:
-                # Found before restore(): calls that undo changes are not the cause of a death.
-                trial.stimulus = likely_stimulus(case, bench.traffic)
-                bench.restore()
-        except NamesUsedUp:
-            trial.used_up = True
-        except StopCase:
-            pass
-        except CouldNotAskError as error:
-            what = "the upper tester can ask the implementation"
-            bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, f"it could not: {error}"))
-        except UpperTesterError as error:
-            self.life.hung_up = str(error)
-            bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, "the upper tester answers", str(error)))
-        except LowerTesterError as error:
-            bench.checks.append(Check(Verdict.ERROR, case.requirements, "the link can be used", str(error)))
-        except ConformanceError as error:
-            what = "the implementation is in its initial state"
-            bench.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, str(error)))
-        except Exception as error:
-            trial.detail = "".join(traceback.format_exception(error))
-            what = f"{type(error).__name__}: {error}"
-            bench.checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
+            run_body(trial)
+        self._note_hang_up(trial)
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
         # Silence since the last stimulus is a doubt, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
@@ -368,6 +348,52 @@ class Runner:
             return
         reason = next((check.observed for check in trial.checks if check.verdict is trial.verdict), "")
         self.dead = f"the implementation does not take part: {reason}"
+
+    # -- for cases that are executed side by side ----------------------------------------------------------------------
+
+    def initial_state(self, case: Case, *, used: bool) -> str:
+        """Bring the implementation into its initial state, as far as the tester can. Returns why that has failed.
+
+        ``case``: in whose name the implementation is asked whether it answers. ``used``: identifiers have been used up
+        since the last time, so that a restart is worth its time where there is no other way.
+        """
+        self._recent.clear()
+        mode = self._reset_mode()
+        if mode == "ut":
+            return self._reset_by_service()
+        restarts = self._restartable and self.session.pics.pixit.reset != "none"
+        return self._start_afresh(case) if mode == "restart" or (used and restarts) else ""
+
+    def _reset_by_service(self) -> str:
+        try:
+            self._reset()
+        except UpperTesterError as error:
+            self.life.hung_up = str(error)
+            return f"UT-Reset failed: {error}"
+        return ""
+
+    def check_life(self, case: Case, during: Sequence[str]) -> str:
+        """Ask the implementation whether it still takes part; if it does not, start it again.
+
+        ``during``: the cases that were executed when a doubt arose. Returns why no further case can be executed side
+        by side, empty if they can.
+        """
+        bench = Bench(self.session, case)
+        loss = self.life.loss(bench, ask=True)
+        if loss is None:
+            return ""
+        self.deaths_side_by_side += 1
+        cases = ", ".join(during)
+        text = f"the implementation {loss.how} while these cases were executed side by side: {cases}; {loss.observed}"
+        self.remarks.append(f"{text}. Each of them is executed alone")
+        if not self._restartable:
+            self.dead = f"{text}. There is no command to restart it (--restart)"
+            return self.dead
+        if why := self._start_afresh(case):
+            self.dead = f"{text}; {why}"
+            self.remarks.append(self.dead)
+            return self.dead
+        return ""
 
     # -- deaths --------------------------------------------------------------------------------------------------------
 
@@ -430,44 +456,17 @@ class Runner:
 
     # -- before and after a case ---------------------------------------------------------------------------------------
 
-    def _delete(self, trial: Trial) -> None:
-        """Delete the variables of the implementation's application; the last call is the stimulus if it goes wrong."""
-        bench = trial.bench
-        for var_id in sorted(bench.produced):
-            try:
-                bench.call("RTDB-Delete", varId=var_id)
-            except UpperTesterError:
-                calls = (event for event in reversed(bench.traffic.events) if event.direction == "call")
-                trial.stimulus = next(calls, None)
-                raise
-
     def _clean(self, trial: Trial) -> bool:
-        """Without a way to reset, delete the variables that the case has made, so that summaries do not pile up.
-
-        Returns whether nothing went wrong.
-        """
-        bench = trial.bench
-        made = bench.created | bench.produced
-        if self._reset_mode() != "none" or not made or not (bench.traffic.frames or bench.produced):
+        """Without a way to reset, delete the variables that the case has made. Returns whether nothing went wrong."""
+        if self._reset_mode() != "none":
             return True
-        upper = self.session.upper
-        try:
-            if upper is not None and "RTDB-Delete" in upper.methods and bench.produced:
-                if "UT-Hello" in upper.methods and not self.life.serves():
-                    # It was gone before: the deletions are not the cause.
-                    return False
-                self._delete(trial)
-            peer = bench.peer()
-            peer.send_all(peer.delete(var_id) for var_id in sorted(made))
-            bench.wait(1)
-            for var_id in made:
-                self.session.identifiers.deleted(var_id, bench.departure())
-        except UpperTesterError as error:
-            self.life.hung_up = str(error)
-            return False
-        except LowerTesterError:
-            return False
-        return True
+        deleted = delete_variables(trial, self.life.serves)
+        self._note_hang_up(trial)
+        return deleted
+
+    def _note_hang_up(self, trial: Trial) -> None:
+        if trial.hung_up:
+            self.life.hung_up = trial.hung_up
 
     def _reset_mode(self) -> str:
         mode = self.session.pics.pixit.reset

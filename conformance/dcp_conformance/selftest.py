@@ -28,6 +28,7 @@ from dcp_codec.codec import Codec
 
 from .bench import Session
 from .case import DECLARED, DENIED, SANITY, Case, all_cases
+from .concurrent import execute
 from .declared import declared_by, denied_by
 from .errors import ConformanceError, UsageError
 from .moment import timestamp
@@ -130,12 +131,13 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @cache
-def _cases() -> tuple[Case, ...]:
+def cases() -> tuple[Case, ...]:
+    """All cases, in the order in which they are run."""
     return tuple(ordered(all_cases().values()))
 
 
 def _sanity() -> Case:
-    return next(case for case in _cases() if case.id == SANITY)
+    return next(case for case in cases() if case.id == SANITY)
 
 
 @cache
@@ -170,6 +172,15 @@ class Suite:
         self._runner.finish()
         yield from self._runner.take_revised()
 
+    def run_side_by_side(self, cases: Sequence[Case], width: int) -> list[CaseResult]:
+        """As :meth:`run`, with at most ``width`` cases at a time."""
+        passed: dict[str, CaseResult] = {}
+        first = self._runner.run(_sanity())
+        self._begun = True
+        execute(self._runner, _sanity(), cases, width, lambda case, result: passed.update({case.id: result}))
+        left = [case for case in cases if case.id not in passed and case.id != SANITY]
+        return [first, *passed.values(), *self.run(left)]
+
     def passive(self) -> Iterator[CaseResult]:
         """The invariants that did not hold while the cases were run."""
         for result in self._runner.session.passive.results("dcp-conformance run"):
@@ -181,7 +192,7 @@ def baseline(profile: str) -> Baseline:
     """Run everything against our node as it is."""
     begun = time.monotonic()
     suite = Suite(profile)
-    results = list(suite.run(_cases()))
+    results = list(suite.run(cases()))
     findings = tuple(
         finding_of(each)
         for each in (*results, *suite.passive())
@@ -224,7 +235,7 @@ def trial(
     """
     begun = time.monotonic()
     name = profile or mutant.profile
-    named = [case for case in _cases() if set(case.requirements) & set(mutant.requirements)]
+    named = [case for case in cases() if set(case.requirements) & set(mutant.requirements)]
     if first and not full and not every:
         named.sort(key=lambda case: case.id != first)
     killers: list[Finding] = []
@@ -239,7 +250,7 @@ def trial(
             mutant.id, mutant.requirements, mutant.what, name, len(named), 0, (), (),
             (Finding("", Verdict.ERROR, reason=str(error)),), round(time.monotonic() - begun, 3),
         )  # fmt: skip
-    for result in itertools.chain(suite.run(_cases() if full else named), suite.passive()):
+    for result in itertools.chain(suite.run(cases() if full else named), suite.passive()):
         count += result.verdict is not Verdict.NOT_APPLICABLE
         candidates += result.verdict is not Verdict.NOT_APPLICABLE and bool(
             set(result.requirements) & set(mutant.requirements)
@@ -334,7 +345,7 @@ def selftest(
     if on_start is not None:
         on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
     # Before the processes are forked, so that each of them has it.
-    _cases(), _mutants()
+    cases(), _mutants()
     with process_pool(jobs or os.cpu_count() or 1) as pool:
         waiting = [pool.submit(_baseline_task, profile) for profile in profiles or PROFILES]
         for done in as_completed(waiting):

@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 from statistics import median
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from dcp_spec.constants import BP_SEQNO_MODULUS, features
+from dcp_spec.constants import BP_SEQNO_MODULUS, ICType, features
 
 from dcp_codec.codec import Codec
 
 from .contact import Contact
 from .identifiers import Identifiers
-from .lower import LowerTester, OnThisMachine
+from .lower import Arrival, LowerTester, OnThisMachine
 from .misreading import Field
 from .passive import PassiveTester
 from .pics import REACTION_FLOOR, Pics
 from .upper import UpperTester
+
+if TYPE_CHECKING:
+    from .heard import Heard
+    from .listening import Listening
 
 FLOOR: Final = REACTION_FLOOR
 
@@ -145,6 +149,17 @@ class Session:
     def slow_call(self) -> int:
         """The time in ns that nine of ten calls do not exceed; 0 before the first one."""
         return sorted(self.call_times)[len(self.call_times) * 9 // 10] if self.call_times else 0
+
+    def heard(self, heard: Heard, arrival: Arrival, bench: Listening) -> None:
+        """Take a frame of the implementation that ``bench`` has received into account for the rest of the run."""
+        self.take(heard, arrival, bench.case.id, bench.traffic, bench.departure())
+
+    def take(self, heard: Heard, arrival: Arrival, case: str, traffic: object, departure: int) -> None:
+        """As :meth:`heard`; ``departure``: see :meth:`.naming.Naming.departure`."""
+        self.counting.heard(heard.seqno)
+        self.passive.heard(heard, arrival.frame, len(arrival.frame) - len(arrival.octets), case, traffic)
+        gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
+        self.identifiers.heard(heard.known - gone, gone, departure)
 
     def forget(self) -> None:
         """The implementation is in its initial state: it knows nothing of what was sent or asked before."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import glob
 import multiprocessing
-import os
 import shutil
 import signal
 import tempfile
@@ -18,6 +17,7 @@ import msgspec
 
 from dcp_codec.capture import SUFFIXES
 from dcp_codec.codec import get_codec
+from dcp_codec.wholefile import rename_durably, sync_tree
 
 from .job import Advance, Job, Outcome, run
 from .shape import ERRORS, Shape
@@ -275,4 +275,5 @@ def _replace(made: Path, out: Path) -> None:
     elif made.is_dir() and out.exists():
         aside = made.with_name("replaced")
         out.rename(aside)
-    os.replace(made, out)  # noqa: PTH105 - Path.replace says the same; os says that it is atomic
+    sync_tree(made)
+    rename_durably(made, out)

@@ -20,6 +20,9 @@ import numba
 import numpy as np
 from numba import njit
 
+from dcp_codec.trust import distrust
+from dcp_codec.wholefile import write_whole
+
 from . import native
 from .jit import OPTIONS
 from .kernel import kernel_source
@@ -80,23 +83,27 @@ def compiled(shape: Shape) -> Decode:
         same = False
     if not same:
         # Whoever comes first writes it; the name says what is in it, so all write the same.
-        temporary = path.with_suffix(f".{os.getpid()}")
-        temporary.write_text(wanted, encoding="utf-8")
-        temporary.replace(path)
+        write_whole(path, wanted.encode())
     return _module(path, digest)
 
 
 def cache_folder() -> Path | None:
-    """Our folder in the user's cache, made if need be and writable by the user alone; None if there is none."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    folder = Path(base) / "dcp-codec"
+    """Our folder in the user's cache, made if need be; None if there is none that nobody else can change.
+
+    What lies there is executed. A process of root with the home of somebody else (``sudo -E``) has none, and leaves
+    nothing of its own there.
+    """
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    folder = base / "dcp-codec"
     try:
+        above = next(each for each in (base, *base.parents) if each.exists())
+        if distrust(above):
+            return None
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.stat()
-    except OSError:
-        return None
-    # What lies there is executed: it has to be ours alone.
-    if status.st_uid != os.getuid() or status.st_mode & 0o022 or not os.access(folder, os.W_OK):
+        if status.st_uid != os.getuid() or distrust(folder) or not os.access(folder, os.W_OK):
+            return None
+    except (OSError, StopIteration):
         return None
     return folder
 

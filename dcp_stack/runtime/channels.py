@@ -14,6 +14,7 @@ from typing import Final
 
 from dcp_stack.control.server import HIGH_WATER, ControlServer, ControlSession
 
+from .privileges import roots_alone
 from .reactor import READ, WRITE, Reactor
 
 log = logging.getLogger(__name__)
@@ -173,17 +174,21 @@ class ControlSocket:
             if _is_answered(self.path):
                 raise ControlSocketError(f"{self.path}: another node listens there; choose another path or end it")
             self.path.unlink()
-        # The mode has to be right from the beginning: between bind and chmod anybody could connect.
-        before = os.umask(0o177)
-        try:
-            self._socket.bind(os.fspath(self.path))
-        finally:
-            os.umask(before)
+        # The mode has to be right from the beginning: between bind and chmod anybody could connect. Linux takes it from
+        # the socket; the umask belongs to all threads.
+        os.fchmod(self._socket.fileno(), 0o600)
+        self._socket.bind(os.fspath(self.path))
         self._identity = _identity(self.path)
 
     def give_to(self, uid: int, gid: int) -> None:
-        """Make it the socket of another user, whose rights the node goes on with."""
-        os.chown(self.path, uid, gid)
+        """Make it the socket of another user, as root.
+
+        Raises ControlSocketError unless only root can change the folder: somebody else could have put a link to a file
+        of root into the socket's place.
+        """
+        if not roots_alone(self.path.parent):
+            raise ControlSocketError(f"{self.path}: its folder is not root's alone, so its owner is not changed")
+        os.chown(self.path, uid, gid, follow_symlinks=False)
 
     def attach(self, server: ControlServer, reactor: Reactor) -> None:
         """Begin to take clients."""

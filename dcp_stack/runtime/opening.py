@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import logging
 import random
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Protocol
 
 import msgspec
@@ -23,7 +25,7 @@ from dcp_stack.positions import PositionSource, SourceError, open_source
 from .channels import ControlSocket, ControlSocketError, StandardStreams
 from .driver import Driver
 from .memory import settle
-from .privileges import PrivilegeError, become, find_user
+from .privileges import PrivilegeError, become, find_user, roots_alone
 from .settings import Settings, SettingsError, codec_of, node_config
 from .sharing import share
 
@@ -78,18 +80,10 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         fitted = config.bp.max_packet_size != settings.bp.max_packet_size
         why = f" (beacons of at most {link.max_packet_size} octets, as {link.name} carries them)" if fitted else ""
         raise SettingsError(f"{error}{why}") from None
-    control: ControlSocket | None = None
-    if settings.control is not None and settings.control != STDIO:
-        control = ControlSocket(settings.control)
-        stack.callback(control.close)
     positions: PositionSource | None = None
     if settings.position is not None:
         positions = open_source(settings.position, codec, rng=rng)
         stack.callback(positions.close)
-    neighbours: NeighbourFileWriter | None = None
-    if settings.neighbour_file is not None:
-        neighbours = NeighbourFileWriter(settings.neighbour_file, codec.profile, config.node_id, now=now, wall=wall)
-        stack.callback(neighbours.close)
     metrics = None
     if settings.metrics is not None:
         from .metrics import MetricsError, MetricsServer
@@ -99,11 +93,25 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         except MetricsError as error:
             raise SettingsError(str(error)) from None
         stack.callback(metrics.close)
-    if user is not None and control is not None:
-        control.give_to(user.uid, user.gid)
-    if user is not None:
-        become(user)
-    # After that: a recording is a file of the user, and the last thing to be refused should leave none.
+    control: ControlSocket | None = None
+    neighbours: NeighbourFileWriter | None = None
+    # What has a name in the file system is made as the user, who could otherwise have root follow a link somewhere
+    # else. Where the user may make nothing, in a folder that is root's alone, root makes it.
+    names = [each for each in (settings.control, settings.neighbour_file) if each is not None and each != STDIO]
+    of_root = {each for each in names if user is not None and roots_alone(Path(each).parent)}
+    for made_now in (of_root, set(names) - of_root):
+        if user is not None and made_now is not of_root:
+            _load_what_follows(settings)
+            become(user)
+        if settings.control in made_now:
+            control = ControlSocket(settings.control)
+            stack.callback(control.close)
+            if user is not None and made_now is of_root:
+                control.give_to(user.uid, user.gid)
+        if settings.neighbour_file in made_now:
+            neighbours = NeighbourFileWriter(settings.neighbour_file, codec.profile, config.node_id, now=now, wall=wall)
+            stack.callback(neighbours.close)
+    # The last thing to be refused should leave no recording.
     recorder = _recorder(settings, config, codec, wall)
     if recorder is not None:
         stack.callback(recorder.close)
@@ -130,6 +138,12 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     settle()
     log.info("node %s on %s", config.node_id.hex(":"), link.name, extra={"fields": _about(settings, config, recorder)})
     return driver
+
+
+def _load_what_follows(settings: Settings) -> None:
+    """Load modules that are needed later: the user may lack the right to read the interpreter's folders."""
+    if settings.record is not None:
+        importlib.import_module("dcp_codec.capture.mcapwriter")
 
 
 def _about(settings: Settings, config: NodeConfig, recorder: Recorder | None) -> dict[str, object]:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import pwd
+import stat
+from pathlib import Path
 from typing import NamedTuple
+
+from dcp_codec.trust import distrust
 
 
 class PrivilegeError(Exception):
@@ -28,6 +32,14 @@ def find_user(name: str) -> User:
     if os.geteuid() != 0:
         raise PrivilegeError(f"user {name}: only root can go on as another user; leave it out, or start as root")
     return User(name, entry.pw_uid, entry.pw_gid)
+
+
+def roots_alone(folder: Path) -> bool:
+    """Whether nobody but root can make, replace or remove anything in a folder, nor the folder itself."""
+    try:
+        return not folder.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH) and distrust(folder) is None
+    except OSError:
+        return False
 
 
 def become(user: User) -> None:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import msgspec
 from dcp_spec.profile_loading import ProfileError
+from dcp_spec.readings import UnknownReadingError
 
 from dcp_codec.codec import Codec, get_codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
@@ -95,16 +96,17 @@ def check(scenario: Scenario, where: str = "scenario") -> Scenario:
 
 def check_nodes(scenario: Scenario, codec: Codec) -> None:
     """Raise :class:`ScenarioError` for parameters that nodes refuse: they do so when they are made."""
-    config = NodeConfig(
-        node_id=node_id(codec.profile, 0),
-        codec=codec,
-        bp=scenario.bp,
-        srp=scenario.srp_config,
-        vardis=scenario.vardis_config,
-    )
     try:
+        config = NodeConfig(
+            node_id=node_id(codec.profile, 0),
+            codec=codec,
+            bp=scenario.bp,
+            srp=scenario.srp_config,
+            vardis=scenario.vardis_config,
+            readings=scenario.readings,
+        )
         Node(config, rng=random.Random(0), now=0, wall=0)  # noqa: S311 - it never runs
-    except ValueError as error:
+    except (UnknownReadingError, ValueError) as error:
         raise ScenarioError(f"the nodes cannot be set up like this: {error}") from None
 
 

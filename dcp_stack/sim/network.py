@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import logging
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from dcp_spec.profile import Profile
@@ -89,6 +89,7 @@ class Network:
         bp: BPConfig | None = None,
         srp: SRPConfig | None = None,
         vardis: VardisConfig | None = None,
+        readings: Mapping[str, str] | None = None,
         share_decoding: bool = True,
     ) -> None:
         """``srp`` and ``vardis`` None leave the protocol away. Raises ValueError for parameters out of bounds.
@@ -120,6 +121,7 @@ class Network:
                 bp=bp or BPConfig(),
                 srp=srp,
                 vardis=vardis,
+                readings=readings or {},
             )
             rng = random.Random(f"{seed}/node/{index}")  # noqa: S311 - to be repeatable is the point
             link.closed = True

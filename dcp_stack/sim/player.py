@@ -75,6 +75,7 @@ class Simulation:
             bp=scenario.bp,
             srp=scenario.srp_config,
             vardis=scenario.vardis_config,
+            readings=scenario.readings,
             share_decoding=share_decoding,
         )
         self.agreement = Agreement(scenario.nodes)

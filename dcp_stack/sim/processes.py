@@ -210,6 +210,7 @@ def settings_for(scenario: Scenario, index: int, node_id: str) -> Settings:
     return Settings(
         node_id=node_id,
         profile=scenario.profile,
+        readings=scenario.readings,
         # The last one that names the node, as a more special case after a general one.
         position=sources[-1] if sources else None,
         seed=scenario.seed * 1000 + index,

@@ -335,6 +335,8 @@ class Scenario(Strict, kw_only=True, frozen=True):
     srp: SRPConfig | bool = True
     vardis: VardisConfig | bool = True
     """False: the protocol is not on the nodes."""
+    readings: dict[str, str] = {}
+    """Choices where the specification is disputed, by id."""
     down_at_start: tuple[int, ...] = ()
     tracks: tuple[Tracks, ...] = ()
     events: tuple[Action, ...] = ()

@@ -38,6 +38,8 @@ from .rig import codec_of
 
 MS = 1_000_000
 SECOND = 1000 * MS
+#: The first number of a node in a script: it is older than the recording.
+_FIRST = 1000
 
 
 class Recorder:
@@ -206,7 +208,7 @@ class Script:
         payloads = ((Payload(1, report),) if report is not None else ()) + (
             (Payload(2, containers),) if containers else ()
         )
-        this = self.seqno.get(number, 0) if seqno is None else seqno
+        this = self.seqno.get(number, _FIRST) if seqno is None else seqno
         self.seqno[number] = (this + 1) % 2**32
         has_network = self.codec.profile.has_header_field("networkId")
         header = BPHeader(self.node(number), this, network_id=network_id if has_network else None)

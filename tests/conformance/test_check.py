@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 
 from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.strategies import beacons, mutations
-from dcp_codec.values import VarDelete, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
+from dcp_codec.values import VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_stack.config import BPConfig
 from dcp_stack.links.memory import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Topology
@@ -380,64 +380,161 @@ def requests(air: Script, wrong: bool) -> Outcome:
     return Outcome(("VD-SCP-01",), (first, second))
 
 
-def _b_hears_a(air: Script) -> None:
-    """B passes on what A creates, and nobody else does."""
-    for var_id in (100, 101, 102):
-        create = air.create(var_id, A)
-        air.say(A, create, VarSumm(var_id, 0))
-        air.say(B, create, VarSumm(var_id, 0))
-        air.idle(1)
+Records = tuple[VardisRecord, ...]
 
 
-@script("CK_VD_ANSWER_UPDATE")
-def answers_update_requests(air: Script, wrong: bool) -> Outcome:
-    _b_hears_a(air)
-    asked = []
-    for _ in range(16):
-        asked.append(air.say(A, VarSumm(7, 0), VarReqUpdate(7, 0)))
-        air.say(B, VarSumm(7, 3), *([] if wrong else [VarUpdate(7, 3, b"x")]))
-        air.idle(10, (VarSumm(100, 0),), (VarSumm(7, 3),))
-    air.idle(30)
-    return Outcome(("VD-RU-04",), tuple(asked[1:4]))
+def _dialogue(
+    air: Script, wrong: bool, occasion: Callable[[int], Records], right: Callable[[int], Records],
+    wrong_one: Callable[[int], Records] = lambda _: (), *, a: Callable[[int], Records] = lambda _: (),
+) -> tuple[int, ...]:  # fmt: skip
+    """B shows again and again that it hears A: it passes on the updates of variable 100. In between an occasion.
+
+    ``occasion``: what A says; ``right``: what B says then; ``wrong_one``: what it says if it is wrong; ``a``: what A
+    says after that. Gives the frames of the occasions.
+    """
+    create = air.create(100, A)
+    air.say(A, create, VarSumm(100, 0))
+    air.say(B, create, VarSumm(100, 0))
+    frames = []
+    for number in range(1, 13):
+        for who in (A, B):
+            air.say(who, VarSumm(100, number), VarUpdate(100, number, b"x"))
+        frames.append(air.say(A, *occasion(number)))
+        said = wrong_one(number) if wrong else right(number)
+        air.say(B, *(said or (VarSumm(100, number),)))
+        rest = tuple(each for each in said if isinstance(each, VarSumm)) or (VarSumm(100, number),)
+        air.idle(6, a(number) or (VarSumm(100, number),), rest, nodes=(A, B))
+    return tuple(frames[:2])
 
 
-@script("CK_VD_ANSWER_CREATE")
-def answers_create_requests(air: Script, wrong: bool) -> Outcome:
-    _b_hears_a(air)
-    air.say(B, VarSumm(7, 3))
-    asked = []
-    for _ in range(16):
-        asked.append(air.say(A, VarReqCreate(7)))
-        air.say(B, *([] if wrong else [air.create(7, B, seqno=3)]), VarSumm(7, 3))
-        air.idle(10, (VarSumm(100, 0),), (VarSumm(7, 3),))
-    air.idle(30)
-    return Outcome(("VD-RC-03",), tuple(asked[:3]))
+@script("CK_NET_HEARS")
+def hears_whom(air: Script, wrong: bool) -> Outcome:
+    if not wrong:
+        _dialogue(air, False, lambda n: (VarSumm(100, n),), lambda n: (VarSumm(100, n),))
+        return Outcome(())
+    # Nobody reacts to anybody: it is observed that nothing can be told.
+    air.idle(20)
+    return Outcome(("UWB-01",), verdict=Verdict.INFO)
+
+
+@script("CK_VD_TAKES_CREATE")
+def takes_creations(air: Script, wrong: bool) -> Outcome:
+    def create(number: int) -> Records:
+        return (air.create(number, A, age=-number), VarSumm(number, 0))
+
+    frames = _dialogue(air, wrong, create, create)
+    return Outcome(("VD-PC-07", "VD-PC-09", "VD-RX-04"), frames, also=("CK_VD_ASK_CREATE",))
 
 
 @script("CK_VD_TAKES_UPDATE")
 def takes_updates(air: Script, wrong: bool) -> Outcome:
-    _b_hears_a(air)
-    told = []
-    for number in range(1, 17):
-        told.append(air.say(A, VarSumm(100, number), VarUpdate(100, number, b"x")))
-        has = 0 if wrong else number
-        air.idle(10, (VarSumm(100, number),), (VarSumm(100, has),))
-    air.idle(30)
-    return Outcome(("VD-PU-07", "VD-RX-04"), tuple(told[:3]))
+    create = air.create(7, A)
+    for who in (A, B):
+        air.say(who, create, VarSumm(7, 0))
+
+    def update(number: int) -> Records:
+        return (VarSumm(7, number), VarUpdate(7, number, b"x"))
+
+    frames = _dialogue(air, wrong, update, update, lambda _: (VarSumm(7, 0),))
+    return Outcome(("VD-PU-07", "VD-RX-04"), frames, also=("CK_VD_ASK_UPDATE",))
 
 
-@script("CK_VD_TAKES_UPDATE", variant="asks")
-def takes_few_updates_and_asks(air: Script, wrong: bool) -> Outcome:
-    """Four updates are few, for a radio; but it asks after every summary, so it hears all."""
-    _b_hears_a(air)
-    told = []
-    for number in range(1, 5):
-        told.append(air.say(A, VarSumm(100, number), VarUpdate(100, number, b"x")))
-        for _ in range(10):
-            air.say(B, *((VarSumm(100, 0), VarReqUpdate(100, 0)) if wrong else (VarSumm(100, number),)))
-            air.say(A, VarSumm(100, number))
-    air.idle(30)
-    return Outcome(("VD-PU-07", "VD-RX-04"), tuple(told[:3]), also=("CK_VD_ANSWER_UPDATE",))
+@script("CK_VD_TAKES_DELETE")
+def takes_deletions(air: Script, wrong: bool) -> Outcome:
+    for var_id in range(1, 13):
+        create = air.create(var_id, A)
+        for who in (A, B):
+            air.say(who, create, VarSumm(var_id, 0))
+
+    def left(first: int) -> Records:
+        return tuple(VarSumm(var_id, 0) for var_id in range(first, 13))
+
+    frames = _dialogue(
+        air, wrong, lambda number: (VarDelete(number),), lambda number: (VarDelete(number), *left(number + 1)),
+        lambda _: left(1),
+    )  # fmt: skip
+    return Outcome(("VD-PD-04",), frames)
+
+
+@script("CK_VD_ASK_UPDATE")
+def asks_for_updates(air: Script, wrong: bool) -> Outcome:
+    create = air.create(7, A)
+    for who in (A, B):
+        air.say(who, create, VarSumm(7, 0))
+
+    def summary(number: int) -> Records:
+        return (VarSumm(7, number),)
+
+    def asks(number: int) -> Records:
+        return (VarSumm(7, number - 1), VarReqUpdate(7, number - 1))
+
+    def silent(number: int) -> Records:
+        return (VarSumm(7, 0),)
+
+    def tells(number: int) -> Records:
+        return (VarSumm(7, number), VarUpdate(7, number, b"x"))
+
+    if wrong:
+        return Outcome(("VD-PS-04",), _dialogue(air, wrong, summary, asks, silent))
+    air.say(A, *tells(1))
+    for number in range(2, 14):
+        air.say(A, *summary(number))
+        air.say(B, *asks(number))
+        for who in (A, B):
+            air.say(who, *tells(number))
+        air.idle(5, (VarSumm(7, number),), (VarSumm(7, number),), nodes=(A, B))
+    return Outcome(())
+
+
+@script("CK_VD_ASK_CREATE")
+def asks_for_creations(air: Script, wrong: bool) -> Outcome:
+    air.seqno.update({A: 0, B: 0})
+    for var_id in range(1, 13):
+        air.say(A, air.create(var_id, A), VarSumm(var_id, 0))
+
+    def summary(number: int) -> Records:
+        return (VarSumm(number, 0),)
+
+    # Before B is there at all.
+    return Outcome(
+        ("VD-PS-01",), _dialogue(air, wrong, summary, lambda number: (VarReqCreate(number), VarSumm(100, number)))
+    )
+
+
+@script("CK_VD_ANSWER_UPDATE")
+def answers_update_requests(air: Script, wrong: bool) -> Outcome:
+    create = air.create(7, C, seqno=3)
+    for who in (C, A, B):
+        air.say(who, create, VarSumm(7, 3))
+    frames = _dialogue(
+        air, wrong, lambda _: (VarReqUpdate(7, 0),), lambda _: (VarSumm(7, 3), VarUpdate(7, 3, b"abcd")),
+        lambda _: (VarSumm(7, 3),),
+    )  # fmt: skip
+    return Outcome(("VD-RU-04",), frames)
+
+
+@script("CK_VD_ANSWER_CREATE")
+def answers_create_requests(air: Script, wrong: bool) -> Outcome:
+    create = air.create(7, B)
+    air.say(B, create, VarSumm(7, 0))
+    frames = _dialogue(
+        air, wrong, lambda _: (VarReqCreate(7),), lambda _: (create, VarSumm(7, 0)), lambda _: (VarSumm(7, 0),)
+    )
+    return Outcome(("VD-RC-03",), frames)
+
+
+@script("CK_VD_TEACH")
+def teaches(air: Script, wrong: bool) -> Outcome:
+    create = air.create(7, C, seqno=3)
+    for who in (C, A, B):
+        air.say(who, create, VarSumm(7, 3))
+    air.say(A, VarSumm(7, 3))
+    air.seqno[A] += 1000
+    frames = _dialogue(
+        air, wrong, lambda _: (VarSumm(7, 1),), lambda _: (VarSumm(7, 3), VarUpdate(7, 3, b"abcd")),
+        lambda _: (VarSumm(7, 3),), a=lambda number: (VarSumm(100, number),),
+    )  # fmt: skip
+    return Outcome(("VD-PS-03",), frames)
 
 
 class TestEveryInvariant:
@@ -530,7 +627,7 @@ class TestNetworksThatFollowTheSpecification:
         exercised: set[str] = set()
         for profile, loss in (("dcp-2.0", 0.0), ("dcp-2.0", 0.3), ("dcp-1.3", 0.3)):
             for busy in (0.5, 3):
-                frames = simulated(profile, 5, seconds=30, quality=Quality(loss=loss), busy=busy)
+                frames = simulated(profile, 5, seconds=30, quality=Quality(loss=loss), busy=busy, restarts=loss > 0)
                 run = judged(frames, profile, Pics())
                 assert findings(run) == []
                 exercised |= {case.id for case in run.cases if case.verdict is Verdict.PASS}

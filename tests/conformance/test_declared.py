@@ -80,7 +80,7 @@ def test_one_line_accepts_what_is_declared(tmp_path: Path):
 
 def test_a_baseline_is_good_with_what_is_declared_and_with_nothing_else(monkeypatch: pytest.MonkeyPatch):
     chosen = tuple(known_cases()[each] for each in (SANITY, DECLARED, "TC_DCP_DATA_BV_02"))
-    monkeypatch.setattr("dcp_conformance.selftest._cases", lambda: chosen)
+    monkeypatch.setattr("dcp_conformance.selftest.cases", lambda: chosen)
     assert baseline("cpp-2.0").good
     monkeypatch.setattr("dcp_conformance.selftest.declared_by", lambda _: {"DATA-01": "less than there is"})
     assert [each.case for each in baseline("cpp-2.0").findings] == [DECLARED]

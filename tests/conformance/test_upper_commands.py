@@ -415,3 +415,18 @@ def test_the_example_in_the_documentation(tmp_path):
         assert f"`{kind}`" in text
     for kind in Reading.__struct_fields__:
         assert f"`{kind}`" in text
+
+
+def test_a_file_does_not_stand_in_for_a_built_in_adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cpp-tools").write_text('name = "evil"\n[methods]\n')
+    assert load_adapter("cpp-tools").name != "evil"
+
+
+def test_an_adapter_that_somebody_else_can_change_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine"\n[methods]\n')
+    assert load_adapter(str(path)).name == "mine"
+    path.chmod(0o666)
+    with pytest.raises(UsageError, match="can be changed by everybody"):
+        load_adapter(str(path))

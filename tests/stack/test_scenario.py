@@ -269,6 +269,8 @@ class TestBadFiles:
         [
             ("[bp]\nbeacon_period_ms = 0\n", "BPPAR_BEACON_PERIOD"),
             ('[[tracks]]\nsource = "track:spiral"\n', "no track 'spiral'"),
+            ('[readings]\nX54 = "never"\n', "before-the-beacon, after-the-beacon"),
+            ('[readings]\nX99 = "never"\n', "X99"),
         ],
     )
     def test_what_nodes_refuse(self, written, keys, complaint):

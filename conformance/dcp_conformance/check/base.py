@@ -141,6 +141,8 @@ class Context:
         """Why the machine may have slowed down what it runs, in words; empty if it had time for everything."""
         self.senders = Senders(MOST_SENDERS)
         self.stations = Stations(MOST_SENDERS)
+        self.shared: dict[type, object] = {}
+        """What several invariants make together, by its class."""
         self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
 
     def feed(self, seen: Seen) -> None:

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
     metavar="N",
     help="Nodes side by side, of our own.  [default: two for each processor, 4 to 16]",
 )
+@click.option(
+    "--side-by-side",
+    type=click.IntRange(1, 64),
+    metavar="N",
+    help="The most cases at a time against one implementation; 1: one after the other.  [default: 12, in real time]",
+)
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
 @click.option("--quiet", "-q", is_flag=True, help="Only the summary.")
@@ -62,6 +68,7 @@ def command(**options: Any) -> int:
         artefacts=options["artefacts"],
         repeat=options["repeat"],
         until_fail=options["until_fail"],
+        side_by_side=_at_a_time(options),
         command=as_typed(),
         on_start=None if extra else display.start,
         on_result=None if extra else display.result,
@@ -88,6 +95,15 @@ def command(**options: Any) -> int:
         with deferred():
             _report(run, report)
     return run.exit_status()
+
+
+def _at_a_time(options: dict[str, Any]) -> int:
+    """How many cases are executed at a time against one implementation, unless the user says so."""
+    from dcp_conformance.concurrent import WIDTH
+
+    if options["side_by_side"] is not None:
+        return int(options["side_by_side"])
+    return WIDTH if options["interface"] is not None or options["link"] is not None else 1
 
 
 def _report(run: ConformanceRun, folder: Path | None) -> None:

@@ -12,6 +12,7 @@ from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
     from dcp_conformance.citations.campaign import CitationsResult
+    from dcp_conformance.concurrent.comparison import Comparisons
     from dcp_conformance.generated.campaign import GeneratedResult
     from dcp_conformance.selftest import Baseline, SelftestResult, Trial
     from dcp_conformance.variants.campaign import Judged, VariantsResult
@@ -69,6 +70,12 @@ _FEW = 40
     help="Check citations (##= ID) in the node's source instead: a case or test with the same ID must notice "
     "changes of the cited code. MUTANTS are IDs or file names.",
 )
+@click.option(
+    "--side-by-side",
+    is_flag=True,
+    help="Compare verdicts of cases that are executed side by side with those of one after the other, on our node and "
+    "on mutants.",
+)
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants or variants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
@@ -77,6 +84,8 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
     MUTANTS are identifiers of mutants or of the requirements that they violate, or globs of them; without any, all.
     """
+    if options["side_by_side"]:
+        return _side_by_side(mutants, options)
     if options["citations"]:
         return _citations(mutants, options)
     if options["variants"]:
@@ -117,6 +126,45 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
     return result.exit_status()
 
 
+def _side_by_side(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
+    """Compare verdicts of two ways to execute cases; the exit status."""
+    from dcp_conformance.concurrent.comparison import Comparison, compare_all
+    from dcp_conformance.selftest import chosen
+
+    from .display import progress_bar
+
+    _refuse(options, ("full", "document", "generated", "variants", "citations"), "--side-by-side")
+    with progress_bar(quiet=options["quiet"]) as progress:
+        task = progress.add_task("mutants", total=None)
+
+        def done(comparison: Comparison) -> None:
+            progress.update(task, advance=1, description=f"{comparison.mutant} {comparison.profile}")
+
+        result = compare_all(
+            chosen(patterns),
+            profiles=options["profile"],
+            jobs=options["jobs"],
+            seed=options["seed"][0],
+            on_start=lambda total: progress.update(task, total=total),
+            on_result=done,
+        )
+    if options["report_dir"] is not None:
+        _write_json(result, options["report_dir"], "side-by-side.json")
+    for each in result.comparisons:
+        if each.survives or each.our_node or options["verbose"]:
+            for difference in each.differences:
+                say(str(difference))
+    say(result.summary())
+    return result.exit_status()
+
+
+def _refuse(options: dict[str, Any], names: tuple[str, ...], mode: str) -> None:
+    """Raise ``UsageError`` if an option was given that does not go with a mode of the command."""
+    for name in names:
+        if options[name]:
+            raise UsageError(f"--{name.replace('_', '-')} does not go with {mode}")
+
+
 def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Random changes; the exit status."""
     from dcp_conformance.generated.campaign import Trial as Generated
@@ -125,9 +173,7 @@ def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     from .display import progress_bar
     from .selftest_display import print_generated
 
-    for name in ("profile", "full"):
-        if options[name]:
-            raise UsageError(f"--{name} does not go with --generated, which tries every case on every version")
+    _refuse(options, ("profile", "full"), "--generated, which tries every case on every version")
     draws = {seed: draw(options["generated"], seed, patterns=patterns) for seed in options["seed"]}
     if not all(draws.values()):
         raise UsageError(f"no change of the node's source contains {' or '.join(map(repr, patterns))}")
@@ -174,9 +220,7 @@ def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     from .display import progress_bar
     from .selftest_display import print_citations
 
-    for name in ("profile", "full", "document", "generated", "variants"):
-        if options[name]:
-            raise UsageError(f"--{name} does not go with --citations")
+    _refuse(options, ("profile", "full", "document", "generated", "variants"), "--citations")
     picked = chosen(patterns)
     if options["listing"]:
         for each in picked:
@@ -203,9 +247,7 @@ def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     from .display import progress_bar
     from .selftest_display import print_variants
 
-    for name in ("full", "generated"):
-        if options[name]:
-            raise UsageError(f"--{name} does not go with --variants, which tries every case on every version")
+    _refuse(options, ("full", "generated"), "--variants, which tries every case on every version")
     picked = chosen(patterns)
     if options["listing"]:
         for each in picked:
@@ -258,7 +300,9 @@ def _write_section(document: Path, name: str, text: str) -> None:
 
 
 def _write_json(
-    result: SelftestResult | GeneratedResult | VariantsResult | CitationsResult, directory: Path, name: str
+    result: SelftestResult | GeneratedResult | VariantsResult | CitationsResult | Comparisons,
+    directory: Path,
+    name: str,
 ) -> None:
     import msgspec
 

@@ -295,9 +295,10 @@ class JitterAdded(BeaconSchedule):
         self._place()
 
 
-@mutant("bursts", "BP-TX-01", "sends a beacon of its own for every payload")
-class Bursts(BeaconingProtocol):
-    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int):  # type: ignore[no-untyped-def] # noqa: ANN201 - as there
-        confirm = super().transmit_payload(prot_id, payload, now=now)
-        self._schedule.due = min(self._schedule.due, now)
-        return confirm
+@mutant("bursts", "BP-TX-01", "prepares the next beacon soon after each one that it sends")
+class Bursts(BeaconSchedule):
+    def passed(self, now: int, *, sent: bool) -> int:
+        left_out = super().passed(now, sent=sent)
+        if sent:
+            self.due = min(self.due, now + self._gap)
+        return left_out

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from dcp_conformance.bench import Bench
 
 SECTION: Final = "Passive testing: every beacon of the run"
+SIDE_BY_SIDE: Final = "the cases side by side"
+"""In place of a case, where several were executed at the same time."""
 _STIMULUS: Final = "none of its own: whatever the cases of the run do"
 #: Frames that a result holds; every finding is counted, these are shown.
 MOST_FRAMES = 24
@@ -72,7 +74,9 @@ class PassiveTester:
         self._rules = [rule(self._context) for rule in RULES]
         # Some apply once the implementation has told a parameter.
         self._active = [rule for rule in self._rules if not rule.applies() or isinstance(rule, MostSummaries)]
-        self._suspended: frozenset[str] = frozenset()
+        self._suspended: dict[str, frozenset[str]] = {}
+        """By case: the rules that do not hold until it ends."""
+        self._side_by_side = False
         self._deal()
         self._since = -1
         """What came until then, in ns of the lower tester's clock, belongs to what was before."""
@@ -97,11 +101,29 @@ class PassiveTester:
         ``traffic`` is what the case's recording is made from: only frames that go there are judged.
         """
         self._traffic = traffic
+        self._side_by_side = False
         self._executions[case] += 1
         if self._suspended:
-            self._suspended = frozenset()
+            self._suspended.clear()
             self._deal()
         self.interrupted(now)
+
+    def begin_side_by_side(self, now: int) -> None:
+        """As :meth:`begin`, for several cases at once: each is to be announced with :meth:`enter`."""
+        if self._suspended:
+            self._suspended.clear()
+            self._deal()
+        self._side_by_side = True
+        self.interrupted(now)
+
+    def enter(self, case: str) -> None:
+        """Another case begins beside those that are being executed."""
+        self._executions[case] += 1
+
+    def leave(self, case: str) -> None:
+        """A case that was announced with :meth:`enter` has ended."""
+        if self._suspended.pop(case, None):
+            self._deal()
 
     def interrupted(self, now: int) -> None:
         """The implementation was, or may have been, reset or restarted: its numbers may start again.
@@ -113,15 +135,18 @@ class PassiveTester:
         for rule in self._active:
             rule.interrupted()
 
-    def called(self, method: str, params: Mapping[str, Any]) -> None:
-        """A case has called a service. Rules that it disturbs are suspended until the next case."""
-        if method == "BP-TransmitPayload" and params.get("protId") in (ProtocolId.SRP, ProtocolId.VARDIS):
-            self._suspend(_BLOCKS)
-        elif method in _DISTURBED:
-            self._suspend(_DISTURBED[method])
+    def called(self, method: str, params: Mapping[str, Any], case: str = "") -> None:
+        """A case has called a service. Rules that it disturbs are suspended until it ends.
 
-    def _suspend(self, rules: frozenset[str]) -> None:
-        self._suspended |= rules
+        ``case``: where several are executed side by side, the one that has called it.
+        """
+        if method == "BP-TransmitPayload" and params.get("protId") in (ProtocolId.SRP, ProtocolId.VARDIS):
+            self._suspend(case, _BLOCKS)
+        elif method in _DISTURBED:
+            self._suspend(case, _DISTURBED[method])
+
+    def _suspend(self, case: str, rules: frozenset[str]) -> None:
+        self._suspended[case] = self._suspended.get(case, frozenset()) | rules
         self._deal()
         for rule in self._active:
             if rule.id in rules:
@@ -129,14 +154,15 @@ class PassiveTester:
 
     def _deal(self) -> None:
         """Sort the rules that are not suspended by what they look at."""
-        fed = [rule for rule in self._active if rule.id not in self._suspended]
+        suspended = frozenset().union(*self._suspended.values())
+        fed = [rule for rule in self._active if rule.id not in suspended]
         self._fed_reports = [rule for rule in fed if rule.id in OF_REPORTS]
         self._fed_instructions = [rule for rule in fed if rule.id in OF_INSTRUCTIONS]
         self._fed = [rule for rule in fed if rule.id not in OF_REPORTS | OF_INSTRUCTIONS]
 
     def heard(self, heard: Heard, frame: bytes, start: int, case: str, traffic: object) -> None:
         """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
-        if heard.time <= self._since or traffic is not self._traffic:
+        if heard.time <= self._since or not (self._side_by_side or traffic is self._traffic):
             return
         self._beacons[case] += 1
         self._recent.append(_Place(case, self._executions[case], heard, frame, start))
@@ -174,7 +200,7 @@ class PassiveTester:
 
     def _cases_again(self, cited: str | None) -> list[str]:
         """The cases to repeat for a finding: the one that it cites, or else those in which most beacons were heard."""
-        if cited is not None:
+        if cited is not None and cited != SIDE_BY_SIDE:
             return [cited]
         chosen: list[str] = []
         beacons = 0
@@ -183,6 +209,9 @@ class PassiveTester:
                 break
             chosen.append(case)
             beacons += count
+        if SIDE_BY_SIDE in chosen:
+            # Any of them: all are repeated.
+            return []
         # The sanity case is run in any case.
         return [case for case in chosen if case != SANITY] or chosen
 

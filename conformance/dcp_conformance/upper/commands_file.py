@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from dcp_codec.trust import distrust, invoking_user
 from dcp_conformance.errors import UsageError
 
 from .base import known_status
@@ -80,13 +81,21 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def load_adapter(name: str) -> Adapter:
-    """Read a file, or one of the built-in adapters by its name. Raises ``UsageError``."""
+    """Read a built-in adapter by its name, or a file: its path, with a ``/`` or a suffix such as ``.toml``.
+
+    The file names programs that are executed, so one that somebody else can change is refused. Raises ``UsageError``.
+    """
     path = Path(name)
     built_in = resources.files("dcp_conformance").joinpath("adapters")
     try:
-        if "/" not in name and not path.suffix and not path.exists():
+        if "/" not in name and not path.suffix:
             data = built_in.joinpath(f"{name}.toml").read_bytes()
         else:
+            if problem := distrust(path, owners=invoking_user()):
+                raise UsageError(
+                    f"commands:{name}: {problem}, and it names programs that the tester executes; "
+                    "take away that right, or use a copy in a folder of your own"
+                )
             data = path.read_bytes()
     except OSError as error:
         names = ", ".join(sorted(each.name[:-5] for each in built_in.iterdir() if each.name.endswith(".toml")))

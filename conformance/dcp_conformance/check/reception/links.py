@@ -1,0 +1,159 @@
+"""Who hears whom: inferred from all trials together, as a noisy OR.
+
+A node reacts if it has heard at least one of those who gave it a reason to. With p(Y, X) as the probability that Y gets
+a beacon of X, a reaction has the probability 1 - (1 - p(Y, X1)) (1 - p(Y, X2)) ... for the speakers X1, X2, ... of the
+trial. Expectation maximisation finds the p that explain the outcomes best (Dempster, Laird and Rubin 1977; Heckerman
+1990 for causal independence).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+_ROUNDS, _FLOOR = 25, 1e-9
+#: Standard deviations by which a probability is taken lower than it looks: 5 % of all are lower still.
+CAUTION = 1.64
+#: After so many trials with a share below this a link is no more.
+_TRIALS, _GONE = 10, 0.1
+
+Outcomes = Mapping[int, tuple[int, int]]
+"""Speakers, as bits -> trials that were missed, and that were not."""
+
+
+class Link(NamedTuple):
+    """That one node hears another, for a while."""
+
+    listener: bytes
+    speaker: bytes
+    begin: int
+    end: int
+    """ns since 1970, as the recorder's clock had it."""
+    share: float
+    """The part of the speaker's beacons that the listener reacts to, 0..1."""
+    trials: int
+    """How often the speaker was among those who gave the listener a reason."""
+    reactions: float
+    """How many reactions are due to this speaker, as far as that can be told."""
+    at_least: float
+    """A lower bound of the share, which holds in 95 of 100 cases."""
+
+
+def bits(mask: int) -> Iterator[int]:
+    """The bits that are set, as masks."""
+    while mask:
+        low = mask & -mask
+        yield low
+        mask ^= low
+
+
+def infer(outcomes: Outcomes) -> dict[int, tuple[float, int, float]]:
+    """For each speaker (a bit): the probability to be heard, its trials, and the reactions that are due to it."""
+    trials: dict[int, int] = {}
+    for mask, (missed, hit) in outcomes.items():
+        for bit in bits(mask):
+            trials[bit] = trials.get(bit, 0) + missed + hit
+    shares = dict.fromkeys(trials, 0.5)
+    due: dict[int, float] = {}
+    hits = [(mask, hit) for mask, (_, hit) in outcomes.items() if hit]
+    for _ in range(_ROUNDS):
+        due = dict.fromkeys(trials, 0.0)
+        for mask, hit in hits:
+            reaction = max(reacts(mask, shares), _FLOOR)
+            for bit in bits(mask):
+                due[bit] += hit * shares[bit] / reaction
+        shares = {bit: min(due[bit] / count, 1.0) for bit, count in trials.items()}
+    return {bit: (shares[bit], count, due[bit]) for bit, count in trials.items()}
+
+
+def reacts(mask: int, shares: Mapping[int, float]) -> float:
+    """The probability of a reaction to these speakers."""
+    silent = 1.0
+    for bit in bits(mask):
+        silent *= 1.0 - shares.get(bit, 0.0)
+    return 1.0 - silent
+
+
+def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], caution: float = CAUTION) -> float:
+    """What the share of a speaker is at least; 0 where others explain all reactions as well.
+
+    The lowest share whose likelihood, with all others as they were inferred, is not much smaller than the largest.
+    ``caution``: in standard deviations of a normal distribution, 1.64 for 95 of 100 cases.
+    """
+    terms = [(1.0 - reacts(mask ^ bit, shares), missed, hit) for mask, (missed, hit) in outcomes.items() if mask & bit]
+
+    def log_likelihood(share: float) -> float:
+        total = 0.0
+        for silent, missed, hit in terms:
+            rest = (1.0 - share) * silent
+            if missed:
+                total += missed * math.log(max(rest, _FLOOR))
+            if hit:
+                total += hit * math.log(max(1.0 - rest, _FLOOR))
+        return total
+
+    best = min(max(shares.get(bit, 0.0), _FLOOR), 1 - 1e-6)
+    needed = log_likelihood(best) - caution * caution / 2
+    low, high = 0.0, best
+    if log_likelihood(_FLOOR) >= needed:
+        return 0.0
+    for _ in range(12):
+        middle = (low + high) / 2
+        if log_likelihood(middle) >= needed:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def chance(trials: int, expected: float, hits: int) -> float:
+    """A bound of the probability of ``hits`` or fewer in trials that differ, where ``expected`` is the sum of theirs.
+
+    The bound of Hoeffding and Chernoff: exp(-n D(hits/n || expected/n)).
+    """
+    if trials == 0 or expected <= hits:
+        return 1.0
+    seen, mean = hits / trials, min(expected / trials, 1 - 1e-6)
+    distance = (1 - seen) * math.log((1 - seen) / (1 - mean)) if seen < 1 else 0.0
+    if seen:
+        distance += seen * math.log(seen / mean)
+    return math.exp(-trials * distance)
+
+
+class Whole(NamedTuple):
+    """That one node hears another, in all of a recording."""
+
+    share: float
+    at_least: float
+    trials: int
+    reactions: float
+    end: int
+    """When it was last shown, ns since 1970."""
+    lasts: bool
+    """Whether the last that is known of it is no different from before."""
+
+
+def summary(links: Iterable[Link]) -> dict[tuple[bytes, bytes], Whole]:
+    """What all windows together say of each listener and speaker."""
+    of: dict[tuple[bytes, bytes], list[Link]] = {}
+    for link in links:
+        of.setdefault((link.listener, link.speaker), []).append(link)
+    return {pair: _whole(each) for pair, each in of.items()}
+
+
+def _whole(links: list[Link]) -> Whole:
+    trials = sum(link.trials for link in links)
+    share = sum(link.share * link.trials for link in links) / trials
+    shown = [link for link in links if link.at_least > 0]
+    end = shown[-1].end if shown else links[-1].end
+    after = links[links.index(shown[-1]) + 1 :] if shown else []
+    silent = sum(link.trials for link in after if link.share < _GONE)
+    return Whole(
+        share,
+        max((link.at_least for link in links), default=0.0),
+        trials,
+        sum(link.reactions for link in links),
+        end,
+        silent < _TRIALS,
+    )

@@ -1,0 +1,343 @@
+"""Which reactions fail to come although the node shows by others that it hears."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from dcp_conformance.check.base import Context, Seen
+from dcp_conformance.check.said import Said
+
+from .links import Link, bits, chance, infer, lower_bound, reacts
+from .observer import Kind, Observer, Station, Trial
+
+#: Trials are looked at together that lie within so many ns, or so many of one node.
+_WINDOW, _MOST = 20_000_000_000, 3_000
+#: A reaction shows that a node hears a speaker if all others explain it with a lower probability than the rest of this.
+_SURE = 0.6
+#: Standard deviations by which shares are taken lower than they look, and shares below which nothing is concluded.
+_CAUTIOUS, _HEARS = 3.0, 0.25
+#: Reactions to a speaker alone without which nothing is concluded from its beacons.
+_ALONE = 2
+#: For so many ns before and after such a reaction nothing is concluded but what lies between two of them.
+_BELIEF = 10_000_000_000
+#: The same for a link that is not heard so well: it may come and go.
+_DOUBTFUL, _STEADY = 2_500_000_000, 0.9
+#: Fewer expected reactions decide nothing; of those expected at most this part may come; chance is excluded below this.
+_EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
+#: A link that was up before and after is up in between with this probability, whatever was missed meanwhile.
+_UP = 0.9
+_EXAMPLES = 3
+#: A group of trials of which at most this part was met is looked at more closely.
+_SUSPICIOUS = 0.4
+#: A pass is withheld where so many reactions were expected and only this part came.
+_MANY, _FEW = 5.0, 0.1
+#: Links that are kept: of each pair one for each window.
+_LINKS = 100_000
+_GROUPS = 65_536
+
+Group = tuple[bytes, Kind, int | None]
+"""Node, kind, and variable; None for all of them."""
+
+
+@dataclass(slots=True)
+class _Gap:
+    """The trials of a group between two reactions that show that the node hears. A link may be down in between."""
+
+    best: float = 0.0
+    silent: float = 1.0
+    hit: bool = False
+    speakers: int = 0
+    late_half: bool = True
+    shortest: int = 1 << 31
+    cause: Said | None = None
+
+    def add(self, expected: float) -> None:
+        """A trial with this probability of a reaction."""
+        self.best = max(self.best, expected)
+        self.silent *= 1.0 - expected
+
+    @property
+    def expected(self) -> float:
+        """The probability of any reaction: many trials help as far as a link is up."""
+        return max(self.best, min(1.0 - self.silent, _UP))
+
+
+@dataclass(slots=True)
+class Tally:
+    """What was expected of a group and what came, since it last did what it must."""
+
+    trials: int = 0
+    """Times between two reactions that show that the node hears; all trials in between count as one."""
+    hits: int = 0
+    expected: float = 0.0
+    all_trials: int = 0
+    """Trials, whatever is known of them."""
+    all_hits: int = 0
+    all_expected: float = 0.0
+    examples: list[Said] = field(default_factory=list)
+    speakers: int = 0
+    late_half: bool = True
+    """Whether all that was missed stood in the second half of its payload."""
+    shortest: int = 1 << 31
+    """The shortest payload with something that was missed."""
+
+    def add(self, gaps: Iterable[_Gap]) -> None:
+        """Count gaps; only those without any reaction show what was missed."""
+        for gap in gaps:
+            self.trials += 1
+            self.hits += gap.hit
+            self.expected += gap.expected
+            if gap.cause is not None and not gap.hit:
+                self.speakers |= gap.speakers
+                self.late_half = self.late_half and gap.late_half
+                self.shortest = min(self.shortest, gap.shortest)
+                if len(self.examples) < _EXAMPLES:
+                    self.examples.append(gap.cause)
+
+    @property
+    def short(self) -> bool:
+        """Whether much less came than must have, with every reason to expect it."""
+        return self.expected >= _EXPECTED and self.hits <= _SHARE * self.expected
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether much less came than must have, if links are as good all the time as they are on the average."""
+        return self.all_expected >= _MANY and self.all_hits <= _FEW * self.all_expected
+
+    @property
+    def chance(self) -> float:
+        """A bound of the probability that this happens to a node that does what it must."""
+        return chance(self.trials, self.expected, self.hits)
+
+
+class Shortage(NamedTuple):
+    """Reactions that did not come."""
+
+    station: Station
+    kind: Kind
+    var_id: int | None
+    tally: Tally
+    speakers: tuple[bytes, ...]
+    certain: bool
+    """Whether it cannot be chance; otherwise it is only a reason not to say that all is well."""
+
+
+@dataclass(slots=True)
+class _Shown:
+    """What a node has shown in all of the recording."""
+
+    hits: dict[Kind, int] = field(default_factory=dict)
+    trials: dict[Kind, int] = field(default_factory=dict)
+    longest: int = 0
+    """The longest payload that it has reacted to."""
+    late_half: int = 0
+    """Reactions to what stood in the second half of a payload."""
+
+
+class Reception:
+    """Feed it every beacon once; ask for links and shortages after :meth:`finish`."""
+
+    def __init__(self, context: Context) -> None:
+        self.observer = Observer(context, self._outcome)
+        self.links: list[Link] = []
+        self._trials: dict[int, list[Trial]] = {}
+        """Bit of a node -> its trials in this window."""
+        self._begin = 0
+        self.begin = 0
+        """When the recording began, ns since 1970."""
+        self._wall = 0
+        self._walls = (0, 0)
+        self._tallies: dict[Group, Tally] = {}
+        self._worst: dict[Group, Tally] = {}
+        self.shown: dict[bytes, _Shown] = {}
+        self._finished = False
+
+    def feed(self, seen: Seen) -> None:
+        """A beacon."""
+        observer = self.observer
+        observer.feed(seen)
+        if not self._walls[0]:
+            self.begin = seen.time
+            self._walls = (seen.time, seen.time)
+        if observer.time - self._begin > _WINDOW:
+            self._walls = (self._walls[0], seen.time)
+            self._close()
+            self._begin, self._walls = observer.time, (seen.time, seen.time)
+        self._wall = seen.time
+
+    def finish(self) -> None:
+        """The recording has ended; further calls do nothing."""
+        if not self._finished:
+            self._walls = (self._walls[0], self._wall)
+            self._close()
+            self._finished = True
+
+    def _outcome(self, trial: Trial) -> None:
+        trials = self._trials.setdefault(trial.station.bit, [])
+        trials.append(trial)
+        shown = self.shown.setdefault(trial.station.node, _Shown())
+        shown.trials[trial.kind] = shown.trials.get(trial.kind, 0) + 1
+        if trial.hit:
+            shown.hits[trial.kind] = shown.hits.get(trial.kind, 0) + 1
+            shown.longest = max(shown.longest, trial.length)
+            shown.late_half += trial.late_half
+        if len(trials) >= _MOST:
+            self._judge(self._trials.pop(trial.station.bit))
+
+    def _close(self) -> None:
+        for trials in self._trials.values():
+            self._judge(trials)
+        self._trials.clear()
+
+    # -- one node in one window ----------------------------------------------------------------------------------------
+
+    def _judge(self, trials: list[Trial]) -> None:
+        station = trials[0].station
+        groups: dict[Group, list[Trial]] = {}
+        for trial in trials:
+            groups.setdefault((station.node, trial.kind, None), []).append(trial)
+            groups.setdefault((station.node, trial.kind, trial.var_id), []).append(trial)
+        suspects: list[tuple[Group, list[Trial]]] = []
+        for key, group in groups.items():
+            hits = sum(trial.hit for trial in group)
+            if len(group) - hits >= 2 and hits <= _SUSPICIOUS * len(group):
+                suspects.append((key, group))
+            elif hits >= 2:
+                # It does what it must: what was missed before was another matter.
+                self._keep(key, self._tallies.pop(key, None))
+        # Whatever a node never does shows nothing of whom it hears, as long as there is anything that it does.
+        left_out = {id(trial) for _, group in suspects for trial in group}
+        rest = [trial for trial in trials if id(trial) not in left_out]
+        for key, group in suspects:
+            self._suspect(key, group, rest)
+        self._infer(station, rest or trials)
+
+    def _infer(self, station: Station, trials: list[Trial]) -> None:
+        """Who is heard by a node, in this window."""
+        outcomes = _outcomes(trials)
+        inferred = infer(outcomes)
+        shares = {bit: share for bit, (share, _, _) in inferred.items()}
+        for bit, (share, count, due) in inferred.items():
+            if len(self.links) < _LINKS:
+                speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
+                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound))
+
+    def _suspect(self, key: Group, group: list[Trial], others: list[Trial]) -> None:
+        """Add what was expected of a group, as all trials of the node that are well show it."""
+        outcomes = _outcomes(others)
+        shares = {bit: share for bit, (share, _, _) in infer(outcomes).items()}
+        bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
+        # What looks as if it were due to a speaker may be due to somebody whose part is not known well.
+        bounds = {
+            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and outcomes.get(bit, (0, 0))[1] >= _ALONE
+        }
+        sure = self._sure(others, shares)
+        tally = self._tallies.get(key)
+        if tally is None:
+            if len(self._tallies) >= _GROUPS:
+                return
+            tally = self._tallies[key] = Tally()
+        gaps: dict[tuple[int, int, bool], _Gap] = {}
+        for trial in group:
+            bounds_of = {bit: bounds[bit] for bit in bits(trial.speakers) if bit in bounds}
+            tally.all_trials += 1
+            tally.all_hits += trial.hit
+            tally.all_expected += reacts(trial.speakers, bounds_of)
+            believed = {
+                bit: bound
+                for bit, bound in bounds_of.items()
+                if _between(sure.get(bit), trial.time, _BELIEF if shares[bit] >= _STEADY else _DOUBTFUL)
+            }
+            if not believed:
+                continue
+            best = max(believed, key=lambda bit: believed[bit])
+            place = bisect_left(sure[best], trial.time)
+            gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
+            gap.add(reacts(trial.speakers, believed))
+            gap.hit = gap.hit or trial.hit
+            if not trial.hit:
+                for bit in believed:
+                    gap.speakers |= bit
+                gap.late_half = gap.late_half and trial.late_half
+                gap.shortest = min(gap.shortest, trial.length)
+                gap.cause = gap.cause or trial.cause
+        tally.add(gaps.values())
+        self._keep(key, tally)
+
+    def _sure(self, trials: Iterable[Trial], shares: dict[int, float]) -> dict[int, list[int]]:
+        """When the node has shown that it hears a speaker, and nobody else in its place."""
+        sure: dict[int, list[int]] = {}
+        for trial in trials:
+            if trial.hit:
+                for bit in bits(trial.speakers):
+                    if reacts(trial.speakers ^ bit, shares) < 1 - _SURE:
+                        sure.setdefault(bit, []).append(trial.time)
+        for times in sure.values():
+            times.sort()
+        return sure
+
+    def _keep(self, key: Group, tally: Tally | None) -> None:
+        if tally is None or not tally.all_trials:
+            return
+        worst = self._worst.get(key)
+        if worst is None or (tally.chance, -tally.all_expected) < (worst.chance, -worst.all_expected):
+            self._worst[key] = tally
+
+    def _trials_of(self, key: Group) -> int:
+        tally = self._worst.get(key)
+        return -1 if tally is None else tally.all_trials
+
+    # -- what came of it -----------------------------------------------------------------------------------------------
+
+    def shortages(self) -> list[Shortage]:
+        """What did not come, the most certain first; a variable is named where others of the node are well."""
+        found: list[Shortage] = []
+        for (node, kind, var_id), tally in self._worst.items():
+            if tally.short or tally.doubtful:
+                station = self.observer.stations[node]
+                names = tuple(self.observer.by_bit[bit].node for bit in bits(tally.speakers))
+                certain = tally.short and tally.chance < _CHANCE
+                found.append(Shortage(station, kind, var_id, tally, names, certain))
+        # All variables together say more than each, unless it is one of them alone.
+        every = {(each.station.node, each.kind) for each in found if each.var_id is None and each.certain}
+        alone = {
+            (each.station.node, each.kind)
+            for each in found
+            if each.var_id is not None
+            and each.tally.all_trials == self._trials_of((each.station.node, each.kind, None))
+        }
+        found = [each for each in found if each.var_id is not None or (each.station.node, each.kind) not in alone]
+        kept = [each for each in found if each.var_id is None or (each.station.node, each.kind) not in every - alone]
+        single = {(each.station.node, each.kind) for each in found if each.var_id is not None and each.certain}
+        kept = [
+            each for each in kept if each.certain or each.var_id is None or (each.station.node, each.kind) not in single
+        ]
+        return sorted(kept, key=lambda each: each.tally.chance)
+
+
+def _between(times: list[int] | None, time: int, belief: int) -> bool:
+    """Whether it was shown before and after, both at most ``belief`` ns away."""
+    if not times:
+        return False
+    after = bisect_left(times, time)
+    before = bisect_right(times, time)
+    return after < len(times) and times[after] - time <= belief and before > 0 and time - times[before - 1] <= belief
+
+
+def _outcomes(trials: Iterable[Trial]) -> dict[int, tuple[int, int]]:
+    outcomes: dict[int, tuple[int, int]] = {}
+    for trial in trials:
+        missed, hit = outcomes.get(trial.speakers, (0, 0))
+        outcomes[trial.speakers] = (missed, hit + 1) if trial.hit else (missed + 1, hit)
+    return outcomes
+
+
+def reception_of(context: Context) -> Reception:
+    """What all rules of one recording share."""
+    found = context.shared.get(Reception)
+    if not isinstance(found, Reception):
+        found = context.shared[Reception] = Reception(context)
+    return found

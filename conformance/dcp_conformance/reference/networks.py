@@ -1,0 +1,282 @@
+"""Simulated networks of our nodes as recordings: what judges recordings is tried on them.
+
+Applications on all nodes create, update, delete and create again at random. Any node may be another one than ours (a
+mutant or a permitted variant). The recorder hears everybody unless it is told to lose frames.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Any, Final, Literal
+
+import msgspec
+from dcp_spec.constants import features
+
+from dcp_codec.capture.frame import Frame
+from dcp_codec.codec import Codec
+from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
+from dcp_stack.links.memory import Quality
+from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Topology
+from dcp_stack.node import Node
+from dcp_stack.sim.network import Network, node_id
+
+from .inprocess import EPOCH, MakeNode, plain_node
+
+MS: Final = 1_000_000
+SECOND: Final = 1000 * MS
+Shape = Literal["bus", "line", "grid", "moving"]
+
+#: Identifiers that applications use.
+_VARIABLES = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """A network and what happens in it. The same for the same values."""
+
+    profile: str = "dcp-2.0"
+    nodes: int = 5
+    shape: Shape = "bus"
+    loss: float = 0.0
+    """The part of the receptions that is lost, each by itself, 0..1."""
+    seconds: float = 30.0
+    busy: float = 1.0
+    """Service requests for each node and second."""
+    restarts: bool = False
+    late: bool = False
+    """Whether the last node is switched on in the middle."""
+    clocks: bool = False
+    """Whether the wall clocks of nodes are set back and forth."""
+    recorder_loss: float = 0.0
+    """The part of all beacons that the recorder misses, 0..1."""
+    recorder_clock: bool = False
+    """Whether the recorder's clock is set."""
+    period_ms: int = 100
+    seed: int = 1
+
+    def __str__(self) -> str:
+        extras = [name for name in ("restarts", "late", "clocks", "recorder_clock") if getattr(self, name)]
+        text = f"{self.profile} {self.shape} of {self.nodes}, loss {self.loss:.0%} (recorder {self.recorder_loss:.0%})"
+        return " ".join([f"{text}, busy {self.busy:g}, period {self.period_ms} ms, seed {self.seed}", *extras])
+
+
+@dataclass(frozen=True, slots=True)
+class Other:
+    """A node that is not as ours."""
+
+    make: MakeNode = plain_node
+    config: Callable[[NodeConfig], NodeConfig] = field(default=lambda config: config)
+
+
+class _Recorder:
+    def __init__(self, network: Network) -> None:
+        self.frames: list[Frame] = []
+        self._network = network
+        self._ether_type = (network.codec.profile.link.ether_type or 0x4953).to_bytes(2, "big")
+
+    def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
+        """A transmission; by the recorder's clock, not by that of the node."""
+        del wall, outgoing
+        data = b"\xff" * 6 + source + self._ether_type + octets
+        self.frames.append(Frame(len(self.frames) + 1, EPOCH + self._network.now, data, len(data)))
+
+
+class MixedNetwork(Network):
+    """A network in which single nodes are others than ours, and clocks can be set."""
+
+    def __init__(self, count: int, codec: Codec, others: Mapping[int, Other], **options: Any) -> None:
+        """``others``: the nodes that are not ours, by their place from 0. Options as for :class:`Network`."""
+        super().__init__(count, codec, share_decoding=False, **options)
+        self._make = {index: other.make for index, other in others.items()}
+        for index, other in others.items():
+            station = self.stations[index]
+            station.config = other.config(station.config)
+        self.offsets = [0] * count
+        """By how many ns the clock of a node is ahead."""
+
+    def start(self, index: int) -> None:
+        """Switch a node on, now; it knows nothing. Nothing happens if it is on already."""
+        station = self.stations[index]
+        if station.node is not None:
+            return
+        offsets = self.offsets
+        wall = self.wall + offsets[index]
+        made = self._make.get(index, plain_node)(station.config, station.rng, self.now, wall)
+        station.node = _clocked(type(made), made, lambda: offsets[index])
+        station.link.closed = False
+        station.up_since = self.now
+        self._guarded(station, lambda node: node.start(self.now, self.wall))
+
+    def call(self, index: int, service: Callable[[Node, int, int], Any]) -> Any:
+        """As in any network, with the clock of the node."""
+        return super().call(index, lambda node, now, wall: service(node, now, wall + self.offsets[index]))
+
+
+@cache
+def _clocked_class(base: type) -> type:
+    class Clocked(base):  # type: ignore[misc]
+        """The same node, by a clock that somebody has set."""
+
+        offset: Callable[[], int]
+
+        def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
+            super().handle_frame(octets, now=now, wall=wall + self.offset())
+
+        def handle_timeout(self, now: int, wall: int) -> None:
+            super().handle_timeout(now, wall + self.offset())
+
+        def start(self, now: int, wall: int) -> None:
+            super().start(now, wall + self.offset())
+
+    return Clocked
+
+
+def _clocked(base: type, node: Any, offset: Callable[[], int]) -> Any:
+    node.__class__ = _clocked_class(base)
+    node.offset = offset
+    return node
+
+
+def record(
+    situation: Situation, others: Mapping[int, Other] | None = None, *, codec: Codec | None = None
+) -> list[Frame]:
+    """The recording of a network. ``codec``: instead of that of the profile, for layouts that vary.
+
+    Raises :class:`RuntimeError` for a node of ours that stumbles; one of ``others`` may.
+    """
+    codec = codec or _codec(situation.profile)
+    srp = SRPConfig() if codec.profile.srp.record else None
+    topology, moves = _topology(situation)
+    network = MixedNetwork(
+        situation.nodes, codec, others or {}, seed=situation.seed, topology=topology,
+        quality=Quality(loss=situation.loss), bp=BPConfig(beacon_period_ms=situation.period_ms), srp=srp,
+        vardis=VardisConfig(),
+    )  # fmt: skip
+    recorder = _Recorder(network)
+    network.watchers.append(recorder)
+    rng = random.Random(f"traffic/{situation.seed}")  # noqa: S311 - to be repeatable is the point
+    end = round(situation.seconds * SECOND)
+    for index in range(situation.nodes):
+        late = situation.late and index == situation.nodes - 1
+        network.at(rng.randrange(300) * MS + (end // 2 if late else 0), partial(network.start, index))
+    for index in range(situation.nodes):
+        _applications(network, index, rng, situation, end)
+        if srp is not None:
+            network.at(500 * MS, partial(_move, network, index, rng, end))
+    _disturb(network, situation, rng, end)
+    for time, move in moves:
+        network.at(time, move)
+    network.run_until(end)
+    for station in network.stations:
+        if station.failure and station.index not in (others or {}):
+            raise RuntimeError(f"node {station.index} of {situation}: {station.failure}")
+    return _as_recorded(recorder.frames, situation)
+
+
+def _codec(profile: str) -> Codec:
+    return Codec(profile)
+
+
+def _topology(situation: Situation) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
+    """Who hears whom, and when that changes."""
+    match situation.shape:
+        case "bus":
+            return Full(), []
+        case "line":
+            return Line(), []
+        case "grid":
+            return Grid(3), []
+        case "moving":
+            return _moving(situation)
+
+
+def _moving(situation: Situation) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
+    """Links come and go at random: about half of them are there at any time."""
+    rng = random.Random(f"links/{situation.seed}")  # noqa: S311
+    nodes = range(situation.nodes)
+    there = {(a, b) for a in nodes for b in nodes if a < b and (b == a + 1 or rng.random() < 0.5)}
+    topology = Neighbours({a: [b for b in nodes if (min(a, b), max(a, b)) in there] for a in nodes})
+    moves: list[tuple[int, Callable[[], None]]] = []
+    time = 0.0
+    while (time := time + rng.expovariate(0.4)) < situation.seconds:
+        a, b = rng.sample(list(nodes), 2)
+        pair = (min(a, b), max(a, b))
+        change = topology.disconnect if pair in there else topology.connect
+        there ^= {pair}
+
+        def move(change: Callable[[int, int], None] = change, a: int = a, b: int = b) -> None:
+            change(a, b)
+            change(b, a)
+
+        moves.append((round(time * SECOND), move))
+    return topology, moves
+
+
+def _applications(network: MixedNetwork, index: int, rng: random.Random, situation: Situation, end: int) -> None:
+    time = 0
+    while (time := time + round(rng.expovariate(situation.busy) * SECOND)) < end - 3 * SECOND:
+        network.at(time, lambda: _something(network, index, rng))
+
+
+def _something(network: MixedNetwork, index: int, rng: random.Random) -> None:
+    """A service request that may be refused."""
+    if network.stations[index].node is None:
+        return
+    var_id, value = rng.randrange(_VARIABLES), rng.randbytes(rng.randrange(1, 20)).hex()
+    action = rng.random()
+    if action < 0.35:
+        timeout = rng.choice([0, 0, 0, 2500])
+        more = {"timeout": timeout} if features(network.codec.profile.spec_version).creation_time else {}
+        network.request(
+            index, "RTDB-Create", varId=var_id, repCnt=rng.randrange(1, 4), descr=f"v{var_id}", value=value, **more
+        )
+    elif action < 0.9:
+        network.request(index, "RTDB-Update", varId=var_id, value=value)
+    else:
+        network.request(index, "RTDB-Delete", varId=var_id)
+
+
+def _move(network: MixedNetwork, index: int, rng: random.Random, end: int) -> None:
+    """New safety data each 100 ms."""
+    if network.stations[index].node is not None:
+        layout = network.codec.profile.srp.safety_data
+        data = {each.name: rng.randrange(100) for each in layout if hasattr(each, "type")}
+        network.request(index, "SRP-UpdateSafetyData", sData=data)
+    if network.now < end - SECOND:
+        network.at(network.now + 100 * MS, lambda: _move(network, index, rng, end))
+
+
+def _disturb(network: MixedNetwork, situation: Situation, rng: random.Random, end: int) -> None:
+    """Restarts, and clocks that are set."""
+    for number in range(3 if situation.restarts else 0):
+        time, index = round((4 + 5 * number) * SECOND), rng.randrange(situation.nodes)
+        network.at(time, partial(network.stop, index))
+        network.at(time + rng.randrange(200, 2500) * MS, partial(network.start, index))
+    for _ in range(4 if situation.clocks else 0):
+        index, offset = rng.randrange(situation.nodes), rng.choice([-86_400, -60, -2, 2, 60, 86_400]) * SECOND
+
+        def set_clock(index: int = index, offset: int = offset) -> None:
+            network.offsets[index] += offset
+
+        network.at(rng.randrange(end), set_clock)
+
+
+def _as_recorded(frames: Iterable[Frame], situation: Situation) -> list[Frame]:
+    """What the recorder has of them."""
+    rng = random.Random(f"recorder/{situation.seed}")  # noqa: S311
+    kept = [frame for frame in frames if rng.random() >= situation.recorder_loss]
+    if situation.recorder_clock and kept:
+        place, step = rng.randrange(len(kept)), rng.choice([-3600, -5, 5, 3600]) * SECOND
+        kept = [
+            msgspec.structs.replace(frame, time_ns=frame.time_ns + (step if number >= place else 0))
+            for number, frame in enumerate(kept)
+        ]
+    return [msgspec.structs.replace(frame, number=number) for number, frame in enumerate(kept, 1)]
+
+
+def identifier(profile: str, index: int) -> bytes:
+    """The node identifier of the node at a place."""
+    return node_id(_codec(profile).profile, index)

@@ -1,0 +1,337 @@
+"""Cases that are executed side by side get the verdicts that they get one after the other."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections import Counter
+from typing import ClassVar
+
+import pytest
+from dcp_conformance.case import SANITY, all_cases
+from dcp_conformance.concurrent import WIDTH, why_alone
+from dcp_conformance.concurrent.comparison import compare
+from dcp_conformance.concurrent.executor import SideBySide
+from dcp_conformance.concurrent.scheduler import Scheduler, Task
+from dcp_conformance.concurrent.shared import SharedLink, SharedUpper
+from dcp_conformance.concurrent.sharing import _MEASURES, ALONE
+from dcp_conformance.lower import Arrival, LinkHealth
+from dcp_conformance.mutants import all_mutants
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.run import ConformanceRun
+from dcp_conformance.selection import Selection
+from dcp_conformance.selftest import cases
+from dcp_conformance.target import TargetOptions
+from dcp_conformance.upper import Answer
+from dcp_conformance.verdict import Verdict
+
+from dcp_codec.codec import Codec
+
+#: Mutants of each kind: wrong octets, missing reactions, too many of them, queues, time, deaths.
+MUTANTS = (
+    "M-BP-HDR-01-two",
+    "M-VD-RU-03-equal-answered",
+    "M-VD-CMP-06-one-more",
+    "M-VD-SCR-03-half",
+    "M-SRP-NT-02-stumbles",
+    "M-VD-INI-02-mode",
+    "M-BP-QM-03-drophead-repeats",
+    "M-VD-PD-04-summaryQ",
+)
+
+
+def run(side_by_side: int, *patterns: str, profile: str | None = None, **more) -> ConformanceRun:
+    found = ConformanceRun(
+        TargetOptions(in_process=True, profile=profile), Selection(patterns=patterns), side_by_side=side_by_side, **more
+    )
+    found.execute()
+    return found
+
+
+@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-2.0"])
+def test_our_node_gets_the_same_verdicts(profile: str) -> None:
+    assert compare(None, profile, cases()).differences == ()
+
+
+@pytest.mark.parametrize("mutant", MUTANTS)
+def test_a_mutant_is_noticed_side_by_side_too(mutant: str) -> None:
+    mutants = all_mutants()
+    assert mutant in mutants
+    assert compare(mutants[mutant], mutants[mutant].profile, cases(), companions=20).killed == (True, True)
+
+
+def test_most_cases_pass_beside_others_and_each_has_one_result() -> None:
+    found = run(WIDTH)
+    assert not found.trouble
+    results = Counter(result.id for result in found.results)
+    assert results.pop(SANITY) == 2
+    assert set(results.values()) == {1}
+    assert set(results) == {case.id for case in found.selected if case.id != SANITY}
+    beside = [result for result in found.results if result.side_by_side]
+    assert len(beside) > 0.7 * len(found.results)
+    assert all(result.verdict is Verdict.PASS for result in beside)
+    assert any(f"{len(beside)} cases passed while others were executed" in note for note in found.result().notes)
+
+
+def test_what_does_not_pass_beside_others_is_repeated_alone() -> None:
+    found = run(WIDTH, "TC_BP_REG_*", "TC_SRP_NT_BV_03")
+    # It reports what it has seen, which is no plain pass.
+    assert found.repeated_alone.keys() == {"TC_SRP_NT_BV_03"}
+    result = next(each for each in found.results if each.id == "TC_SRP_NT_BV_03")
+    assert result.verdict is Verdict.INFO
+    assert not result.side_by_side
+
+
+def test_every_rule_for_cases_alone_is_about_some_case() -> None:
+    names = list(all_cases())
+    for pattern, reason in _MEASURES:
+        assert reason
+        assert any(re.fullmatch(pattern, name) for name in names), pattern
+
+
+def test_cases_that_change_the_node_as_a_whole_are_alone() -> None:
+    for case in all_cases().values():
+        if ALONE & set(case.needs.ut) or case.needs.restart or case.needs.link:
+            assert why_alone(case), case.id
+
+
+@pytest.mark.parametrize("name", ["TC_BP_RXP_BV_05-VarDis", "TC_VD_SRV_BO_01"])
+def test_vardis_stays_registered_while_others_are_executed(monkeypatch, name: str) -> None:
+    # Even if no rule keeps the case from being executed beside others.
+    monkeypatch.setattr("dcp_conformance.concurrent.executor.why_alone", lambda _: "")
+    found = run(WIDTH, name, "TC_VD_STATE_BV_03-*")
+    assert found.repeated_alone.keys() == {name}
+    assert "stay registered" in found.repeated_alone[name]
+    assert {result.verdict for result in found.results} == {Verdict.PASS}
+
+
+def test_a_signal_ends_the_run_with_what_was_decided_and_leaves_nothing_registered(monkeypatch) -> None:
+    steps = Counter()
+    step = Scheduler.step
+    left: list[object] = []
+
+    def interrupted(self: Scheduler, until: int) -> None:
+        steps["step"] += 1
+        if steps["step"] == 60:
+            raise KeyboardInterrupt
+        step(self, until)
+
+    close = Scheduler.close
+
+    def closed(self: Scheduler) -> None:
+        close(self)
+        assert self.upper is not None
+        left.extend(self.upper.call("BP-ListRegisteredProtocols", {}).result["protocols"])
+
+    monkeypatch.setattr(Scheduler, "step", interrupted)
+    monkeypatch.setattr(Scheduler, "close", closed)
+    found = run(WIDTH, "TC_BP_*")
+    assert found.interrupted
+    assert found.exit_status() == 130
+    assert any(result.side_by_side for result in found.results)
+    # VarDis and SRP themselves.
+    assert {entry["protocolId"] for entry in left} <= {1, 2}
+
+
+def test_live_cases_never_share_an_identifier(monkeypatch) -> None:
+    clashes: list[set[int]] = []
+    account = SideBySide._account
+
+    def checked(self: SideBySide, arrival: Arrival) -> None:
+        account(self, arrival)
+        used = Counter(each for bench in self._live.values() for each in bench.created)
+        clashes.append({each for each, count in used.items() if count > 1})
+
+    monkeypatch.setattr(SideBySide, "_account", checked)
+    run(WIDTH, "TC_VD_STATE_*", "TC_VD_SEQ_*")
+    assert len(clashes) > 50
+    assert not set().union(*clashes)
+
+
+class Link:
+    """A link in virtual time with frames that were determined before."""
+
+    name = "link"
+
+    def __init__(self, *times: int) -> None:
+        self.time = 0
+        self.frames = [Arrival(time, time, b"octets", b"frame octets", b"source") for time in times]
+        self.sent: list[tuple[int, bytes]] = []
+
+    def now(self) -> int:
+        return self.time
+
+    wall = now
+
+    def send(self, octets: bytes, source: bytes) -> bytes:
+        self.sent.append((self.time, octets))
+        return source + octets
+
+    def send_frame(self, frame: bytes) -> None:
+        self.sent.append((self.time, frame))
+
+    def receive(self, until: int, also: object = ()) -> Arrival | None:
+        if self.frames and self.frames[0].time < until:
+            self.time = max(self.time, self.frames[0].time)
+            return self.frames.pop(0)
+        self.time = max(self.time, until)
+        return None
+
+    def take_in(self) -> None:
+        pass
+
+    def health(self) -> LinkHealth:
+        return LinkHealth(1)
+
+    def close(self) -> None:
+        pass
+
+
+def drive(scheduler: Scheduler) -> None:
+    for _ in range(1000):
+        if not scheduler.tasks:
+            break
+        scheduler.step(scheduler.lower.now() + 100)
+    assert not scheduler.tasks
+    scheduler.close()
+
+
+def test_every_task_receives_every_frame_at_its_time_and_none_after_its_deadline() -> None:
+    link = Link(10, 20, 20, 35)
+    accounted: list[int] = []
+    scheduler = Scheduler(link, None, lambda arrival: accounted.append(arrival.time))
+    heard: dict[str, list[tuple[int, int | None]]] = {"short": [], "long": []}
+
+    def listens(name: str, until: int) -> None:
+        def body(task: Task) -> None:
+            own = SharedLink(scheduler, task)
+            while own.now() < until:
+                found = own.receive(until)
+                heard[name].append((own.now(), None if found is None else found.time))
+
+        scheduler.start(body)
+
+    listens("short", 20)
+    listens("long", 50)
+    drive(scheduler)
+    assert heard["short"] == [(10, 10), (20, None)]
+    assert heard["long"] == [(10, 10), (20, 20), (20, 20), (35, 35), (50, None)]
+    assert accounted == [10, 20, 20, 35]
+
+
+def test_losses_of_the_kernel_are_told_to_every_task_once() -> None:
+    link = Link(10)
+    scheduler = Scheduler(link, None, lambda _: None)
+    losses: list[list[int]] = []
+
+    def body(task: Task) -> None:
+        own = SharedLink(scheduler, task)
+        own.receive(50)
+        losses.append([own.health().dropped, own.health().dropped])
+
+    scheduler.start(body)
+    scheduler.start(body)
+    drive(scheduler)
+    assert losses == [[1, 0], [1, 0]]
+
+
+class RealLink(Link):
+    """A link that counts as one in real time: calls of the upper tester are made by a thread."""
+
+    def overload(self) -> str:
+        return ""
+
+    def receive(self, until: int, also=()) -> Arrival | None:
+        if self.frames and self.frames[0].time < until:
+            return super().receive(until)
+        # All frames have been received: the call may end. The thread needs a moment to begin it, and to end it.
+        if WAITING.wait(0.05):
+            BLOCKED.set()
+            assert RETURNED.wait(20)
+        return None
+
+
+WAITING, BLOCKED, RETURNED = threading.Event(), threading.Event(), threading.Event()
+
+
+class SlowUpper:
+    """An upper tester whose calls last until a frame has been received by somebody else."""
+
+    name = "slow"
+    about: ClassVar[dict] = {}
+    methods = frozenset({"SLOW", "UT-Reset"})
+
+    def call(self, method: str, params: dict) -> Answer:
+        WAITING.set()
+        assert BLOCKED.wait(20)
+        WAITING.clear()
+        RETURNED.set()
+        return Answer("BP-STATUS-OK", {"method": method})
+
+    def poll(self) -> list:
+        return []
+
+    def filenos(self) -> tuple:
+        return ()
+
+    def another(self) -> None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+def test_others_go_on_while_a_call_lasts() -> None:
+    WAITING.clear()
+    BLOCKED.clear()
+    scheduler = Scheduler(RealLink(10, 20, 30), SlowUpper(), lambda _: None)
+    order: list[str] = []
+
+    def calls(task: Task) -> None:
+        upper = SharedUpper(scheduler, task, scheduler.upper)
+        assert "UT-Reset" not in upper.methods
+        assert upper.call("SLOW", {}).ok
+        order.append("called")
+
+    def listens(task: Task) -> None:
+        own = SharedLink(scheduler, task)
+        for _ in range(3):
+            assert own.receive(100) is not None
+            order.append("heard")
+
+    scheduler.start(calls)
+    scheduler.start(listens)
+    drive(scheduler)
+    assert order == ["heard", "heard", "heard", "called"]
+
+
+def test_an_implementation_that_dies_is_found_and_its_killer_named() -> None:
+    codec = Codec("dcp-2.0")
+    sut = InProcess(reference_config(codec))
+    handle = sut.deliver
+
+    def fragile(octets: bytes) -> None:
+        # A foreign protocol in a block of 600 octets or more ends it.
+        if len(octets) > 900:
+            sut.dies(RuntimeError("too long"))
+        handle(octets)
+
+    sut.deliver = fragile
+    from dcp_conformance.pics import Pics
+    from dcp_conformance.runner import Runner
+    from dcp_conformance.session import Session
+
+    runner = Runner(Session(codec, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+    runner.prepare()
+    every = all_cases()
+    runner.run(every[SANITY])
+    chosen = [case for name, case in every.items() if name.startswith(("TC_BP_RXP", "TC_VD_STATE_BV_03"))]
+    passed: list[str] = []
+    executor = SideBySide(runner, every[SANITY])
+    executor.run([case for case in chosen if not why_alone(case)], lambda case, _: passed.append(case.id))
+    alone = {case.id: runner.run(case) for case in chosen if case.id not in passed}
+    killers = [name for name, result in alone.items() if result.killed]
+    assert "TC_BP_RXP_BV_01-1000" in killers
+    assert not set(killers) & set(passed)
+    assert len(passed) + len(alone) == len(chosen)
+    assert any("executed side by side" in note and "alone" in note for note in runner.notes)
