@@ -48,6 +48,9 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     control_mode: str | None = None
     record: str | None = None
     record_decoded: bool = True
+    record_max_mb: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    record_max_minutes: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    record_keep: Annotated[int, msgspec.Meta(ge=1)] | None = None
     position: str | None = None
     neighbour_file: str | None = None
     metrics: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None

@@ -45,9 +45,9 @@ def share(path: Path, group: str | None, mode: str | None) -> None:
     try:
         if not stat.S_ISSOCK(os.fstat(fd).st_mode):
             raise SettingsError(f"{path}: it is no socket any more")
-        itself = f"/proc/self/fd/{fd}"
+        itself = Path(f"/proc/self/fd/{fd}")
         os.chown(itself, -1, gid)
-        os.chmod(itself, bits)
+        itself.chmod(bits)
     except PermissionError:
         raise SettingsError(f"control_group: the node is not in group {group}, so it cannot share its socket") from None
     finally:

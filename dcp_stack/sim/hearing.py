@@ -176,7 +176,7 @@ class HearingTable(NeighbourTable):
                 if last is not None and now - last.now <= timeout:
                     continue
                 self.node.forget(node_id)
-            del self._entries[node_id]
+            self._remove(node_id)
             gone.append(node_id)
         return gone
 
