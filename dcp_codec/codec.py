@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
 from dcp_spec.profile import Profile
@@ -14,9 +15,10 @@ from .dissector import Dissect, generate_dissector
 from .encoder import Encode, generate_encoder
 from .errors import DecodeError, Problem
 from .fields import Dissection
-from .layout import ValueTypes
+from .layout import ValueTypes, read_scalar, walk
 from .lint import DOUBTS, warnings
-from .plan import Node, lower
+from .measures import least_size, member, places, record
+from .plan import Many, Node, Scalar, Select, lower
 from .salvage import Salvaged, Salvager
 from .values import Beacon, Container, ExtendedSafetyData, OwnRecord, SafetyData
 
@@ -81,6 +83,14 @@ class Codec:
     @functools.cached_property
     def _decode_containers(self) -> Decode:
         return generate_decoder(self.containers_plan, self.types, f"{self.profile.name} containers")
+
+    @functools.cached_property
+    def _decode_records(self) -> dict[int, Decode]:
+        """By type of container: a decoder of its records up to the end of the octets."""
+        plan, types = self.containers_plan, self.types
+        select = next(node for node in walk(plan) if isinstance(node, Select) and node.key == "icType")
+        lists = {number: replace(case, count=None) for number, case in select.cases.items() if isinstance(case, Many)}
+        return {number: generate_decoder(each, types, f"{self.profile.name} records") for number, each in lists.items()}
 
     @functools.cached_property
     def _decode_report(self) -> Decode:
@@ -219,6 +229,28 @@ class Codec:
         """Decode a VarDis payload up to its last octet. ``DecodeError.partial``: those before the fault."""
         containers: tuple[Container, ...] = self._decode_containers(payload, 0, len(payload))[0]
         return containers
+
+    def decode_leading_records(self, payload: bytes, start: int, most: int) -> Container | None:
+        """The container at ``payload[start:]`` with its first sound records only, at most ``most`` of them.
+
+        Its ``extra`` is left empty. None if its header is cut off or its type is unknown.
+        """
+        layout = record(self.containers_plan, "Container")
+        assert layout is not None
+        header, ic_type = least_size(layout), places(layout)["icType"]
+        number = member(layout, "icType")
+        assert isinstance(number, Scalar)
+        if start + header > len(payload):
+            return None
+        kind = read_scalar(number, payload[start + ic_type.start : start + ic_type.stop])
+        decode = self._decode_records.get(kind)
+        if decode is None:
+            return None
+        try:
+            found = decode(payload, start + header, len(payload))[0]
+        except DecodeError as error:
+            found = error.partial or ()
+        return Container(ic_type=kind, records=found[:most])
 
     def encode_containers(self, containers: tuple[Container, ...]) -> bytes:
         """The VarDis payload of ``containers``. Raises EncodeError."""

@@ -65,13 +65,15 @@ def short_run(
     """Raise the first problem of a run of scalars that does not fit into ``b[o:e]``."""
     for scalar, template in run:
         if o + scalar.size > e:
-            raise DecodeError(Problem("truncated", template % args, o, scalar.size, e - o, scalar.requirement), partial)
+            problem = Problem("truncated", template % args, o, scalar.size, e - o, scalar.requirement)
+            raise DecodeError(problem, partial, args)
         value = read_scalar(scalar, b[o : o + scalar.size])
         if broken(scalar, value):
             rule = scalar.rule
             assert rule is not None
             needed = 1 if rule.value is None else rule.value
-            raise DecodeError(Problem(rule.reason, template % args, o, needed, value, rule.requirement), partial)
+            problem = Problem(rule.reason, template % args, o, needed, value, rule.requirement)
+            raise DecodeError(problem, partial, args)
         o += scalar.size
     raise AssertionError("a run that fits is not short")
 
@@ -82,7 +84,7 @@ def _fail(
     def error(
         offset: int, needed: int | None, available: int | None, args: tuple[int, ...], partial: Any
     ) -> DecodeError:
-        return DecodeError(Problem(reason, template % args, offset, needed, available, requirement), partial)
+        return DecodeError(Problem(reason, template % args, offset, needed, available, requirement), partial, args)
 
     return error
 

@@ -45,13 +45,15 @@ class DecodeError(CodecError):
     """Octets are not a message of the profile. ``problem`` says where and why.
 
     ``partial`` is what was complete before the problem (a Beacon with its first payloads, the first containers), or
-    None; the specification lets receivers use it in some cases (BP-RX-09, VD-RX-05 to VD-RX-07).
+    None; the specification lets receivers use it in some cases (BP-RX-09, VD-RX-05 to VD-RX-07). ``indices`` are the
+    numbers in ``problem.path``: the element of each list that the problem lies in, the outermost list first.
     """
 
-    def __init__(self, problem: Problem, partial: Any = None) -> None:
-        super().__init__(problem, partial)
+    def __init__(self, problem: Problem, partial: Any = None, indices: tuple[int, ...] = ()) -> None:
+        super().__init__(problem, partial, indices)
         self.problem = problem
         self.partial = partial
+        self.indices = indices
 
     def __str__(self) -> str:
         return str(self.problem)

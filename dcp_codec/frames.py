@@ -18,9 +18,12 @@ from .jsonform import beacon_json, problem_json
 class DissectedFrame:
     """One DCP frame of a recording. Offsets count from the first octet of the frame."""
 
-    __slots__ = ("codec", "dissection", "frame", "framing")
+    __slots__ = ("codec", "dissection", "doubt", "frame", "framing")
 
-    def __init__(self, codec: Codec, frame: Frame, framing: Framing, dissection: Dissection) -> None:
+    def __init__(
+        self, codec: Codec, frame: Frame, framing: Framing, dissection: Dissection, doubt: str | None = None
+    ) -> None:
+        self.doubt = doubt
         self.codec = codec
         self.frame = frame
         self.framing = framing
@@ -58,6 +61,7 @@ class DissectedFrame:
             "src": mac(framing.src) if framing.src is not None else None,
             "dst": mac(framing.dst) if framing.dst is not None else None,
             "etherType": framing.ether_type,
+            **({} if self.doubt is None else {"profileDoubt": self.doubt}),
             **beacon_json(self.codec, self.dissection.root),
             "padding": len(self.dissection.padding),
             "errors": [problem_json(problem) for problem in self.dissection.errors],
@@ -68,9 +72,11 @@ class DissectedFrame:
 class FrameDissector:
     """Takes captured frames apart with one codec. ``link`` replaces the profile's idea of where beacons are."""
 
-    def __init__(self, codec: Codec, link: Link | None = None) -> None:
+    def __init__(self, codec: Codec, link: Link | None = None, doubt: str | None = None) -> None:
+        """``doubt``: why the profile may be the wrong one; it becomes a member of the JSON of every frame."""
         self.codec = codec
         self.link = link or codec.profile.link
+        self.doubt = doubt
 
     def dissect(self, frame: Frame) -> DissectedFrame | OtherTraffic:
         """The frame taken apart, or why it is not DCP. Never raises."""
@@ -86,7 +92,7 @@ class FrameDissector:
     def _apart(self, frame: Frame, framing: Framing) -> DissectedFrame:
         octets = frame.data if framing.end == len(frame.data) else frame.data[: framing.end]
         found = self.codec.dissect(octets, start=framing.start, base=framing.start)
-        return DissectedFrame(self.codec, frame, framing, found)
+        return DissectedFrame(self.codec, frame, framing, found, self.doubt)
 
 
 def with_ether_type(link: Link, ether_type: int) -> Link:

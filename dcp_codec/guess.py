@@ -41,6 +41,7 @@ _ERA = 1_735_689_600  # 2025: about when the known implementations were in use, 
 _SAME = 1e-9
 #: Scores that are farther apart than this leave no doubt.
 _CERTAIN = 0.5
+_LIKELY = 0.1
 
 
 class Candidate(msgspec.Struct, frozen=True):
@@ -109,11 +110,35 @@ class Guess(msgspec.Struct, frozen=True):
         others = [c.score for c in self.candidates if self.best.score - c.score >= _SAME]
         return self.best.score - others[0] if others else 0.0
 
+    @property
+    def weak(self) -> bool:
+        """Whether most of the recording stays unexplained, or another layout explains it nearly as well."""
+        if not self.best.frames:
+            return False
+        return self.best.score < 0.5 or (not self.tied and self.certainty <= _LIKELY)
+
+    @property
+    def warning(self) -> str | None:
+        """One sentence for everyone who goes on with a weak guess; None for a good one."""
+        if not self.weak:
+            return None
+        return f"profile {self.best.profile.name} is a weak guess, and what follows may be wrong ({self.best.counts})"
+
+    def as_json(self) -> dict[str, Any]:
+        """The members ``profile``, ``certain``, ``weak``, ``tied`` and ``text``, for the output of commands."""
+        return {
+            "profile": self.best.profile.name,
+            "certain": self.certain,
+            "weak": self.weak,
+            "tied": [candidate.profile.name for candidate in self.tied],
+            "text": str(self),
+        }
+
     def __str__(self) -> str:
         best = self.best
         if not best.frames:
             return f"{best.profile.name} (a guess: there are no frames to tell it by)"
-        sure = "certain" if self.certainty > _CERTAIN else "likely" if self.certainty > 0.1 else "a weak guess"
+        sure = "certain" if self.certainty > _CERTAIN else "likely" if self.certainty > _LIKELY else "a weak guess"
         if self.tied:
             sure = "one of several"
         elif best.score < 0.5:

@@ -25,10 +25,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import msgspec
-from dcp_spec.profile import Link, Profile, SafetyField
+from dcp_spec.profile import Link, Profile
 from dcp_spec.version import __version__
 
 from .capture import ChannelMessage, Frame
+from .cartesian import cartesian_axes
 from .codec import Codec
 from .export.jsonrecords import JSONSchema, ViewerRecord
 from .export.jsonschema import DRAFT, container_group, problem_properties, record_group, schema_octets, viewer_record
@@ -45,9 +46,6 @@ FRAME_ID = "dcp"
 #: Nodes that get a topic for their poses. An MCAP file has at most 65,535 channels, and identifiers that are text
 #: can be anything.
 MAX_POSE_TOPICS = 1000
-
-#: Metres in one unit of a position; positions in other units are not Cartesian.
-_METRES = {"": 1.0, "m": 1.0, "mm": 0.001, "cm": 0.01, "dm": 0.1, "km": 1000.0}
 
 _IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
@@ -177,19 +175,13 @@ class _Poses:
     """Positions in state reports as ``foxglove.PoseInFrame`` on one topic for each node."""
 
     def __init__(self, profile: Profile) -> None:
-        fields: dict[str, SafetyField] = {
-            member.role: member for member in profile.srp.safety_data if member.role.startswith("position.")
-        }
-        found = [fields.get(f"position.{axis}") for axis in "xyz"]
-        axes = {axis: member for axis, member in zip("xyz", found, strict=True) if member is not None}
-        cartesian = all(member.unit in _METRES for member in axes.values())
-        self._axes = {axis: (member.name, _METRES[member.unit]) for axis, member in axes.items()} if cartesian else {}
+        self._axes = cartesian_axes(profile)
         self._schema = schema_octets(_POSE_IN_FRAME)
         self._topics: dict[str, str] = {}
 
     def messages(self, frame: Frame, report: Mapping[str, Any]) -> Iterator[ChannelMessage]:
         """The pose that a state report gives, unless the profile has none or a coordinate is not finite."""
-        if "x" not in self._axes or "y" not in self._axes:
+        if not self._axes:
             return
         position = {"x": 0.0, "y": 0.0, "z": 0.0}
         for axis, (name, metres) in self._axes.items():

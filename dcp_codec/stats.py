@@ -127,6 +127,8 @@ class Stats:
 
     def __init__(self, codec: Codec, link: Link | None = None) -> None:
         self.codec = codec
+        #: Why the profile, which was guessed, may be the wrong one; for the JSON form.
+        self.doubt: str | None = None
         self._link = link or codec.profile.link
         numbers = codec.profile.vardis.container_types.by_name()
         self._names = {number: name for name, number in numbers.items()}
@@ -232,6 +234,7 @@ class Stats:
             span = (self.last_time_ns - self.first_time_ns) / 1e9
         return {
             "profile": self.codec.profile.name,
+            **({} if self.doubt is None else {"profileDoubt": self.doubt}),
             "frames": self.frames,
             "beacons": self.beacons,
             "first_time_ns": self.first_time_ns,

@@ -6,9 +6,11 @@ from __future__ import annotations
 from itertools import starmap
 
 import msgspec
-from dcp_spec.profile import standard_fields
 
 from dcp_codec.errors import DecodeError, Problem
+from dcp_codec.layout import read_scalar
+from dcp_codec.measures import largest, least_size, member, places, record
+from dcp_codec.plan import Fill, Scalar
 from dcp_codec.values import Beacon, BPHeader, Payload
 
 from .config import NodeConfig
@@ -48,48 +50,34 @@ class BPWire:
     """Sizes and places of the profile, and octets to values and back."""
 
     def __init__(self, config: NodeConfig) -> None:
-        profile = config.profile
-        types, layout = profile.types, profile.bp
         self._codec = config.codec
         self._node_id = config.node_id
-        widths = {
-            "version": 1,
-            "magicNo": types.magic_no.width,
-            "senderId": types.node_id.width,
-            "networkId": types.network_id.width,
-            "length": types.bp_length.width,
-            "numPayloads": 1,
-            "seqno": types.bp_seqno.width,
-        }
-        self._places: dict[str, slice] = {}
-        end = 0
-        for name in standard_fields(layout.header):
-            self._places[name] = slice(end, end + widths[name])
-            end += widths[name]
-        self.header_size = end
-        """Octets of BPHeaderT, 0 where the profile sends none."""
-        own = {"protocolId": types.protocol_id.width, "length": types.bp_length.width}
-        self.block_header_size = sum(
-            own[member] if isinstance(member, str) else member.width or 0 for member in layout.payload_header
+        plan = config.codec.envelope_plan
+        header, block = record(plan, "BPHeader"), record(plan, "Payload")
+        assert block is not None
+        self._header = (
+            {} if header is None else {each.name: each for each in header.members if isinstance(each, Scalar)}
         )
+        self._places = {} if header is None else places(header)
+        self.header_size = 0 if header is None else least_size(header)
+        """Octets of BPHeaderT, 0 where the profile sends none."""
+        self.block_header_size = sum(each.size for each in block.members if isinstance(each, Scalar))
         """Octets of BPPayloadHeaderT."""
-        self._area = layout.payload_area
-        largest = (1 << (8 * types.bp_length.width)) - 1
-        self.max_payload = min(largest, self._area or largest)
+        self._area = next((each.total for each in block.members if isinstance(each, Fill)), None)
+        length = member(block, "length")
+        assert isinstance(length, Scalar)
+        self._block_length, self._block_length_place = length, places(block)["length"]
+        self.max_payload = min(largest(length), self._area or largest(length))
         """Octets of the longest client payload that a block can hold."""
         self.max_blocks: int | None = None
         """Octets of all blocks that the header can announce, None without such a field."""
-        self._length_order = types.bp_length.byte_order
-        self._network_order = types.network_id.byte_order
-        announced = "length" in layout.header and layout.length_means == "blocks"
-        if announced:
-            self.max_blocks = largest
-        self._frame_is_end = announced and config.reading("X02") == "frame-size"
-        self._count_is_end = "length" in layout.header or config.reading("X47") == "counted-blocks"
+        announced = self._header.get("length")
+        if announced is not None and announced.derived is not None:
+            self.max_blocks = largest(announced)
+        self._frame_is_end = self.max_blocks is not None and config.reading("X02") == "frame-size"
+        self._count_is_end = announced is not None or config.reading("X47") == "counted-blocks"
         self.count_tells = not self._frame_is_end and self._count_is_end
         """Whether numPayloads can be compared: not if padding is parsed as blocks (X02, X47)."""
-        self._block_fields = own
-        self._block_layout = layout.payload_header
 
     def offset(self, field: str) -> int:
         """The octet of the bearer payload where a header field starts, -1 if there is no such field."""
@@ -132,7 +120,7 @@ class BPWire:
         if not isinstance(beacon, Beacon):
             fault = _fault(problem, in_header=True)
             if problem.reason == "beacon-overrun":
-                return Reception(self._header(octets), fault=fault)
+                return Reception(self._refused_header(octets), fault=fault)
             return Reception(None, fault=fault, refused=True)
         blocks = self._blocks(beacon)
         end = blocks[-1].offset + self.block_size(blocks[-1].payload) if blocks else self.header_size
@@ -154,10 +142,10 @@ class BPWire:
             offset += self.block_header_size + (self._area or len(payload))
         return tuple(found)
 
-    def _header(self, octets: bytes) -> BPHeader:
+    def _refused_header(self, octets: bytes) -> BPHeader:
         """Sender and network of a header that is there as a whole."""
-        network = self._places.get("networkId")
-        network_id = None if network is None else int.from_bytes(octets[network], self._network_order)
+        network = self._header.get("networkId")
+        network_id = None if network is None else read_scalar(network, octets[self._places["networkId"]])
         return BPHeader(octets[self._places["senderId"]], 0, network_id)
 
     def _announcing_frame(self, octets: bytes) -> bytes:
@@ -167,7 +155,9 @@ class BPWire:
         if body <= 0 or body > (self.max_blocks or 0) or not any(octets[place]):
             return octets
         return (
-            octets[: place.start] + body.to_bytes(place.stop - place.start, self._length_order) + octets[place.stop :]
+            octets[: place.start]
+            + body.to_bytes(place.stop - place.start, self._header["length"].order)
+            + octets[place.stop :]
         )
 
     def _counting_frame(self, octets: bytes) -> bytes:
@@ -176,19 +166,14 @@ class BPWire:
         # No blocks are still a reason to discard the beacon (BP-RX-04).
         if place is None or not any(octets[place]):
             return octets
+        length = self._block_length_place
         while start + self.block_header_size <= len(octets):
-            start += self.block_header_size + (self._area or self._length_at(octets, start))
+            announced = read_scalar(self._block_length, octets[start + length.start : start + length.stop])
+            start += self.block_header_size + (self._area or announced)
             count += start <= len(octets)
-        return octets[: place.start] + bytes([min(max(count, 1), 0xFF)]) + octets[place.stop :]
-
-    def _length_at(self, octets: bytes, start: int) -> int:
-        """The length of the client payload in the block that starts there."""
-        for member in self._block_layout:
-            size = self._block_fields[member] if isinstance(member, str) else member.width or 0
-            if member == "length":
-                return int.from_bytes(octets[start : start + size], self._length_order)
-            start += size
-        return 0
+        number = self._header["numPayloads"]
+        counted = min(max(count, 1), largest(number)).to_bytes(number.size, number.order)
+        return octets[: place.start] + counted + octets[place.stop :]
 
 
 def _fault(problem: Problem, *, in_header: bool) -> Fault:

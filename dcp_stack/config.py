@@ -7,14 +7,15 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import msgspec
-from dcp_spec.bp import header_size
 from dcp_spec.constants import Features, ICType, SpecVersion, features
 from dcp_spec.parameters import Sizes
-from dcp_spec.profile import Profile, own_fields, standard_fields
+from dcp_spec.profile import Profile
 from dcp_spec.readings import reading
 from dcp_spec.usability import refusal
 
 from dcp_codec.codec import Codec
+from dcp_codec.measures import least_size, record
+from dcp_codec.plan import Scalar
 
 from .positions.fields import SafetyFields
 from .vardis_sizes import RecordSizes
@@ -131,7 +132,7 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @functools.cached_property
     def record_sizes(self) -> RecordSizes:
         """Sizes of VarDis records, and the ranges of their fields."""
-        return RecordSizes(self.profile)
+        return RecordSizes(self.codec)
 
     @functools.cached_property
     def safety_fields(self) -> SafetyFields:
@@ -171,33 +172,23 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
 
 def _sizes(config: NodeConfig) -> Sizes:
-    profile, types = config.profile, config.profile.types
-    widths = {
-        "varId": types.var_id.width,
-        # Identifiers of varying length are counted as long as the own one.
-        "prodId": len(config.node_id) + (types.node_id.length.width if types.node_id.length else 0),
-        "repCnt": types.var_rep_cnt.width,
-        "creationTime": types.timestamp.width,
-        "timeout": types.var_timeout.width,
-        "descr": sum(length.width for length in types.string.lengths) + types.string.terminated,
-    }
-    foreign = sum(member.width or 0 for member in own_fields(profile.bp.payload_header))
-    value = sum(length.width for length in types.value.lengths) + types.value.terminated
-    vardis = profile.vardis
-    list_length = vardis.list_length.width if vardis.list_length is not None else 0
+    profile, records, plan = config.profile, config.record_sizes, config.codec.envelope_plan
+    header, block = record(plan, "BPHeader"), record(plan, "Payload")
+    assert block is not None
+    # Identifiers of varying length are counted as long as the own one.
+    own_id = 0 if records.node_id_width is not None else len(config.node_id)
     return Sizes(
         version=profile.spec_version,
         uwb_max_packet_size=profile.limits.uwb_max_packet,
-        node_id=types.node_id.width,
-        network_id=types.network_id.width,
-        var_len=types.value.lengths[0].width,
-        bp_header=header_size(profile),
-        bp_payload_header=types.protocol_id.width + types.bp_length.width + foreign,
-        # Type and number of records, and what only the profile has behind them.
-        ic_header=2 + sum(each.width or 0 for each in vardis.container_extra) + list_length,
-        var_spec_fixed=sum(widths[name] for name in standard_fields(profile.vardis.var_spec)),
-        var_update_fixed=types.var_id.width + types.var_seqno.width + value,
-        var_summ=types.var_id.width + types.var_seqno.width,
+        node_id=profile.types.node_id.width,
+        network_id=profile.types.network_id.width,
+        var_len=records.value_length_width,
+        bp_header=0 if header is None else least_size(header),
+        bp_payload_header=sum(each.size for each in block.members if isinstance(each, Scalar)),
+        ic_header=records.ic_header,
+        var_spec_fixed=records.var_spec + own_id,
+        var_update_fixed=records.var_update,
+        var_summ=records.var_summ,
         max_packet_size=config.bp.max_packet_size or profile.limits.max_beacon_size,
         max_payload_size=profile.limits.max_vardis_payload,
         max_value_length=profile.limits.max_value_length,

@@ -16,6 +16,7 @@ from dcp_spec.parameters import UnknownParameterError, Violation, validate
 from dcp_spec.status import BPStatus, SRPStatus
 
 from dcp_codec.errors import DecodeError
+from dcp_codec.measures import record, start
 from dcp_codec.values import ExtendedSafetyData, SafetyData
 
 from .config import MAX_NEIGHBOURS, MS, NodeConfig, SRPConfig
@@ -346,16 +347,8 @@ def _record_size(config: NodeConfig) -> int:
 
 
 def _node_id_offset(config: NodeConfig) -> int:
-    """The octet of a state report at which nodeId starts, -1 if a text in front of it moves it."""
-    profile = config.profile
-    sizes_of = {
-        "sData": sum(field.width for field in profile.srp.safety_data),
-        "tStamp": profile.types.timestamp.width,
-        "seqno": profile.types.srp_seqno.width,
-    }
-    offset = 0
-    for member in profile.srp.record:
-        if member == "nodeId":
-            return offset
-        offset += sizes_of[member] if isinstance(member, str) else member.width or 0
-    return -1
+    """The octet of a state report at which nodeId starts, -1 if a text before it moves it."""
+    plan = config.codec.report_plan
+    layout = None if plan is None else record(plan, "ExtendedSafetyData")
+    found = None if layout is None else start(layout, "nodeId")
+    return -1 if found is None else found

@@ -9,6 +9,7 @@ from .config import MAX_VARIABLES, NodeConfig
 from .effects import Effect, VariableChanged
 from .timestamps import StampClock
 from .vardis_db import Database, DBEntry
+from .vardis_delivery import Delivery
 from .vardis_parameters import VardisParameters
 from .vardis_table import Cell, Event, State, table
 
@@ -55,6 +56,8 @@ class Core:
         self.parameters = self.parameters_class(config)
         self.sizes = config.record_sizes
         self.sequence = self.sequence_class(self.sizes.seqno_modulus, _half_range(config))
+        self.delivery = Delivery(self.sequence)
+        """Whether what this node says gets through."""
         self.database = self.database_class(remove_deleted=self.features.removed_after_deletion)
         # The wall clock counts from 1970 in every profile: a start of the node must not make creations look earlier.
         self.clock = StampClock(config.profile.types.timestamp)
@@ -84,6 +87,8 @@ class Core:
     def changed(self, event: str, entry: DBEntry) -> None:
         """Tell that a variable was ``created``, ``updated`` or ``deleted``."""
         spec = entry.spec
+        if event == "deleted" or spec.prod_id != self.own_id:
+            self.delivery.deleted(spec.var_id)
         self.emit(VariableChanged(event, spec.var_id, entry.seqno, entry.value, spec.prod_id))
 
 

@@ -68,7 +68,13 @@ class Receiver:
             self._dropped("creation-ahead", offset, var_id)
             return
         entry = self._database.lookup(var_id)
-        cell = self._core.cell(self._create_event(record, entry), entry)
+        event = self._create_event(record, entry)
+        if record.spec.prod_id == self._core.own_id:
+            known = None if entry is None else entry.spec.creation_time
+            self._core.delivery.own_creation(var_id, record.spec.creation_time, known)
+        elif entry is not None and record.upd.seqno == entry.seqno:
+            self._core.delivery.has(var_id)
+        cell = self._core.cell(event, entry)
         if cell.action is not Action.ADOPT:
             self._drop(cell, offset, var_id)
             return
@@ -162,8 +168,11 @@ class Receiver:
         entry = self._database.lookup(var_id)
         event = _SUMMARY_NEWER
         if entry is not None:
+            if entry.spec.prod_id == self._core.own_id:
+                self._core.delivery.summary_of_own(var_id, record.seqno)
             if record.seqno == entry.seqno:
                 event = _SUMMARY_EQUAL
+                self._core.delivery.has(var_id)
             elif self._core.sequence.received_is_older(record.seqno, entry.seqno):
                 event = _SUMMARY_OLDER
         self._answer(self._core.cell(event, entry), entry, var_id, offset)
@@ -198,9 +207,11 @@ class Receiver:
             elif action is Action.SEND_UPDATE:
                 ##= VD-RU-04
                 database.arm_update(entry)
+                self._core.delivery.asked(var_id)
             elif action is Action.SEND_CREATE:
                 ##= VD-RC-03
                 database.arm_create(entry)
+                self._core.delivery.asked(var_id)
             elif action is Action.REQUEST_UPDATE:
                 ##= VD-PS-04
                 database.req_upd_q.append(var_id)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from itertools import count
 from typing import Any, Final
 
@@ -26,8 +25,6 @@ class Extracted(msgspec.Struct, frozen=True):
 
 #: Going through an enumeration takes longer than through a tuple.
 _KINDS: Final = tuple(ICType)
-#: Which record of which container a problem lies in.
-_PLACE: Final = re.compile(r"\[(\d+)\]\.records\[(\d+)\]")
 
 
 class Extractor:
@@ -38,7 +35,6 @@ class Extractor:
         self._sizes = sizes
         self._policy = _receive_error_policy(config)
         self._kinds = {number: kind for kind, number in config.container_numbers.items()}
-        self._list_length = config.profile.vardis.list_length is not None
 
     def extract(self, payload: bytes) -> Extracted:
         """The records to process. Never raises; what is not a record is in ``problems``."""
@@ -65,7 +61,10 @@ class Extractor:
             bad = self._collect(partial, start, records)
             ##= VD-RX-11
             if self._policy == "keep-prefix":
-                self._collect(self._complete_records(payload[start:], error, bad - start), bad, records)
+                # What is wrong in the header of a container leaves none of its records.
+                if len(error.indices) > 1:
+                    container = self._codec.decode_leading_records(payload, bad, error.indices[1])
+                    self._collect((container,) if container else (), bad, records)
                 break
             ##= VD-RX-06
             # Behind the header of a container without records the next one starts. Of any other bad container the
@@ -80,22 +79,6 @@ class Extractor:
             except DecodeError as further:
                 error = further
         return Extracted(records, tuple(problems))
-
-    def _complete_records(self, payload: bytes, error: DecodeError, bad: int) -> tuple[Container, ...]:
-        """The containers up to the error, the last of them with only the records in front of it.
-
-        The strict decoder reports whole containers. Told that the bad one has only as many records as are complete,
-        it reports those, too, and stumbles over the rest, which is dropped anyway.
-        """
-        place = _PLACE.match(error.problem.path)
-        if place is None or place[2] == "0" or self._list_length:
-            return ()
-        shortened = payload[: bad + 1] + bytes([int(place[2])]) + payload[bad + 2 :]
-        try:
-            found = self._codec.decode_containers(shortened)
-        except DecodeError as rest:
-            found = rest.partial or ()
-        return found[int(place[1]) : int(place[1]) + 1]
 
     def _collect(
         self,

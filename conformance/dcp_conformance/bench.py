@@ -1,12 +1,12 @@
-"""The bench: what a case does and says goes through here.
+"""The bench: the interface of a case to the tester.
 
-A case runs straight on, top to bottom: it sends with peers, waits in beacon periods, and asks what was heard. Time
-passes only inside of the waiting methods, so that the same case runs in virtual time and on the air. What a case finds
-is a *check*; a failed check can stop the case (``require``) or not (``check``).
+A case is a straight sequence of steps: it sends with peers, waits in beacon periods, and queries received frames. Time
+passes only within the waiting methods, so the same case runs in virtual time and on a real link. The result of a case
+are *checks*; a failed check stops the case (``require``) or not (``check``).
 
-It is built up in four steps: :class:`~dcp_conformance.findings.Findings` (what is said),
-:class:`~dcp_conformance.naming.Naming` (names and values), :class:`~dcp_conformance.listening.Listening` (waiting and
-hearing), and here what is done to the implementation.
+The bench is built in four layers: :class:`~dcp_conformance.findings.Findings` (checks),
+:class:`~dcp_conformance.naming.Naming` (identifiers and values), :class:`~dcp_conformance.listening.Listening` (waiting
+and receiving), and, in this module, sending and service calls.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from .upper import Answer, UpperTester
 
 __all__ = ["MS", "Bench", "Session"]
 
-#: Calls without an answer after which :meth:`Bench.restore` stops trying.
+#: Number of calls without an answer after which :meth:`Bench.restore` stops trying.
 _GIVEN_UP = 3
 
 
 class Bench(Listening):
-    """One case's view of the session."""
+    """The view that one case has of the session."""
 
     def __init__(self, session: Session, case: Case) -> None:
         super().__init__(session, case)
@@ -48,21 +48,21 @@ class Bench(Listening):
         self.peers_made: list[Peer] = []
         self.changes = Changes(self._initial_value)
         self.not_restored = ""
-        """Why :meth:`restore` did not succeed, in words; empty if it did."""
+        """Why :meth:`restore` failed; empty if it succeeded."""
 
     # -- sending -------------------------------------------------------------------------------------------------------
 
     def peer(self) -> Peer:
-        """A virtual station that has not spoken before."""
+        """Return a virtual node that has not sent anything before."""
         number = self.next_node()
         peer = Peer(self, self._node_id(number), address_of(number))
         self.peers_made.append(peer)
         return peer
 
     def transmit(self, octets: bytes, source: bytes, payloads: int = 1) -> int:
-        """Put a bearer payload on the air; the number of its frame in the recording.
+        """Send a bearer payload and return the number of its frame in the recording.
 
-        ``payloads``: how many blocks it has that the implementation may take one at a time.
+        ``payloads``: number of its blocks that an implementation may process one at a time.
         """
         self.acts()
         frame = self.lower.send(octets, source)
@@ -75,7 +75,7 @@ class Bench(Listening):
         return self.traffic.frame("sent", self.lower.wall(), source.hex(":"), frame, len(frame) - len(octets))
 
     def transmit_frame(self, frame: bytes, start: int) -> int:
-        """Put a whole link-layer frame on the air, whose bearer payload begins at ``start``; its number."""
+        """Send a whole link-layer frame with its bearer payload at offset ``start``; return its number."""
         self.acts()
         self.lower.send_frame(frame)
         self.acts()
@@ -83,9 +83,9 @@ class Bench(Listening):
         return self.traffic.frame("sent", self.lower.wall(), "", frame, start)
 
     def learn(self, peer: Peer, *creates: VarCreate) -> None:
-        """Let the implementation learn variables, and wait until it has passed them on as often as it must.
+        """Teach the implementation variables, and wait for the last repetition of their VarCreates.
 
-        Stops the case as inconclusive if it does not pass one of them on.
+        Stops as inconclusive if it does not forward one of them.
         """
         start = self.mark()
         wanted = {create.spec.var_id for create in creates}
@@ -99,9 +99,10 @@ class Bench(Listening):
             self.not_learnt(missing)
 
     def sending(self, count: int) -> float:
-        """Beacon periods in which the implementation sends so many VarCreates of usual length at the latest.
+        """Return the maximum number of beacon periods in which the implementation sends ``count`` VarCreates of usual
+        length.
 
-        As :attr:`reaction`, and longer where one payload has no room for all of them.
+        As :attr:`reaction`, and longer if they do not fit into one payload.
         """
         header = self.forge.container_header_size
         room = self.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") - header
@@ -109,19 +110,19 @@ class Bench(Listening):
         return self.reaction + math.ceil(count / each) - 1
 
     def probe(self, periods: float | None = None) -> bool:
-        """Ask VarDis something that it must answer; whether it does.
+        """Send a stimulus that VarDis must answer, and return whether it does.
 
-        The question is a summary of an unknown variable, unless the implementation was shown not to answer summaries
-        when the run began: then it is one that it answered.
+        The stimulus is a summary of an unknown variable, unless the implementation did not answer summaries at the
+        start of the run: then it is a kind that it answered.
         """
         return self.ask(self.session.contact.question if self.session.contact is not None else "summary", periods)
 
     def ask(self, kind: Question, periods: float | None = None) -> bool:
-        """Ask VarDis by a stimulus of this kind; whether the answer comes in time.
+        """Send a stimulus of this kind to VarDis, and return whether the answer comes in time.
 
-        ``summary`` of an unknown variable: a request for it (VD-PS-01). ``create`` of a variable: it is passed on
-        (VD-PC-09); a request for an older one is no answer. ``request``: for a variable that the tester has created
-        the variable, for an unknown one a request (VD-RC-01, VD-RC-03).
+        ``summary`` of an unknown variable: a request for it (VD-PS-01). ``create`` of a variable: it is forwarded
+        (VD-PC-09); a request for an older one is not an answer. ``request``: the VarCreate of a variable that the
+        tester has created, or a request for an unknown one (VD-RC-01, VD-RC-03).
         """
         peer = self.peer()
         if kind == "summary":
@@ -140,12 +141,12 @@ class Bench(Listening):
         return bool(wanted) and self.until(answered, periods) is not None
 
     def _passed_on(self, heard: Heard) -> bool:
-        """Whether there is a VarCreate of one of the case's peers."""
+        """Return whether a beacon has a VarCreate of one of the case's peers."""
         ours = [peer.node_id for peer in self.peers_made]
         return any(each.record.spec.prod_id in ours for each in heard.instructions(ICType.CREATE_VARIABLES))
 
     def require_alive(self, after: str, *requirements: str) -> None:
-        """Stop as failed unless VarDis still answers."""
+        """Fail and stop the case unless VarDis still answers."""
         alive = self.probe() or self.probe()
         self.require(alive, f"VarDis still answers after {after}", "no answer to two probes", *requirements)
 
@@ -153,9 +154,9 @@ class Bench(Listening):
 
     @property
     def ut(self) -> UpperTester:
-        """The upper tester. Cases that use it say so in their needs."""
+        """The upper tester. The needs of cases that use it name its methods."""
         if self.session.upper is None:
-            raise UpperTesterError("this case needs an upper tester, and there is none")
+            raise UpperTesterError("this case needs an upper tester, but none is configured")
         return self.session.upper
 
     def call(self, method: str, /, **params: Any) -> Answer:
@@ -163,7 +164,7 @@ class Bench(Listening):
         return self.call_on(self.ut, method, **params)
 
     def call_on(self, upper: UpperTester, method: str, /, **params: Any) -> Answer:
-        """As :meth:`call` on another connection."""
+        """As :meth:`call`, on another connection."""
         self.acts()
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
         self.changes.asked(method, params)
@@ -179,7 +180,7 @@ class Bench(Listening):
             self.session.forget()
         elif answer.ok:
             self._carried_out(method, params)
-        # Beacons come while the upper tester takes its time, which is not the tester's delay.
+        # Beacons received during the call are not the tester's delay.
         self.lower.take_in()
         self._acted = self.now()
         if answer.ok:
@@ -191,38 +192,38 @@ class Bench(Listening):
         return answer
 
     def _carried_out(self, method: str, params: Mapping[str, Any]) -> None:
-        """A call has succeeded, or may have."""
+        """Record the effect of a call that succeeded, or may have."""
         if method == "RTDB-Create" and isinstance(params.get("varId"), int):
             self.produced.add(params["varId"])
             self.session.identifiers.offered(params["varId"], by_peer=False)
 
     def restart(self) -> None:
-        """Start the implementation again and wait until it takes part; for cases whose needs say ``restart``."""
+        """Restart the implementation and wait until it answers; for cases whose needs say ``restart``."""
         if self.session.restart is None:
-            self.inconclusive("the implementation is started again", "there is no command to restart it")
+            self.inconclusive("a restart of the implementation", "no command to restart it")
         self.traffic.note("note", self.lower.wall(), "restart of the implementation")
         self.session.restart()
         self.changes.forget()
         self.session.forget()
         self._acted = None
         if self.pics.vardis is False:
-            # Nothing but VarDis answers a beacon.
+            # Without VarDis no beacon is answered.
             self.wait(self.reaction)
             return
         for _ in range(5):
             if self.probe(self.reaction):
                 return
             self.take_newcomer()
-        self.inconclusive("the implementation takes part again after its restart", "no answer to five probes")
+        self.inconclusive("an answer of the implementation after its restart", "no answer to five probes")
 
     def expect_status(self, status: str, method: str, /, *requirements: str, **params: Any) -> Answer:
-        """Call a service that must answer with this status; a check, which does not stop the case."""
+        """Call a service that must answer with this status; a check that does not stop the case."""
         answer = self.call(method, **params)
         self.check_status(answer, (status,), method, *requirements)
         return answer
 
     def check_status(self, answer: Answer, statuses: Collection[str], method: str, /, *requirements: str) -> bool:
-        """Check that the answer to a service is one of these statuses; one that the specification lacks fails.
+        """Check that the answer to a service has one of these statuses; an unknown status fails.
 
         Stops as inconclusive if the upper tester could not ask the implementation.
         """
@@ -232,12 +233,12 @@ class Bench(Listening):
         return self.check(matches, expected, f"{answer}", *requirements, shown=True)
 
     def require_asked(self, answer: Answer, expected: str, /, *requirements: str) -> None:
-        """Stop as inconclusive unless the answer is the implementation's own."""
+        """Stop as inconclusive unless the answer is that of the implementation."""
         if not answer.asked:
             self.inconclusive(expected, f"the upper tester could not ask: {answer}", *requirements)
 
     def must(self, method: str, /, **params: Any) -> Answer:
-        """Call a service whose success the case needs, but does not judge; stops as inconclusive without it."""
+        """Call a service that the case needs but does not test; inconclusive if it does not succeed."""
         answer = self.call(method, **params)
         expected = f"{method} succeeds, which this case needs"
         self.require_asked(answer, expected)
@@ -247,9 +248,9 @@ class Bench(Listening):
 
     @contextmanager
     def deactivated(self, entity: str) -> Iterator[None]:
-        """Deactivate ``BP`` or ``VD`` for a while; stops as inconclusive if either call does not succeed.
+        """Deactivate ``BP`` or ``VD`` within the block; inconclusive if one of the calls does not succeed.
 
-        Whatever ends the block early, the entity is activated again.
+        The entity is activated again however the block ends.
         """
         self.must(f"{entity}-MGMT-Deactivate")
         try:
@@ -262,9 +263,9 @@ class Bench(Listening):
 
     @contextmanager
     def link_down(self) -> Iterator[None]:
-        """Have the implementation's link down for a while, for cases whose needs say ``link``.
+        """Take the implementation's link down within the block, for cases whose needs say ``link``.
 
-        Stops as inconclusive if the tester cannot do that. Whatever ends the block, the link is up again.
+        Stops as inconclusive if the tester cannot do that. The link is up again however the block ends.
         """
         self._switch_link(False)
         try:
@@ -274,19 +275,20 @@ class Bench(Listening):
 
     def _switch_link(self, up: bool) -> None:
         how = "up" if up else "down"
-        self.traffic.note("note", self.lower.wall(), f"the implementation's link goes {how}")
+        self.traffic.note("note", self.lower.wall(), f"the implementation's link is taken {how}")
         try:
             if self.session.switch_link is None:
-                raise ConformanceError("there are no commands for it (pixit.link_down, pixit.link_up)")
+                raise ConformanceError("no commands for it (pixit.link_down, pixit.link_up)")
             self.session.switch_link(up)
         except ConformanceError as error:
-            self.inconclusive(f"the implementation's link goes {how}", str(error))
+            self.inconclusive(f"the implementation's link is taken {how}", str(error))
         self.session.passive.interrupted(self.now())
 
     def restore(self) -> None:
-        """Undo what the case has changed and not changed back: activity, parameters, registrations, subscriptions.
+        """Undo changes of the case: activity, parameters, registrations, subscriptions.
 
-        Called after each case, however it ended. Does not raise: what cannot be undone is told by :attr:`not_restored`.
+        Called after each case, however it ended. Does not raise: :attr:`not_restored` describes what could not be
+        undone.
         """
         self._restore()
         left = (params.get("protId") for method, params in self.changes.due() if method == "BP-DeregisterProtocol")
@@ -294,9 +296,9 @@ class Bench(Listening):
 
     @property
     def spoilt(self) -> str:
-        """Why a change is still in force after :meth:`restore` that later cases can suffer from; empty if none is.
+        """Why a change that can affect later cases is still in force after :meth:`restore`; empty if there is none.
 
-        They do not suffer from registrations and subscriptions that are left over.
+        Remaining registrations and subscriptions do not affect them.
         """
         harmless = ("BP-DeregisterProtocol", "UT-Subscribe")
         lasting = any(method not in harmless for method, _ in self.changes.due())
@@ -304,14 +306,14 @@ class Bench(Listening):
 
     def _restore(self) -> None:
         self.not_restored, failures = "", 0
-        # The bounds of some parameters depend on others: what is refused first may be accepted later.
+        # The limits of some parameters depend on others: a value rejected first may be accepted later.
         for _ in range(2):
             for method, params in self.changes.due():
                 try:
                     answer = self.call(method, **params)
                 except ConformanceError as error:
                     self.not_restored, failures = f"{method}: {error}", failures + 1
-                    # An implementation that does not answer is given up: each call takes the whole patience.
+                    # Give up on an implementation that does not answer: each call takes the whole time limit.
                     if failures == _GIVEN_UP:
                         return
                 else:
@@ -327,5 +329,5 @@ class Bench(Listening):
             value = self.parameter(parameter)
         except KeyError:
             return None
-        # Only the number of summaries may be 0; of others it means that nobody has told the value.
+        # Only the number of summaries may be 0; for others 0 means that the value is unknown.
         return value if value or parameter == "VARDISPAR_MAX_SUMMARIES" else None

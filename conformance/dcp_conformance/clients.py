@@ -1,7 +1,7 @@
-"""Client protocols of BP that the tester plays through the upper tester, and sizes that their payloads depend on.
+"""Client protocols of BP that the tester runs through the upper tester, and the sizes that limit their payloads.
 
-A client registers under a protocol identifier that nobody else uses and deregisters when its ``with`` block ends, so
-that cases do not see each other's payloads where nothing resets the implementation between them.
+A client registers under an unused protocol identifier and deregisters when its ``with`` block ends, so that cases do
+not see each other's payloads if the implementation is not reset between them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ QUERY = "BP-QueryNumberBufferedPayloads"
 ACTIVATE = "BP-MGMT-Activate"
 DEACTIVATE = "BP-MGMT-Deactivate"
 CLIENT = (REGISTER, DEREGISTER, TRANSMIT)
-"""What a client that sends needs of the upper tester."""
+"""Methods of the upper tester that a sending client needs."""
 
 RECEIVED = "BP-ReceivePayload.indication"
 TRANSMITTED = "BP-PayloadTransmitted.indication"
@@ -62,19 +62,19 @@ DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 
 
 def queue_mode(bench: Bench) -> QueueingMode:
-    """A mode with a queue: 1.0 has one only."""
+    """Return a mode with a queue: 1.0 has only one."""
     return DROPTAIL if DROPTAIL in bench.features.queueing_modes else QueueingMode.QUEUE
 
 
 def no_confirm(bench: Bench) -> str | None:
-    """For ``Needs.when``: why the status of BP-TransmitPayload cannot be judged (BP-TXP-08)."""
+    """Return why the status of BP-TransmitPayload cannot be judged (BP-TXP-08), or None; for ``Needs.when``."""
     if bench.pics.transmit_payload_confirm is False and bench.profile.spec_version >= SpecVersion.V1_2:
-        return "the PICS says that BP-TransmitPayload is not confirmed"
+        return "according to the PICS, BP-TransmitPayload is not confirmed"
     return None
 
 
 def mode_exists(mode: QueueingMode) -> Callable[[Bench], str | None]:
-    """For ``Needs.when``: the version must have the queueing mode."""
+    """Return a condition for ``Needs.when``: the version must have the queueing mode."""
 
     def when(bench: Bench) -> str | None:
         if mode in bench.features.queueing_modes:
@@ -85,7 +85,7 @@ def mode_exists(mode: QueueingMode) -> Callable[[Bench], str | None]:
 
 
 def each_mode(*methods: str, since: SpecVersion = SpecVersion.V1_0, requirements: str | None = None) -> dict[str, Any]:
-    """A variant for each queueing mode of any version."""
+    """Return a variant for each queueing mode of any version."""
     return {
         mode.name.removeprefix("QUEUE_").lower(): Variant(
             mode, requirements=requirements, needs=Needs(since=since, entities=(), ut=methods, when=mode_exists(mode))
@@ -99,12 +99,12 @@ def each_mode(*methods: str, since: SpecVersion = SpecVersion.V1_0, requirements
 
 
 def header_octets(bench: Bench) -> int:
-    """ssizeof(BPHeaderT) in the profile."""
+    """Return ssizeof(BPHeaderT) in the profile."""
     return _place(bench, "payloads[0]")
 
 
 def block_header_octets(bench: Bench) -> int:
-    """ssizeof(BPPayloadHeaderT) in the profile."""
+    """Return ssizeof(BPPayloadHeaderT) in the profile."""
     return _place(bench, "payloads[0].data") - header_octets(bench)
 
 
@@ -116,21 +116,21 @@ def _place(bench: Bench, path: str) -> int:
 
 
 def largest_payload(bench: Bench) -> int:
-    """The largest maxPayloadSize that BP-RegisterProtocol accepts (BP-REG-04), in octets.
+    """Return the largest maxPayloadSize that BP-RegisterProtocol accepts (BP-REG-04), in octets.
 
-    Before 1.1 the bound takes four octets for the BP header, whatever it has.
+    Before 1.1 the limit assumes four octets for the BP header, whatever its size.
     """
     header = header_octets(bench) if bench.features.registration_counts_bp_header else 4
     return bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header - block_header_octets(bench)
 
 
 def room(bench: Bench) -> int:
-    """Octets for payload blocks, their headers included, in one beacon."""
+    """Return the number of octets for payload blocks, including their headers, in one beacon."""
     return bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
 
 
 def areas_of_fixed_size(bench: Bench) -> str | None:
-    """For ``Needs.when``: profiles whose blocks always have the same size know no fitting."""
+    """Return why fitting cannot be tested (blocks of fixed size), or None; for ``Needs.when``."""
     if bench.profile.bp.payload_area:
         return f"all payload blocks of the profile {bench.profile.name} have the same size"
     return None
@@ -140,9 +140,9 @@ def areas_of_fixed_size(bench: Bench) -> str | None:
 
 
 def unused_protocol_id(bench: Bench) -> int:
-    """A protocol identifier that nobody has registered, used least recently by the tester.
+    """Return an unregistered protocol identifier, the one that the tester used least recently.
 
-    Raises ``NamesUsedUp`` if all that there are may still be registered.
+    Raises ``NamesUsedUp`` if all of them may still be registered.
     """
     width = bench.profile.types.protocol_id.width
     first, size = (0x7000, 0x0F00) if width > 1 else (0x70, 0x60)
@@ -150,13 +150,13 @@ def unused_protocol_id(bench: Bench) -> int:
     numbers = (first + (session.next_protocol + 1 + step) % size for step in range(size))
     number = next((each for each in numbers if each not in session.held_protocols), None)
     if number is None:
-        bench.used_up("a protocol identifier that is not registered", 0, size)
+        bench.used_up("an unregistered protocol identifier", 0, size)
     session.next_protocol = number - first
     return number
 
 
 class BPClient:
-    """A client protocol of the tester's. Registers when its ``with`` block begins; inconclusive if it cannot."""
+    """A client protocol of the tester. Registers when its ``with`` block begins; inconclusive if that fails."""
 
     def __init__(
         self,
@@ -187,29 +187,29 @@ class BPClient:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        # An upper tester that does not answer any more has been noticed where it mattered.
+        # If the upper tester has stopped answering, an earlier call has reported it.
         with contextlib.suppress(UpperTesterError):
             self.bench.call(DEREGISTER, protId=self.prot_id)
 
     def register(self, **changes: Any) -> Answer:
-        """BP-RegisterProtocol with this client's parameters, some of them changed."""
+        """Call BP-RegisterProtocol with this client's parameters, some of them changed."""
         return self.bench.call(REGISTER, **{**self.registration, **changes})
 
     def payload(self, size: int = 12) -> bytes:
-        """Octets that no client has submitted before, at least four of them."""
+        """Return octets that no client has submitted before; unique from four octets on."""
         self._number += 1
         label = self.prot_id.to_bytes(2, "big") + self._number.to_bytes(2, "big")
         return (label + bytes((self._number + index) % 256 for index in range(size)))[:size]
 
     def transmit(self, payload: bytes, *, must: bool = True) -> Answer:
-        """BP-TransmitPayload; with ``must`` inconclusive unless it is confirmed with OK, or never confirmed."""
+        """Call BP-TransmitPayload; with ``must`` inconclusive unless confirmed with OK or never confirmed."""
         answer = self.bench.call(TRANSMIT, protId=self.prot_id, payload=payload.hex())
         if must and not answer.ok and no_confirm(self.bench) is None:
-            self.bench.inconclusive("a payload is submitted, which this case needs", str(answer))
+            self.bench.inconclusive("a submitted payload, which this case needs", str(answer))
         return answer
 
     def submit(self, count: int, size: int = 12, *, at_once: bool = True, must: bool = True) -> list[bytes]:
-        """Submit so many new payloads one after the other; they are returned.
+        """Submit ``count`` new payloads in succession and return them.
 
         ``at_once``: between two beacons, see :func:`~dcp_conformance.gaps.between_beacons`. ``must``: see
         :meth:`transmit`.
@@ -223,34 +223,34 @@ class BPClient:
 
         if count == 1 or not at_once:
             return act()
-        return between_beacons(self.bench, f"{count} payloads are submitted", act, self.in_frame)
+        return between_beacons(self.bench, f"submission of {count} payloads", act, self.in_frame)
 
     def number(self) -> int | None:
-        """BP-QueryNumberBufferedPayloads; None if the answer has no number."""
+        """Return the number in BP-QueryNumberBufferedPayloads; None if the answer has none."""
         number = self.bench.must(QUERY, protId=self.prot_id).result.get("number")
         return number if isinstance(number, int) else None
 
     def entry(self) -> Mapping[str, Any] | None:
-        """This client in BP-ListRegisteredProtocols, None if it is not there."""
+        """Return this client's entry in BP-ListRegisteredProtocols; None if it is not listed."""
         return registered(self.bench).get(self.prot_id)
 
     def fields(self) -> dict[str, Any] | None:
-        """Of :meth:`entry` the fields that the specification names: others, such as statistics, may change."""
+        """Return the fields of :meth:`entry` that the specification names: others, such as statistics, may change."""
         entry = self.entry()
         return None if entry is None else {name: value for name, value in entry.items() if name in LISTED}
 
-    # -- on the air --------------------------------------------------------------------------------------------
+    # -- beacons ----------------------------------------------------------------------------------------------
 
     def in_frame(self, heard: Heard) -> list[bytes]:
-        """This client's payloads in a beacon."""
+        """Return this client's payloads in a beacon."""
         return heard.data(self.prot_id)
 
     def sent(self, since: int = 0) -> list[bytes]:
-        """This client's payloads on the air from a mark on, in order."""
+        """Return this client's payloads in beacons since a mark, in order."""
         return [octets for heard in self.bench.heard[since:] for octets in self.in_frame(heard)]
 
     def frames(self, since: int = 0, *, after: int = 0) -> list[Heard]:
-        """The beacons with a payload of this client from a mark on, and not before a time in ns."""
+        """Return the beacons with a payload of this client since a mark, and not before a time in ns."""
         return [each for each in self.bench.heard[since:] if each.time >= after and self.in_frame(each)]
 
     def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> Heard | None:
@@ -265,32 +265,32 @@ class BPClient:
     # -- indications -------------------------------------------------------------------------------------------
 
     def received(self, since: int = 0) -> list[bytes]:
-        """The payloads that were indicated to this client, from a number of notifications on."""
+        """Return the payloads indicated to this client, from a number of notifications on."""
         return [octets_of(each) for each in indications(self.bench, RECEIVED, self.prot_id, since)]
 
     def until_received(self, count: int = 1, periods: float | None = None) -> list[bytes]:
-        """Wait for so many indications of this client in all; the payloads of those that came."""
+        """Wait until this client has ``count`` indications in total; return the payloads indicated."""
         until(self.bench, lambda: len(self.received()) >= count, periods)
         return self.received()
 
 
 def registered(bench: Bench) -> dict[int, dict[str, Any]]:
-    """BP-ListRegisteredProtocols by protocol identifier."""
+    """Return the entries of BP-ListRegisteredProtocols by protocol identifier."""
     found = bench.must(LIST).result.get("protocols")
     if not isinstance(found, list):
-        bench.fail(f"{LIST} returns a list", f"protocols: {found!r}", shown=True)
+        bench.fail(f"a list in the answer to {LIST}", f"protocols: {found!r}", shown=True)
     return {each["protocolId"]: each for each in found if isinstance(each, dict) and "protocolId" in each}
 
 
 def indications(bench: Bench, method: str, prot_id: int, since: int = 0) -> list[Notification]:
-    """The notifications of a kind about a protocol, from a number of notifications on."""
+    """Return the notifications of a kind about a protocol, from a number of notifications on."""
     return [
         each for each in bench.notifications[since:] if each.method == method and each.params.get("protId") == prot_id
     ]
 
 
 def octets_of(notification: Notification) -> bytes:
-    """The payload of an indication; empty if it is no hex."""
+    """Return the payload of an indication; empty if it is not hexadecimal."""
     try:
         return bytes.fromhex(str(notification.params.get("payload", "")))
     except ValueError:
@@ -298,7 +298,7 @@ def octets_of(notification: Notification) -> bytes:
 
 
 def until(bench: Bench, holds: Callable[[], bool], periods: float | None = None) -> bool:
-    """Wait until something holds that notifications can change."""
+    """Wait until a condition holds that depends on notifications; return whether it does."""
     deadline = bench.now() + round((bench.reaction if periods is None else periods) * bench.period)
     while not holds():
         if bench.now() >= deadline:
@@ -308,7 +308,7 @@ def until(bench: Bench, holds: Callable[[], bool], periods: float | None = None)
 
 
 def listed(payloads: Iterable[bytes], known: Sequence[bytes]) -> str:
-    """Payloads by their place in a list of known ones, for messages: ``A, B, A``."""
+    """Return payloads by their index in a list of known ones, for messages: ``A, B, A``."""
     names = [chr(ord("A") + known.index(each)) if each in known else each[:8].hex() for each in payloads]
     return ", ".join(names) or "none"
 
@@ -318,9 +318,9 @@ def listed(payloads: Iterable[bytes], known: Sequence[bytes]) -> str:
 
 @contextlib.contextmanager
 def talking(bench: Bench, *, clients: int = 1) -> Iterator[list[BPClient]]:
-    """Have the implementation send a beacon in every period: clients with mode REPEAT, and a variable to summarise.
+    """Make the implementation send a beacon in every period: clients with mode REPEAT, and a variable to summarise.
 
-    Without an upper tester there is the variable only. The clients are yielded.
+    Yields the clients. Without an upper tester there is only the variable.
     """
     with contextlib.ExitStack() as stack:
         upper, made = bench.session.upper, []
@@ -336,14 +336,14 @@ def talking(bench: Bench, *, clients: int = 1) -> Iterator[list[BPClient]]:
 
 
 def some_beacons(bench: Bench, count: int) -> list[Heard]:
-    """So many beacons of an implementation that is talking; inconclusive if there are not even half of them."""
+    """Return ``count`` beacons of an implementation that is sending; inconclusive with less than half of them."""
     found = bench.beacons(count)
     if len(found) * 2 < count:
-        bench.inconclusive(f"{count} beacons, which this case needs", f"{len(found)} were heard")
+        bench.inconclusive(f"{count} beacons, which this case needs", f"{len(found)}")
     return found
 
 
 def needed(bench: Bench, found: object, what: str) -> None:
-    """Stop as inconclusive without beacons that a case needs: nobody promises when a payload is sent (BP-GEN-02)."""
+    """Stop as inconclusive without required beacons: BP does not guarantee when a payload is sent (BP-GEN-02)."""
     if not found:
-        bench.inconclusive(f"{what}, which this case needs", f"there is none within {bench.reaction:g} periods")
+        bench.inconclusive(f"{what}, which this case needs", f"none within {bench.reaction:g} periods")

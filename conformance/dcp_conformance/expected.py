@@ -81,7 +81,7 @@ class ExpectedResults:
                 self._used.add(number)
                 return ""
         wanted = " or ".join(dict.fromkeys(str(entry.verdict) for _, entry in about))
-        if result.verdict in (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE, Verdict.ERROR):
+        if result.verdict in (Verdict.NOT_APPLICABLE, Verdict.TOO_LITTLE, Verdict.INCONCLUSIVE, Verdict.ERROR):
             # Whether the entry still holds cannot be said; that it is not unused can.
             self._used.update(number for number, _ in about)
             return ""

@@ -1,6 +1,6 @@
 """Payloads that are filled to the last octet, whether or not parameters of VarDis can be set.
 
-Where they cannot be, the maximum payload size is that of the PIXIT, and the records are made as long as it takes.
+If they cannot be set, the maximum payload size is that of the PIXIT, and the lengths of the records are chosen to fit.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ PAYLOAD_SIZE: Final = "VARDISPAR_MAX_PAYLOAD_SIZE"
 
 
 def settable(bench: Bench) -> bool:
-    """Whether parameters of VarDis can be set, and a reset brings them back."""
+    """Return whether parameters of VarDis can be set, and restored by a reset."""
     upper = bench.session.upper
     return upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods
 
 
 def longest(bench: Bench) -> tuple[bytes, bytes]:
-    """The longest value and description that the implementation takes, of 200 octets at most."""
+    """Return the longest value and description that the implementation accepts, of at most 200 octets."""
     value = min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
     description = min(bench.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
-    # The parameter of 1.0 counts the NUL behind the text.
+    # The parameter of 1.0 counts the NUL after the text.
     nul = bench.features.string_format == "nul-terminated"
     return b"v" * max(1, value), b"d" * max(1, description - nul)
 
 
 def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int = 9) -> list[VarCreate] | None:
-    """VarCreates of new variables of which the records of a kind have exactly so many octets together.
+    """Return VarCreates of new variables whose records of a kind have exactly ``octets`` octets in total.
 
-    ``kind``: CREATE-VARIABLES or UPDATES. As few records as possible, all about as long; None if there are none.
+    ``kind``: CREATE-VARIABLES or UPDATES. Uses as few records as possible, of about equal length; None if impossible.
     """
     value, description = longest(bench)
 

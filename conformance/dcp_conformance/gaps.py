@@ -1,7 +1,7 @@
 """Stimuli that must fall between two beacons of the implementation.
 
-Whether they did is seen from the kernel's stamps of its beacons. What did not is repeated, and not judged if it never
-works: neither a failure nor a pass may come from a beacon that left in between.
+The kernel's time stamps of its beacons show whether they did. Otherwise the stimuli are repeated; if that never
+succeeds, the case is inconclusive: a beacon in between must cause neither a failure nor a pass.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ T = TypeVar("T")
 
 _SWITCHES: Final = frozenset({"BP-MGMT-Activate", "BP-MGMT-Deactivate"})
 _ATTEMPTS: Final = 4
-#: A beacon that leaves within this fraction of a period after the stimuli may have been prepared before the last one.
+#: A beacon sent within this fraction of a period after the stimuli may have been prepared before the last one.
 _GUARD: Final = 20
-#: Slow calls of a service from which something is concluded, and the share of them that must end after a beacon.
+#: Minimum number of slow calls of a service for a conclusion, and the share of them that must end after a beacon.
 _TELLING, _MOSTLY = 3, 0.8
 
 
 def pausable(bench: Bench) -> bool:
-    """Whether BP can be deactivated to keep beacons from coming in between.
+    """Return whether BP can be deactivated to prevent beacons in between.
 
-    Not where this was found to go wrong: that is a fault of its own, which cases about other things must not meet.
+    False if deactivation failed before: that is a separate fault, which must not affect cases about other features.
     """
     session = bench.session
     return session.upper is not None and session.upper.methods >= _SWITCHES and not session.pausing_fails
@@ -37,9 +37,9 @@ def pausable(bench: Bench) -> bool:
 def in_a_gap(
     bench: Bench, act: Callable[[], T], sent: Callable[[Heard], object], *, paused: bool = False
 ) -> tuple[T, bool]:
-    """Carry out ``act``; its result, and whether no beacon for which ``sent`` is true left meanwhile.
+    """Call ``act``; return its result, and whether no beacon for which ``sent`` is true was sent in this time.
 
-    ``paused``: with BP deactivated meanwhile; stops as inconclusive if that does not work.
+    ``paused``: deactivate BP for this time; inconclusive if that fails.
     """
     guard = bench.period // _GUARD
     with bench.deactivated("BP") if paused else contextlib.nullcontext():
@@ -63,30 +63,31 @@ def in_a_gap(
 def between_beacons(
     bench: Bench, what: str, act: Callable[[], T], sent: Callable[[Heard], object], *, flush: float = 12
 ) -> T:
-    """Carry out ``act`` between two beacons, and return its result.
+    """Call ``act`` between two beacons, and return its result.
 
-    ``sent`` says of a beacon that what ``act`` does was seen in it. If one came in between, ``act`` is tried again when
-    such beacons have stopped, at last with BP deactivated where that can be done. Stops as inconclusive if a beacon
-    came in between each time. ``what`` completes "... between two beacons". ``flush``: beacon periods in which all that
-    an attempt has submitted can leave the node.
+    ``sent`` returns whether a beacon contains an effect of ``act``. After such a beacon in between, ``act`` is tried
+    again when such beacons have stopped, finally with BP deactivated if possible. Inconclusive if there is a beacon in
+    between in each attempt. ``what`` is a noun phrase that completes "... between two beacons". ``flush``: number of
+    beacon periods in which all payloads of an attempt can be sent.
     """
     can_pause = pausable(bench)
-    # Calls that take longer than the gap lasts need no attempts.
+    # If calls take longer than the gap, only the attempt with BP deactivated is useful.
     first = _ATTEMPTS - 1 if can_pause and bench.session.typical_call > bench.period / 2 else 0
     for attempt in range(first, _ATTEMPTS):
         result, good = in_a_gap(bench, act, sent, paused=can_pause and attempt == _ATTEMPTS - 1)
         if good:
             break
-        # Flush what still waits, so that it is not mistaken for the next attempt, and begin right after a beacon.
+        # Wait for remaining payloads, so that they are not mistaken for those of the next attempt, and begin right
+        # after a beacon.
         bench.until_quiet(sent, flush)
         bench.beacons(1, 1.5)
     else:
-        bench.inconclusive(f"{what} between two beacons", f"a beacon came in between each time{pace(bench)}")
+        bench.inconclusive(f"{what} between two beacons", f"a beacon in between in each attempt{pace(bench)}")
     return result
 
 
 def pace(bench: Bench) -> str:
-    """The end of a sentence: how long calls take, if they may be the reason that a beacon came in between."""
+    """Return the end of a sentence about slow calls, if they may be the reason for a beacon in between."""
     slow, period = bench.session.slow_call, bench.period
     if slow <= period / 4:
         return ""
@@ -95,7 +96,7 @@ def pace(bench: Bench) -> str:
 
 
 def _waits_for_beacons(bench: Bench) -> str:
-    """Which service is answered when a beacon has left, and what decides such a case, in words; empty if none is."""
+    """Return which service is answered after a beacon only, and how to decide such a case; empty if none is."""
     period, events = bench.period, bench.traffic.events
     beacons = [each.wall for each in events if each.direction == "heard"]
     slow, ended = Counter[str](), Counter[str]()
@@ -113,8 +114,8 @@ def _waits_for_beacons(bench: Bench) -> str:
     for method, count in slow.items():
         if count >= _TELLING and ended[method] >= _MOSTLY * count:
             return (
-                f"{ended[method]} of {count} slow calls of {method} end when a beacon has left: it may wait until its "
-                "queue is empty. A beacon period that is longer than it waits (some seconds, also in "
-                "pixit.beacon_period_ms) shows what it answers then"
+                f"{ended[method]} of {count} slow calls of {method} end after a beacon: it may wait until its "
+                "queue is empty. A beacon period longer than it waits (some seconds, also in "
+                "pixit.beacon_period_ms) shows its answer"
             )
     return ""

@@ -63,8 +63,8 @@ class Heard:
     """
 
     __slots__ = (
-        "_codec", "_instructions", "beacon", "number", "octets", "problems", "salvaged", "sender", "source", "time",
-        "wall",
+        "_codec", "_made", "beacon", "containers", "number", "octets", "problems", "report", "salvaged", "sender",
+        "source", "time", "wall",
     )  # fmt: skip
 
     def __init__(self, codec: Codec, number: int, time: int, wall: int, octets: bytes, source: bytes) -> None:
@@ -80,7 +80,18 @@ class Heard:
         self.problems: tuple[Problem, ...] = self.salvaged.problems
         self.sender: bytes | None = self._sender(codec)
         """The node identifier in the beacon, where there is one."""
-        self._instructions = tuple(self._taken_apart())
+        self.containers = self._containers()
+        """The VarDis containers of all blocks, in order."""
+        self.report = self._report()
+        """The first state report."""
+        self._made: tuple[Instruction, ...] | None = None
+
+    @property
+    def _instructions(self) -> tuple[Instruction, ...]:
+        """All records; made when first asked for."""
+        if self._made is None:
+            self._made = tuple(self._taken_apart())
+        return self._made
 
     def _taken_apart(self) -> Iterator[Instruction]:
         for number, container in enumerate(self.containers):
@@ -152,24 +163,24 @@ class Heard:
         requests = (ICType.REQUEST_VARCREATES,)
         return {each.var_id for each in self._instructions if each.kind not in requests}
 
-    @property
-    def containers(self) -> tuple[Container, ...]:
-        """The VarDis containers of all blocks, in order."""
+    def _containers(self) -> tuple[Container, ...]:
+        """Those of all VarDis blocks, in order."""
         if self.beacon is None:
             return ()
-        return tuple(container for payload in self.beacon.payloads for container in payload.vardis or ())
+        contents = [each.content for each in self.beacon.payloads if isinstance(each.content, tuple)]
+        return contents[0] if len(contents) == 1 else tuple([container for each in contents for container in each])
 
     @property
     def has_vardis(self) -> bool:
         """Whether there is a VarDis block."""
         return self.beacon is not None and any(payload.vardis is not None for payload in self.beacon.payloads)
 
-    @property
-    def report(self) -> ExtendedSafetyData | None:
-        """The first state report."""
-        if self.beacon is None:
-            return None
-        return next((payload.srp for payload in self.beacon.payloads if payload.srp is not None), None)
+    def _report(self) -> ExtendedSafetyData | None:
+        if self.beacon is not None:
+            for each in self.beacon.payloads:
+                if isinstance(each.content, ExtendedSafetyData):
+                    return each.content
+        return None
 
     def data(self, protocol_id: int) -> list[bytes]:
         """The payloads of a protocol, as octets."""

@@ -1,4 +1,4 @@
-"""Waiting and hearing: time passes in here, and nowhere else in a case."""
+"""Waiting and receiving: the only place where time passes in a case."""
 
 from __future__ import annotations
 
@@ -18,34 +18,36 @@ T = TypeVar("T")
 
 
 class Listening(Naming):
-    """What a case hears of the implementation, and how long it waits for it."""
+    """The frames that a case receives from the implementation, and how long it waits for them."""
 
     def __init__(self, session: Session, case: Case) -> None:
         super().__init__(session, case)
         self.others: list[Heard] = []
-        """Frames with another sender's identifier that the tester has not sent."""
+        """Frames with another senderId that the tester has not sent."""
         self.notifications: list[Notification] = []
         self._stimulus: int | None = None
-        """When something was done to the implementation since its last frame."""
+        """Time of the last stimulus since the implementation's last frame; None if there was none."""
 
     def stimulated(self) -> None:
-        """Note that something was done to the implementation just now."""
+        """Record that the tester has just sent a stimulus."""
         self._stimulus = self.now()
 
     @property
     def silent(self) -> bool:
-        """Whether no frame of the implementation has come since the last stimulus."""
+        """Whether no frame of the implementation was received since the last stimulus."""
         return self._stimulus is not None
 
     # -- waiting -------------------------------------------------------------------------------------------------------
 
     def mark(self) -> int:
-        """A place in ``heard``: what comes from now on is ``heard[mark:]``; what has arrived already lies before it."""
+        """Return an index into ``heard``: later frames are ``heard[mark:]``; frames that have already arrived come
+        before it.
+        """
         self.wait_ns(0)
         return len(self.heard)
 
     def wait(self, periods: float) -> list[Heard]:
-        """Let time pass; what was heard meanwhile."""
+        """Let time pass; return the frames received in this time."""
         return self.wait_ns(round(periods * self.period))
 
     def wait_ns(self, duration: int) -> list[Heard]:
@@ -57,10 +59,11 @@ class Listening(Naming):
         return self.heard[before:]
 
     def until(self, wanted: Callable[[Heard], T], periods: float | None = None) -> T | None:
-        """Wait for a frame for which ``wanted`` says something true, and return that; None if none comes in time.
+        """Wait for a frame for which ``wanted`` returns a true value, and return that value; None if there is none in
+        time.
 
-        Frames that came before are not asked, those that came during the last call are. ``periods`` is
-        :attr:`reaction` unless given; for a slow implementation what is given is extended, too.
+        Frames received before are not checked, except those received during the last call. ``periods`` is
+        :attr:`reaction` by default; any other value is extended for a slow implementation.
         """
         if periods is None:
             periods = self.reaction
@@ -73,12 +76,12 @@ class Listening(Naming):
         return None
 
     def until_instruction(self, kind: ICType, var_id: int, periods: float | None = None) -> Any | None:
-        """Wait for a record of this kind about a variable, and return it; None if none comes in time."""
+        """Wait for a record of this kind about a variable, and return it; None if there is none in time."""
         return self.until(lambda heard: heard.about(kind, var_id), periods)
 
     def beacons(self, count: int, periods: float | None = None) -> list[Heard]:
-        """Wait for so many beacons; those that came, which may be fewer at the end of the time."""
-        # What came during a call was not waited for.
+        """Wait for ``count`` beacons and return those received, which may be fewer."""
+        # Beacons received during a call do not count.
         before = self.mark()
         deadline = self.now() + self._patience(2 * count + self.reaction if periods is None else periods)
         if count > 0:
@@ -90,13 +93,13 @@ class Listening(Naming):
     def until_quiet(
         self, present: Callable[[Heard], object], periods: float = 60, since: int | None = None
     ) -> list[Heard]:
-        """Wait until what is ``present`` has stopped: the frames that had it, from ``since`` (a mark) on.
+        """Wait until frames for which ``present`` is true have stopped; return those since ``since`` (a mark).
 
-        It has stopped when ``quiet_beacons`` beacons in a row (PIXIT) do not have it, or when no beacons come at all
-        for the time of :attr:`reaction`. Gives up after ``periods``; then what came until then is returned.
+        They have stopped after ``quiet_beacons`` (PIXIT) consecutive beacons without, or if there are no beacons for
+        the time of :attr:`reaction`. After ``periods`` the wait ends in any case.
         """
         start = len(self.heard) if since is None else since
-        # What waits at an implementation that takes payloads one at a time may bring it up again.
+        # An implementation that processes payloads one at a time may still have some that cause such frames.
         busy = self.session.busy_until
         deadline = max(self.now(), busy) + round(periods * self.slowness * self.period)
         while self.now() < deadline:
@@ -110,17 +113,17 @@ class Listening(Naming):
         return [heard for heard in self.heard[start:] if present(heard)]
 
     def repeated(self, kind: ICType, var_id: int, since: int, periods: float = 60) -> list[Instruction]:
-        """Wait until the records of a kind about a variable have stopped; those that came from a mark on."""
+        """Wait until records of a kind about a variable have stopped; return those since a mark."""
         self.until_quiet(lambda heard: heard.instructions(kind, var_id), periods, since)
         return self.instructions(kind, var_id, since)
 
     def check_repeated(
         self, kind: ICType, var_id: int, count: int, since: int, /, *requirements: str, absent: str = ""
     ) -> list[Instruction]:
-        """Check that exactly so many distinct beacons from a mark on have one record of this kind about a variable.
+        """Check that exactly ``count`` distinct beacons since a mark have one record of this kind about a variable.
 
-        Too many are a failure whatever was lost (``shown``): what makes it send them must not be repeated meanwhile.
-        ``absent``: the requirement that decides if there is none at all, where that is another one.
+        More records are a failure even after losses (``shown``), so the stimulus must not be repeated during the check.
+        ``absent``: the requirement that decides if there is no record at all, if it is another one.
         """
         found = self.repeated(kind, var_id, since)
         if absent and not found:
@@ -139,19 +142,19 @@ class Listening(Naming):
         return found
 
     def _patience(self, periods: float) -> int:
-        """How long to wait, in ns, for what ends the wait when it comes: never less than a busy machine may sleep."""
+        """Return the time limit of a wait in ns, not less than the time that a busy machine may sleep."""
         return max(round(periods * self.period), round(self.pixit.least_patience_ms * MS))
 
     # -- hearing -------------------------------------------------------------------------------------------------------
 
     def _listen(self, deadline: int) -> Iterator[Heard]:
-        """The implementation's frames as they come in, until the deadline."""
+        """Yield the implementation's frames on reception, until the deadline."""
         lower, upper = self.lower, self.session.upper
         also = upper.filenos() if upper is not None else ()
         self.acts()
         begun = self._acted or 0
         while True:
-            # Before receiving: the wait is over when nothing had arrived at a time after the deadline.
+            # Taken before receiving: the wait ends if no frame had arrived at a time after the deadline.
             now = lower.now()
             arrival = lower.receive(deadline, also)
             self.take_notifications()
@@ -170,17 +173,17 @@ class Listening(Naming):
                 if self._stimulus is not None and arrival.time >= self._stimulus:
                     self._stimulus = None
                 self.session.heard(heard, arrival, self)
-                # What the case does next it does on account of this frame.
+                # The next step of the case is a reaction to this frame.
                 self._acted = max(begun, heard.time)
                 yield heard
             else:
                 self.others.append(heard)
                 for var_id in heard.known:
-                    # The implementation learns it from that node, too.
+                    # The implementation also learns it from that node.
                     self.session.identifiers.offered(var_id, by_peer=False)
 
     def take_notifications(self) -> None:
-        """Note what the implementation has told without being asked, so far."""
+        """Record the notifications of the implementation so far."""
         upper = self.session.upper
         if upper is None:
             return
@@ -189,10 +192,12 @@ class Listening(Naming):
             self.notifications.append(notification)
 
     def is_sut(self, heard: Heard) -> bool:
-        """Whether the implementation has sent a frame. The sender of the first one counts as it, if nobody said who."""
+        """Return whether the implementation sent a frame. If its identifier is unknown, the sender of the first frame
+        counts.
+        """
         known, sender = self.session.sut_id, heard.sender
         if sender is None:
-            # Too short to say who sent it, or a profile without senders: whoever else is there is not ours either.
+            # Too short for a senderId, or a profile without it: frames of other nodes are not the implementation's.
             return known is None or known == heard.source or not self.profile.bp.header
         if known is None:
             self.session.sut_id = sender
@@ -200,9 +205,10 @@ class Listening(Naming):
         return sender == known
 
     def take_newcomer(self) -> None:
-        """The implementation does not answer after a start. Some draw a new identifier with each of them.
+        """Accept another node identifier if the implementation does not answer after a start; some draw a new one each
+        time.
 
-        Whoever has spoken instead is taken for it from now on, unless the PICS names the node.
+        The next sender counts as the implementation, unless the PICS names the node.
         """
         if self.others and self.session.pics.pixit.node_id is None:
             self.session.sut_id = None
@@ -211,9 +217,9 @@ class Listening(Naming):
     # -- looking back --------------------------------------------------------------------------------------------------
 
     def instructions(self, kind: ICType, var_id: int | None = None, since: int = 0) -> list[Instruction]:
-        """All records of a kind that were heard from a mark on, about one variable or any."""
+        """Return all records of a kind since a mark, about one variable or any."""
         return [each for heard in self.heard[since:] for each in heard.instructions(kind, var_id)]
 
     def frames_with(self, kind: ICType, var_id: int, since: int = 0) -> list[Heard]:
-        """The beacons with a record of this kind about a variable."""
+        """Return the beacons with a record of this kind about a variable."""
         return [heard for heard in self.heard[since:] if heard.instructions(kind, var_id)]

@@ -1,4 +1,4 @@
-"""What is known of an implementation, and names and values that nobody else uses."""
+"""Known properties of the implementation, and unused identifiers and values for a case."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .findings import Findings
 from .session import FLOOR, Session
 from .verdict import Verdict
 
-#: Identifiers that a message names.
+#: Maximum number of identifiers in a message.
 _NAMES = 8
-#: Under which name a PICS tells a parameter.
+#: Names of parameters in the PIXIT.
 _PIXIT = {
     "BPPAR_MAXIMUM_PACKET_SIZE": "max_packet_size",
     "VARDISPAR_MAX_VALUE_LENGTH": "max_value_length",
@@ -34,7 +34,7 @@ _PIXIT = {
 
 
 class Naming(Findings):
-    """One case's supply of identifiers, time stamps and records."""
+    """Supplies a case with identifiers, time stamps and records."""
 
     def __init__(self, session: Session, case: Case) -> None:
         super().__init__(session, case)
@@ -42,23 +42,23 @@ class Naming(Findings):
         """Identifiers that this case has chosen for variables, or has made a VarCreate for."""
         self._short: dict[int, dict[bytes, bytes]] = {}
         self.called_unknown: set[int] = set()
-        """Identifiers that this case was given for variables that stay unknown."""
+        """Identifiers that this case got for variables that remain unknown."""
         self.produced: set[int] = set()
-        """Those of the variables that the implementation's application has created."""
+        """Identifiers of the variables that the implementation's application has created."""
 
     @property
     def made(self) -> Collection[int]:
-        """The variables that the case has created, or is about to."""
+        """The variables that the case has created or is about to create."""
         return self.created
 
     # -- what is known -------------------------------------------------------------------------------------------------
 
     @property
     def reaction(self) -> float:
-        """Beacon periods within which a reaction to what is sent now, or was sent before, must show.
+        """Maximum number of beacon periods until the reaction to a stimulus sent now or before.
 
-        As the PIXIT says, or else as measured at the start (:mod:`dcp_conformance.reaction`). An implementation that
-        takes received payloads one at a time has more time while some are waiting.
+        As given in the PIXIT, otherwise as measured at the start (:mod:`dcp_conformance.reaction`). An implementation
+        that processes payloads one at a time has more time while some are pending.
         """
         session = self.session
         waiting = max(0, session.busy_until - self.now()) / self.period
@@ -68,32 +68,32 @@ class Naming(Findings):
 
     @property
     def slowness(self) -> float:
-        """How much longer than usual this implementation may take for anything: at least 1."""
+        """Factor by which this implementation may take longer than usual; at least 1."""
         told, measured = self.pixit.reaction_periods, self.session.reaction
         return max(1.0, (told if told is not None else FLOOR if measured is None else measured.periods) / FLOOR)
 
     @property
     def ahead(self) -> int:
-        """How many beacons may leave before one can show a reaction: payloads are composed in advance."""
+        """Number of beacons that may be sent before one shows a reaction: payloads are composed in advance."""
         measured = self.session.reaction
         return max(2, math.ceil(max(measured.samples))) if measured is not None and measured.samples else 2
 
     @property
     def one_by_one(self) -> bool:
-        """Whether it was measured to take received payloads one at a time, so that it may answer in between."""
+        """Whether the implementation was measured to process payloads one at a time (it may answer in between)."""
         return self.session.reaction is not None and self.session.reaction.per_payload > 0
 
     @property
     def sut_id(self) -> bytes:
-        """The implementation's node identifier. Stops the case as inconclusive if it is not known yet."""
+        """The implementation's node identifier; inconclusive if it is not known yet."""
         if self.session.sut_id is None:
-            self.inconclusive("the node identifier of the implementation", "no beacon of it was heard so far")
+            self.inconclusive("the node identifier of the implementation", "no beacon received so far")
         return self.session.sut_id
 
     def parameter(self, name: str) -> int:
-        """The value of a parameter of the implementation: as it said itself, else from PIXIT or profile.
+        """Return the value of a parameter: as the implementation reports it, otherwise from PIXIT or profile.
 
-        Names are the specification's (``VARDISPAR_MAX_SUMMARIES``), periods in ms.
+        Names are those of the specification (``VARDISPAR_MAX_SUMMARIES``), periods in ms.
         """
         if name in self.session.parameters:
             return int(self.session.parameters[name])
@@ -116,34 +116,33 @@ class Naming(Findings):
         return int(value or 0)
 
     def bound(self, name: str, *, missing: bool = False) -> int:
-        """As :meth:`parameter`, where the verdict hangs on it: if nobody has told it, nobody fails for it.
+        """As :meth:`parameter`, for a verdict that depends on the value: an assumed value does not lead to a failure.
 
-        ``missing``: with another value something that the case waits for would not come, and nothing wrong would:
-        what is received and wrong still fails.
+        ``missing``: with another value only expected records would be missing; wrong records still fail.
         """
         if untold := self._untold(name):
             (self.doubts if missing else self.assumptions)[name] = untold
         return self.parameter(name)
 
     def _untold(self, name: str) -> str:
-        """That a parameter was assumed, in words; empty if somebody has told it."""
+        """Return a text that a parameter was assumed; empty if its value is known."""
         pixit = _PIXIT[name]
         if name in self.session.parameters or getattr(self.pixit, pixit) is not None:
             return ""
-        return f"{name} was taken to be {self.parameter(name)}, as {_usual(name)}: say what it is (pixit.{pixit})"
+        return f"{name} was taken to be {self.parameter(name)}, as {_usual(name)}: state its value (pixit.{pixit})"
 
     def not_learnt(self, missing: Collection[int]) -> NoReturn:
-        """Stop the case as inconclusive: it needs variables that the implementation has not taken."""
-        # They came in payloads as long as its own may be.
+        """Stop the case as inconclusive: it needs variables that the implementation has not learnt."""
+        # Their payloads were as large as the implementation's maximum.
         self.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
         names = ", ".join(map(str, sorted(missing)[:_NAMES]))
         more = f" and {len(missing) - _NAMES} more" if len(missing) > _NAMES else ""
-        self.inconclusive("the implementation learns variables, which this case needs", f"not {names}{more}")
+        self.inconclusive("forwarded VarCreates of all variables, which this case needs", f"none of {names}{more}")
 
     def rep_cnt(self, wanted: int) -> int:
-        """A repetition count that the implementation accepts: the wanted one, or the largest.
+        """Return a repetition count that the implementation accepts: the wanted one, or the maximum.
 
-        If nobody has told the largest, more than 1 may be too many: then nothing that is missing counts as a failure.
+        If the maximum is unknown, a count above 1 may be too large: then missing records are not a failure.
         """
         name = "VARDISPAR_MAX_REPETITIONS"
         if wanted > 1 and (untold := self._untold(name)):
@@ -151,26 +150,32 @@ class Naming(Findings):
         return max(1, min(wanted, self.parameter(name) or wanted))
 
     def lacks_room(self, variables: int) -> str:
-        """Why so many variables are too many, if the profile says that the implementation keeps fewer; else empty."""
+        """Return why the implementation cannot store ``variables`` variables, according to the profile; empty
+        otherwise.
+        """
         room = self.profile.limits.max_variables
-        return f"the profile says that there is room for {room} variables" if room and room < variables else ""
+        return (
+            f"according to the profile, the implementation stores at most {room} variables"
+            if room and room < variables
+            else ""
+        )
 
     # -- names ---------------------------------------------------------------------------------------------------------
 
     def node_id(self) -> bytes:
-        """The identifier of a node that does not exist: a producer far away, or a neighbour of somebody else."""
+        """Return the identifier of a node that does not exist: a distant producer, or a neighbour of another node."""
         return self._node_id(self.next_node())
 
     def next_node(self) -> int:
-        """The number of a node that this run has not used, and whose identifier is not the implementation's.
+        """Return the number of a node that this run has not used and that is not the implementation's.
 
-        Raises ``NamesUsedUp`` where identifiers are so short that there are no more.
+        Raises ``NamesUsedUp`` if identifiers are so short that none is left.
         """
         layout = self.profile.types.node_id
         while True:
             self.session.next_peer += 1
             if layout.representation != "text" and self.session.next_peer >= 1 << (8 * min(layout.width, 3)):
-                self.used_up("an identifier of a node that this run has not used", 0, self.session.next_peer)
+                self.used_up("a node identifier that this run has not used", 0, self.session.next_peer)
             if self._node_id(self.session.next_peer) != self.session.sut_id:
                 return self.session.next_peer
 
@@ -182,13 +187,13 @@ class Naming(Findings):
         return octets[-layout.width :].rjust(layout.width, b"\x02")
 
     def var_id(self) -> int:
-        """An identifier for a variable of a peer's, which a VarCreate of now creates whatever was there before.
+        """Return an identifier for a variable of a peer: a VarCreate sent now creates it, whatever was there before.
 
-        Since 2.0 it may be one that peers have created in earlier cases: a case that needs an unknown one takes
+        From 2.0 on it may have been used by peers in earlier cases: a case that needs an unknown variable uses
         :meth:`unknown_id`. Raises ``NamesUsedUp``.
         """
         session = self.session
-        # Up to 1.3 one range serves both: what the case calls unknown must not become a variable of it.
+        # Up to 1.3 one range serves both: an identifier used as unknown must not become a variable of the case.
         for without in (self.created | self.called_unknown, self.created):
             number = session.identifiers.for_peer(
                 self.now(), session.creation_time + 1, without, reuse=not session.renewable
@@ -196,18 +201,19 @@ class Naming(Findings):
             if number is not None:
                 break
         if number is None:
-            self._no_variables_left("an identifier that a peer can create a variable with")
+            self._no_variables_left("an identifier for a variable of a peer")
         self.created.add(number)
         return number
 
     def var_ids(self, count: int) -> list[int]:
-        """Several of them, ascending unless the range ends in between."""
+        """Return several identifiers for variables of peers, ascending unless the range ends in between."""
         return [self.var_id() for _ in range(count)]
 
     def unknown_ids(self, count: int) -> list[int]:
-        """Identifiers that the implementation's database cannot hold, descending from the top of the range.
+        """Return identifiers that are not in the implementation's database, descending from the top of the range.
 
-        They may have been used before: what is requested and never answered stays unknown. Raises ``NamesUsedUp``.
+        They may have been used before: a variable that is requested but never answered remains unknown. Raises
+        ``NamesUsedUp``.
         """
         found = self.session.identifiers.unknown(count, self.now(), self.created)
         if len(found) < count:
@@ -216,34 +222,34 @@ class Naming(Findings):
         return found
 
     def is_applications(self, var_id: int) -> bool:
-        """Whether the variable is none of the tester's: the PIXIT leaves its identifier to applications on the node."""
+        """Return whether the PIXIT leaves an identifier to applications on the node."""
         identifiers = self.session.identifiers
         return not identifiers.first <= var_id < identifiers.first + identifiers.size
 
     def has_unknown_ids(self, count: int = 1) -> bool:
-        """Whether so many identifiers are left that the implementation's database cannot hold."""
+        """Return whether ``count`` identifiers are left that are not in the implementation's database."""
         return self.session.identifiers.left(self.now(), self.created) >= count
 
     def unknown_id(self) -> int:
-        """One of :meth:`unknown_ids`."""
+        """Return one of :meth:`unknown_ids`."""
         return self.unknown_ids(1)[0]
 
     def own_var_id(self) -> int:
-        """An identifier for a variable of the implementation's application: one that nobody ever had (X20).
+        """Return an identifier for one of the node's own variables that was never used before (X20).
 
-        Raises ``NamesUsedUp`` when no more are left than the probes of other cases need.
+        Raises ``NamesUsedUp`` if no more are left than the probes of other cases need.
         """
         for without in (self.created | self.called_unknown, self.created):
             number = self.session.identifiers.for_own(self.now(), without)
             if number is not None:
                 break
         if number is None:
-            self._no_variables_left("an identifier that no variable has had, for one of the implementation's own")
+            self._no_variables_left("an identifier never used before, for one of the node's own variables")
         self.created.add(number)
         return number
 
     def boundary_id(self, name: str) -> int:
-        """A boundary value (:attr:`Session.boundaries`) as the identifier of an unknown variable.
+        """Return a boundary value (:attr:`Session.boundaries`) as the identifier of an unknown variable.
 
         Raises ``NamesUsedUp`` if the implementation may know it.
         """
@@ -251,12 +257,12 @@ class Naming(Findings):
         identifiers = self.session.identifiers
         taken = number in self.created or number in identifiers.in_use()
         if taken or not identifiers.is_unknown(number, self.now()):
-            self._no_variables_left(f"the identifier {number}, which no variable has had")
+            self._no_variables_left(f"the identifier {number}, never used before")
         self.created.add(number)
         return number
 
     def departure(self) -> int:
-        """The time in ns by which, up to 1.3, a variable that is deleted now has left the database."""
+        """Return the time in ns by which, up to 1.3, a variable deleted now is removed from the database."""
         return self.now() + (self.parameter("VARDISPAR_MAX_REPETITIONS") + 4) * self.period
 
     def _no_variables_left(self, expected: str) -> NoReturn:
@@ -276,7 +282,7 @@ class Naming(Findings):
     # -- values --------------------------------------------------------------------------------------------------------
 
     def creation_time(self) -> int:
-        """A time stamp as on the air: now, and later than any that was handed out before."""
+        """Return a time stamp for a record: the current time, and later than any returned before."""
         stamp = self.profile.types.timestamp
         since = self.lower.now() if stamp.epoch_ns is None else self.lower.wall() - stamp.epoch_ns
         ticks = since * stamp.per_second // 1_000_000_000
@@ -284,7 +290,7 @@ class Naming(Findings):
         return self.session.creation_time
 
     def value(self, wanted: bytes) -> bytes:
-        """``wanted``, or shorter octets in its place if values are limited to less; two that are cut stay different."""
+        """Return ``wanted``, or shorter octets if the maximum is smaller; different values remain different."""
         return self._shortened(wanted, self.parameter("VARDISPAR_MAX_VALUE_LENGTH"))
 
     def descr(self, wanted: bytes) -> bytes:
@@ -293,18 +299,18 @@ class Naming(Findings):
 
     @property
     def longest_description(self) -> int:
-        """The octets that a description may have; in 1.0 the parameter counts the NUL at its end (VD-CRE-04)."""
+        """Maximum length of a description in octets; in 1.0 the parameter counts the NUL at its end (VD-CRE-04)."""
         name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
         told = name in self.session.parameters and self.features.string_format == "nul-terminated"
         return self.parameter(name) - (1 if told else 0)
 
     def _shortened(self, wanted: bytes, most: int) -> bytes:
-        """Octets of at most this length, at least one, that no other ``wanted`` of this case has."""
+        """Return octets of at most this length, at least one, different for each ``wanted`` of this case."""
         if len(wanted) <= most or most < 1:
             return wanted
         taken = self._short.setdefault(most, {})
         if wanted not in taken:
-            # Printable, so that it may be a description, too.
+            # Printable, so that it is also valid in a description.
             others = (wanted[: most - 1] + bytes((each,)) for each in (wanted[most - 1] & 0x7F, *range(0x21, 0x7F)))
             free = (each for each in others if each not in taken.values())
             taken[wanted] = next(free, wanted[:most])
@@ -312,13 +318,13 @@ class Naming(Findings):
 
     @property
     def longest_timeout(self) -> int:
-        """The longest timeout in ms that the profile's VarTimeoutT expresses."""
+        """The longest timeout in ms that the profile's VarTimeoutT can hold."""
         return int((1 << 8 * self.profile.types.var_timeout.width) - 1)
 
     def require_timeout(self, timeout: int) -> None:
-        """Stop the case as not applicable if the profile cannot express a timeout of so many ms."""
+        """Stop the case as not applicable if the profile cannot express a timeout (ms)."""
         if timeout > self.longest_timeout:
-            self.not_applicable(f"VarTimeoutT expresses at most {self.longest_timeout} ms, this takes {timeout} ms")
+            self.not_applicable(f"VarTimeoutT holds at most {self.longest_timeout} ms, and the case needs {timeout} ms")
 
     def spec(
         self,
@@ -331,11 +337,10 @@ class Naming(Findings):
         timeout: int = 0,
         exact: bool = False,
     ) -> VarSpec:
-        """A VarSpec with what the profile's layout has; ``creation_time`` is a fresh one unless given.
+        """Return a VarSpec with the fields of the profile's layout; ``creation_time`` is new by default.
 
-        ``exact``: the description is as given, otherwise as :meth:`descr` makes it.
-
-        Stops the case as not applicable if the profile cannot express ``timeout`` (in ms).
+        ``exact``: use the description as given, otherwise as :meth:`descr` returns it. Stops the case as not applicable
+        if the profile cannot express ``timeout`` (in ms).
         """
         names = self.profile.vardis.var_spec
         self.require_timeout(timeout)
@@ -361,7 +366,7 @@ class Naming(Findings):
         timeout: int = 0,
         exact: bool = False,
     ) -> VarCreate:
-        """A VarCreate record, as :meth:`sample` makes it. From now on the implementation may know the variable."""
+        """Return a VarCreate like :meth:`sample`. From now on the implementation may know the variable."""
         made = self.sample(
             var_id,
             producer,
@@ -390,9 +395,10 @@ class Naming(Findings):
         timeout: int = 0,
         exact: bool = False,
     ) -> VarCreate:
-        """A VarCreate record that is measured and not sent.
+        """Return a VarCreate that is measured but not sent.
 
-        Value and description are cut to what the implementation takes (:meth:`value`, :meth:`descr`), unless ``exact``.
+        Value and description are truncated to the implementation's maximum (:meth:`value`, :meth:`descr`) unless
+        ``exact``.
         """
         producer = self.node_id() if producer is None else producer
         spec = self.spec(
@@ -407,7 +413,7 @@ class Naming(Findings):
         return VarCreate(spec, VarUpdate(var_id, seqno, value if exact else self.value(value)))
 
     def report(self, node_id: bytes, seqno: int, *, t_stamp: int | None = None, **fields: float) -> ExtendedSafetyData:
-        """A state report; the fields of the safety data that are not given are zero."""
+        """Return a state report; fields of the safety data that are not given are zero."""
         kind = self.codec.safety_data_type
         zeros: dict[str, Any] = {
             each.name: b"\0" * each.octets if each.type == "opaque" else 0.0 if each.type.startswith("f") else 0
@@ -418,15 +424,15 @@ class Naming(Findings):
 
 
 def _usual(name: str) -> str:
-    """Where the assumed value of a parameter comes from: profiles have limits, the specification has periods."""
+    """Return the origin of the assumed value of a parameter: limits are in profiles, periods in the specification."""
     return "usual" if name.endswith(("_PERIOD", "_TIMEOUT")) else "in the profile"
 
 
 def address_of(number: int) -> bytes:
-    """A locally administered address that says whose it is: 02:dc:9n:..."""
+    """Return a locally administered address of the tester: 02:dc:9n:..."""
     return bytes((0x02, 0xDC, 0x90)) + number.to_bytes(3, "big")
 
 
 def _attribute(kind: type[Any], name: str) -> str:
-    """The attribute of a safety data class for a field's name."""
+    """Return the attribute of a safety data class for a field's name."""
     return snake(name) if snake(name) in kind.__struct_fields__ else name

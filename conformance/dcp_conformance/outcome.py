@@ -101,13 +101,13 @@ def exit_status(cases: Iterable[CaseResult], *, unexpected: bool | None = None) 
 
 
 def nothing_decided(cases: Iterable[CaseResult]) -> bool:
-    """Whether no case has come to more than "not applicable".
+    """Whether no case has come to more than "not applicable" or "too little".
 
     The sanity case goes before the others and decides for none of them; alone it is a case like any other.
     """
     cases = tuple(cases)
     asked_for = [case for case in cases if case.id != SANITY] or cases
-    return all(case.verdict is Verdict.NOT_APPLICABLE for case in asked_for)
+    return all(case.verdict in (Verdict.NOT_APPLICABLE, Verdict.TOO_LITTLE) for case in asked_for)
 
 
 def _plain(pics: Pics) -> dict[str, Any]:

@@ -37,6 +37,7 @@ _SHOWN = {
     Verdict.PASS: (".", "PASS"),
     Verdict.INFO: ("i", "INFO"),
     Verdict.NOT_APPLICABLE: ("-", "N/A"),
+    Verdict.TOO_LITTLE: ("-", "TOO LITTLE"),
     Verdict.INCONCLUSIVE: ("?", "INCONCLUSIVE"),
     Verdict.FAIL: ("F", "FAIL"),
     Verdict.ERROR: ("E", "ERROR"),

@@ -37,6 +37,8 @@ class Check(msgspec.Struct, frozen=True, omit_defaults=True):
     table: Table = "conformance"
     shown: bool = False
     """A failure that is proved by what was received, which nothing that happened later can explain."""
+    seconds: float | None = None
+    """Of a recording: when it showed first, in seconds since the first frame."""
 
 
 class EventRecord(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -69,6 +71,12 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds on the lower tester's clock; virtual seconds in process."""
     table: Table = "conformance"
     checks: tuple[Check, ...] = ()
+    occasions: dict[str, int] = {}
+    """Of a recording: by requirement, how often it gave an occasion to break it."""
+    consequence: str = ""
+    """What follows from the findings for the network, in a sentence."""
+    show: str = ""
+    """The command that shows the frame of the first finding."""
     readings: dict[str, str] = {}
     """Disputed texts (A.7) and which of their readings was observed."""
     evidence: tuple[EventRecord, ...] = ()
@@ -105,6 +113,20 @@ class Sut(msgspec.Struct, frozen=True, kw_only=True):
     methods: tuple[str, ...] = ()
 
 
+class LinkResult(msgspec.Struct, frozen=True, omit_defaults=True):
+    """That one node of a recording hears another, as its reactions show."""
+
+    listener: str
+    speaker: str
+    share: float
+    """The part of the speaker's beacons that the listener reacts to, 0..1."""
+    reactions: int
+    trials: int
+    """How often the speaker was among those who gave the listener a reason to react."""
+    until: float | None = None
+    """Seconds since the first frame after which nothing was heard any more; None: to the end."""
+
+
 class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """A whole run."""
 
@@ -125,6 +147,12 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     invariants: tuple[CaseResult, ...] = ()
     """Invariants over all beacons of the run that held, or gave no occasion; those that did not are among the cases."""
     requirements: dict[str, Verdict] = {}
+    occasions: dict[str, int] = {}
+    """Of a recording: by requirement, how often it gave an occasion to break it, over all cases."""
+    holdings: dict[str, Any] = {}
+    """Of a recording: who holds what and when (:meth:`dcp_codec.holdings.History.as_json`)."""
+    links: tuple[LinkResult, ...] = ()
+    """Of a recording: who hears whom, where reactions are enough to say."""
     summary: dict[str, dict[str, int]] = {}
     """By table, then by verdict: number of cases."""
     readings: dict[str, tuple[str, ...]] = {}
@@ -156,6 +184,8 @@ def requirement_verdicts(cases: tuple[CaseResult, ...]) -> dict[str, Verdict]:
             if case.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE):
                 bad = [verdict for verdict in verdicts if verdict.rank > Verdict.PASS.rank]
                 found.setdefault(each, []).extend(bad or ([] if verdicts else [Verdict.INCONCLUSIVE]))
+            elif Verdict.TOO_LITTLE in verdicts:
+                found.setdefault(each, []).extend(verdicts)
             else:
                 found.setdefault(each, []).append(case.verdict)
     return {each: _joined(verdicts) for each, verdicts in found.items()}

@@ -1,7 +1,7 @@
-"""Variables that live as long as their timeout says: how they are made, and until when they must be deleted.
+"""Variables with timeouts: how to create them, and until when they must be deleted.
 
-A variable with timeout t is deleted between t and t plus one scrubbing period after its last change; the beacon that
-tells it may be one reaction later, and timers may be late (PIXIT timer_tolerance_ms).
+A variable with timeout t is deleted between t and t plus one scrubbing period after its last change. The beacon with
+the VarDelete may come one reaction time later, and timers may be late (PIXIT timer_tolerance_ms).
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ _DELETE = ICType.DELETE_VARIABLES
 
 
 class Change(NamedTuple):
-    """When a variable was changed, by a frame or a call of the tester: between these times of its clock (ns)."""
+    """Interval in which a frame or call of the tester changed a variable: two times of its clock, in ns."""
 
     before: int
     after: int
 
 
-#: ms of a scrubbing period that cases have time for.
+#: A scrubbing period in ms that is short enough for cases.
 SHORT = 200
 
 
 def scrubbing_period_ms(bench: Bench) -> int:
-    """VARDISPAR_SCRUBBING_PERIOD in ms."""
+    """Return VARDISPAR_SCRUBBING_PERIOD in ms."""
     return bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
 
 
 def hurry(bench: Bench) -> int:
-    """Shorten a long scrubbing period for this case, where it can be set and reset; the period in ms from now on.
+    """Shorten a long scrubbing period for this case, if it can be set and reset; return the period in ms from now on.
 
-    A period that has begun may run to its end: what must be there at the latest goes by the initial one.
+    The current period may still run to its end, so deadlines depend on the initial one.
     """
     upper, period = bench.session.upper, scrubbing_period_ms(bench)
     if period > SHORT and upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods:
@@ -50,13 +50,13 @@ def hurry(bench: Bench) -> int:
 
 
 def latest(bench: Bench, timeout_ms: int) -> int:
-    """ns after which the VarDelete must have been heard."""
+    """Return the time in ns within which the VarDelete must be received."""
     tolerance = bench.pixit.timer_tolerance_ms * bench.session.timing_scale
     return round((timeout_ms + scrubbing_period_ms(bench) + tolerance) * MS + bench.reaction * bench.period)
 
 
 def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction | None:
-    """Wait for the first VarDelete until it must have come at the latest; ``since``: the last change."""
+    """Wait for the first VarDelete until its deadline; ``since``: the last change."""
     left = since.after + latest(bench, timeout_ms) - bench.now()
     if not bench.instructions(_DELETE, name):
         bench.until_instruction(_DELETE, name, max(0.0, left / bench.period))
@@ -67,9 +67,9 @@ def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruct
 
 
 def check_time(bench: Bench, found: Instruction, since: Change, timeout_ms: int, *requirements: str) -> None:
-    """Whether a VarDelete has come neither too early nor too late after the last change."""
+    """Check that a VarDelete was sent neither too early nor too late after the last change."""
     took = found.heard.time - since.before
-    # Clocks of whole milliseconds may be one ahead at both ends.
+    # Clocks with a resolution of milliseconds may differ by one at both ends.
     least, most = (timeout_ms - 2) * MS, latest(bench, timeout_ms) + since.after - since.before
     if took > most:
         bench.bound("VARDISPAR_SCRUBBING_PERIOD")
@@ -78,44 +78,44 @@ def check_time(bench: Bench, found: Instruction, since: Change, timeout_ms: int,
 
 
 def sent(bench: Bench, peer: Peer, *records: VardisRecord) -> Change:
-    """Send records of variables in one beacon."""
+    """Send records in one beacon and return when."""
     before = bench.now()
     peer.send(*records)
     return Change(before, bench.now())
 
 
 def learn(bench: Bench, peer: Peer, name: int, timeout_ms: int, rep_cnt: int = 1) -> Change:
-    """Let the implementation learn a variable with a timeout; when it got it."""
+    """Teach the implementation a variable with a timeout, and return when it was sent."""
     since = sent(bench, peer, peer.create(name, timeout=timeout_ms, rep_cnt=rep_cnt))
     if bench.until_instruction(ICType.CREATE_VARIABLES, name) is None:
-        bench.inconclusive("the implementation learns a variable with a timeout", "it does not pass it on")
+        bench.inconclusive("a forwarded VarCreate of a variable with a timeout", "none in time")
     return since
 
 
 def not_by_consumers(bench: Bench, name: int) -> None:
-    """The other reading of X26 is that only producers scrub; reported if the variable still lives."""
+    """Report the other reading of X26, by which only producers scrub, if the variable still exists."""
     still = bench.until_instruction(ICType.SUMMARIES, name, 8)
     if still:
         bench.reading("X26", "producer-only")
-    text = "it is summarised still" if still else "neither VarDelete nor summary"
-    bench.info("whether a consumer deletes a variable whose time has run out", text)
+    text = "no: it is still summarised" if still else "unknown: neither a VarDelete nor a summary"
+    bench.info("Does a consumer delete a variable after its timeout?", text)
 
 
 def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> Change:
-    """Let the application create a variable; when."""
+    """Let the application create a variable, and return when."""
     before = bench.now()
     bench.must("RTDB-Create", **create_request(bench, name, rep_cnt=count, timeout=timeout_ms))
     return Change(before, bench.now())
 
 
 def updated_in_time(bench: Bench, timeout_ms: int) -> int:
-    """A timeout in ms that calls of the upper tester can keep up with: this one, or a longer one if they are slow."""
+    """Return a timeout in ms that calls of the upper tester can keep up with: this one, or longer if they are slow."""
     return max(timeout_ms, round(4 * bench.session.slow_call / MS))
 
 
 def lasting(bench: Bench, timeout_ms: int, beacons: int = 3) -> int:
-    """A timeout in ms after which ``beacons`` beacons have left: this one, or a longer one if beacons are rare.
+    """Return a timeout in ms that is longer than ``beacons`` beacons take: this one, or longer if beacons are rare.
 
-    A variable that times out before its VarCreate was sent is never seen, rightly.
+    A variable that times out before its VarCreate is sent is never sent, which is correct.
     """
     return max(timeout_ms, round(1.2 * beacons * bench.slowness * bench.period / MS))

@@ -1,7 +1,7 @@
-"""Requests to the services of VarDis and SRP, and the statuses that a version of the specification has for an outcome.
+"""Requests to the services of VarDis and SRP, and the statuses that a version of the specification defines.
 
-What several case modules need on top of :meth:`Bench.call`: parameters that only some versions want, statuses that
-changed their names, and the ways in which a variable or a state report gets into an implementation.
+Helpers for several case modules on top of :meth:`Bench.call`: parameters that only some versions have, statuses with
+different names, and ways to create variables and state reports.
 """
 
 from __future__ import annotations
@@ -32,45 +32,46 @@ VALUE_TOO_LONG = "VARDIS-STATUS-VALUE-TOO-LONG"
 ILLEGAL_REPCOUNT = "VARDIS-STATUS-ILLEGAL-REPCOUNT"
 #: JSON-RPC error for a value that the profile cannot express.
 NOT_EXPRESSIBLE = -32602
-#: JSON-RPC error in place of no response at all (readings X10 and X30).
+#: JSON-RPC error for a request without any response (readings X10 and X30).
 NO_RESPONSE = -32002
 
 
 def deleted_status(bench: Bench) -> str:
-    """What read, update and delete answer about a variable that is deleted already."""
+    """Return the status of read, update and delete for a variable that is already deleted."""
     if bench.features.removed_after_deletion:
         return "VARDIS-STATUS-VARIABLE-BEING-DELETED"
     return "VARDIS-STATUS-VARIABLE-IS-DELETED"
 
 
 def statuses_after_deletion(bench: Bench) -> tuple[str, ...]:
-    """As :func:`deleted_status`; up to 1.3 the variable may be gone by then, if its repetitions are used up."""
+    """As :func:`deleted_status`; up to 1.3 the variable may have been removed after its repetitions."""
     if bench.features.removed_after_deletion:
         return (deleted_status(bench), UNKNOWN)
     return (deleted_status(bench),)
 
 
 def empty_status(bench: Bench) -> str:
-    """What create and update answer to a value without octets."""
+    """Return the status of create and update for an empty value."""
     return "VARDIS-STATUS-" + ("INVALID" if bench.profile.spec_version < SpecVersion.V1_1 else "EMPTY") + "-VALUE"
 
 
 def same_status(answer: Answer, status: str) -> bool:
-    """Whether this is the answer; 1.0 writes underscores."""
+    """Return whether the answer has this status; 1.0 spells statuses with underscores."""
     return answer.is_status(status)
 
 
 def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *requirements: str, **params: Any) -> Answer:
-    """As :meth:`Bench.expect_status` where the specification leaves more than one status."""
+    """As :meth:`Bench.expect_status`, with several allowed statuses."""
     answer = bench.call(method, **params)
     bench.check_status(answer, statuses, method, *requirements)
     return answer
 
 
 def rows(answer: Answer, member: str) -> list[dict[str, Any]]:
-    """A member of a result that is a list of objects; none if it is not there.
+    """Return a member of a result that is a list of objects; empty if it is missing.
 
-    Raises ``UpperTesterError`` for anything else: it is against the contract, and says nothing of the implementation.
+    Raises ``UpperTesterError`` for any other value, which violates the contract of the upper tester and is not a fault
+    of the implementation.
     """
     found = answer.result.get(member, [])
     if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
@@ -79,7 +80,7 @@ def rows(answer: Answer, member: str) -> list[dict[str, Any]]:
 
 
 def described(answer: Answer) -> dict[str, Any]:
-    """The entry in a result of RTDB-DescribeVariable; empty if there is none. Raises as :func:`rows`."""
+    """Return the entry in a result of RTDB-DescribeVariable; empty if it is missing. Raises as :func:`rows`."""
     found = answer.result.get("variable", {})
     if not isinstance(found, dict):
         raise UpperTesterError(f"variable must be an object: {str(found)[:200]}")
@@ -90,14 +91,14 @@ def described(answer: Answer) -> dict[str, Any]:
 
 
 class Moment(NamedTuple):
-    """When a request was carried out: between these times of the tester's clock, ns since 1970."""
+    """Interval in which a request was executed: two times of the tester's clock, ns since 1970."""
 
     before: int
     after: int
 
 
 def timed(bench: Bench, method: str, /, **params: Any) -> Moment:
-    """Call a service as :meth:`Bench.must` does."""
+    """Call a service like :meth:`Bench.must`, and return when it was executed."""
     before = bench.lower.wall()
     bench.must(method, **params)
     return Moment(before, bench.lower.wall())
@@ -116,11 +117,10 @@ def create_request(
     timeout: int = 0,
     exact: bool = False,
 ) -> dict[str, Any]:
-    """Parameters of RTDB-Create. Up to 1.1 the application says who the producer is (VD-CRE-08).
+    """Return parameters of RTDB-Create. Up to 1.1 the application sets the producer (VD-CRE-08).
 
-    Value and description are cut to what the implementation takes, unless ``exact``.
-
-    Stops the case as not applicable if the profile cannot express ``timeout`` (in ms).
+    Value and description are truncated to the implementation's maximum lengths unless ``exact``. Stops the case as not
+    applicable if the profile cannot express ``timeout`` (in ms).
     """
     bench.require_timeout(timeout)
     if not exact:
@@ -134,83 +134,88 @@ def create_request(
 
 
 def longest_description(bench: Bench) -> int:
-    """The octets that a description may have; in 1.0 the limit counts the NUL at its end (VD-CRE-04)."""
+    """Return the maximum length of a description in octets; the parameter of 1.0 includes a NUL (VD-CRE-04)."""
     name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
     told = name in bench.session.parameters or bench.pixit.max_description_length is not None
     return bench.bound(name) - (1 if told and bench.features.string_format == "nul-terminated" else 0)
 
 
 def produced(bench: Bench, **request: Any) -> int:
-    """A new variable of the implementation's own; its identifier. Stops as inconclusive if that does not work."""
+    """Create one of the node's own variables and return its identifier; inconclusive if that fails."""
     var_id = bench.own_var_id()
     bench.must("RTDB-Create", **create_request(bench, var_id, **request))
     return var_id
 
 
 def created_again(bench: Bench, var_id: int, **request: Any) -> None:
-    """Create a living variable of the implementation's own again; not applicable to one that refuses it (X20)."""
+    """Create an existing variable of the node's own again; not applicable if the node rejects that (X20)."""
     params = create_request(bench, var_id, **request)
     answer = bench.call("RTDB-Create", **params)
     if answer.is_status(EXISTS):
         bench.reading("X20", "by-description")
-        bench.not_applicable("RTDB-Create refuses the identifier of a living variable (X20)")
+        bench.not_applicable("RTDB-Create rejects the identifier of an existing variable (X20)")
     bench.require_asked(answer, "RTDB-Create succeeds, which this case needs")
     if not answer.ok:
         bench.inconclusive("RTDB-Create succeeds, which this case needs", str(answer))
 
 
 def settled(bench: Bench, var_id: int) -> None:
-    """Wait until the repetitions of the variable's VarCreate are over."""
+    """Wait for the last repetition of a variable's VarCreate."""
     bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id))
 
 
 def taught(bench: Bench, peer: Peer, **record: Any) -> int:
-    """A new variable of a peer's that the implementation has learnt; its identifier. Inconclusive if it does not."""
+    """Teach the implementation a new variable of a peer and return its identifier; inconclusive if that fails."""
     var_id = bench.var_id()
-    _said(bench, peer, peer.create(var_id, **record), ICType.CREATE_VARIABLES, "learns a variable")
+    _said(bench, peer, peer.create(var_id, **record), ICType.CREATE_VARIABLES, "a forwarded VarCreate")
     return var_id
 
 
 def untaught(bench: Bench, peer: Peer, var_id: int) -> None:
-    """A peer deletes its variable, and the implementation has noticed. Inconclusive if it does not."""
-    _said(bench, peer, peer.delete(var_id), ICType.DELETE_VARIABLES, "notices a deletion")
+    """Let a peer delete its variable; inconclusive if the implementation does not forward the VarDelete."""
+    _said(bench, peer, peer.delete(var_id), ICType.DELETE_VARIABLES, "a forwarded VarDelete")
 
 
 def _said(bench: Bench, peer: Peer, record: VarCreate | VarDelete, kind: ICType, what: str) -> None:
-    """Say it until the implementation repeats it: frames can get lost, and who knows it already is not confused."""
+    """Send a record up to three times until the implementation forwards it: frames may be lost."""
     for _ in range(3):
         peer.send(record)
         if bench.until_instruction(kind, var_id_of(record)) is not None:
             return
-    bench.inconclusive(f"the implementation {what}, which this case needs", "it does not repeat it")
+    bench.inconclusive(f"{what}, which this case needs", "none in time")
 
 
 def entry_of(bench: Bench, var_id: int) -> dict[str, Any] | None:
-    """The database entry by RTDB-DescribeVariable, None if there is none."""
+    """Return the database entry from RTDB-DescribeVariable; None if the request is rejected."""
     answer = bench.call("RTDB-DescribeVariable", varId=var_id)
     return (described(answer) or None) if answer.ok else None
 
 
 def listed(bench: Bench) -> dict[int, dict[str, Any]]:
-    """The variables of RTDB-DescribeDatabase by identifier."""
+    """Return the variables in RTDB-DescribeDatabase by identifier."""
     return {each["varId"]: each for each in rows(bench.must("RTDB-DescribeDatabase"), "variables") if "varId" in each}
 
 
 def registration(bench: Bench, prot_id: int, name: str, *requirements: str) -> dict[str, Any]:
-    """What BP-ListRegisteredProtocols says of the protocol ``name``. Stops as failed if it is not registered."""
+    """Return the entry of a protocol in BP-ListRegisteredProtocols; fails and stops the case if there is none."""
     found = rows(bench.must("BP-ListRegisteredProtocols"), "protocols")
     shown = next((row for row in found if row.get("protocolId") == prot_id), None)
     if shown is None and _may_be_missing(bench, name):
         entity = name.lower()
-        said = f"it is not, nor are there services of it; if there is none, say so ([pics] {entity} = false)"
-        bench.inconclusive(f"{name} is registered under protocol identifier {prot_id}", said, *requirements)
+        said = (
+            f"not registered, and none of its services is offered; if the implementation has no {name}, set "
+            f"{entity} = false in [pics]"
+        )
+        bench.inconclusive(f"{name} registered under protocol identifier {prot_id}", said, *requirements)
     if shown is None:
-        bench.fail(f"{name} is registered under protocol identifier {prot_id}", "it is not", *requirements, shown=True)
+        bench.fail(
+            f"{name} registered under protocol identifier {prot_id}", "not registered", *requirements, shown=True
+        )
     return shown
 
 
 def _may_be_missing(bench: Bench, name: str) -> bool:
-    """Whether an implementation may have no SRP or VarDis: the PICS is silent, and no service of it is offered."""
+    """Return whether SRP or VarDis may be missing: no entry in the PICS, and no service is offered."""
     upper = bench.session.upper
     prefixes = {"SRP": ("SRP-",), "VarDis": ("RTDB-", "VD-")}[name]
     offered = upper is not None and any(method.startswith(prefixes) for method in upper.methods)
@@ -218,50 +223,50 @@ def _may_be_missing(bench: Bench, name: str) -> bool:
 
 
 def check_registered_name(bench: Bench, shown: object, title: str) -> None:
-    """Check the name under which a protocol is registered: ``title`` and a version there is, which is reported."""
+    """Check the name of a registered protocol: ``title`` and a version, which is reported."""
     match = re.fullmatch(re.escape(title) + r" V(\d+\.\d+)", str(shown))
     known = match is not None and "1.0" <= match[1] <= "2.0"
     bench.check(known, f"the name '{title} Vx.y', V1.0 to V2.0", repr(str(shown)), shown=True)
     if match is not None:
-        bench.info("X31: the version in the name", f"V{match[1]}")
+        bench.info("Which version does the name of the protocol have? (X31)", f"V{match[1]}")
 
 
 def max_repetitions(bench: Bench) -> int:
-    """VARDISPAR_MAX_REPETITIONS, no more than what a case has time for."""
+    """Return VARDISPAR_MAX_REPETITIONS, limited to 15 to keep cases short."""
     return bench.rep_cnt(15)
 
 
 def least_left(bench: Bench, count: int, since: int) -> int:
-    """How many of ``count`` repetitions are left at least, when they began after a mark.
+    """Return the minimum number of remaining repetitions, of ``count`` that began after a mark.
 
-    Each beacon since then may have taken one, and the next one or two may be prepared already.
+    Each beacon since then may have had one, and the next two may already be prepared.
     """
     bench.mark()
     return max(0, count - 2 - (len(bench.heard) - since))
 
 
 def several_repetitions(bench: Bench) -> str | None:
-    """Why a case that needs three repetitions does not apply; None if it does."""
+    """Return why a case that needs three repetitions does not apply, or None."""
     most = bench.parameter("VARDISPAR_MAX_REPETITIONS")
-    return None if most >= 3 else f"VARDISPAR_MAX_REPETITIONS is {most}, this takes 3"
+    return None if most >= 3 else f"VARDISPAR_MAX_REPETITIONS is {most}; the case needs 3"
 
 
 def holds_two_octets(bench: Bench) -> str | None:
-    """Why a case that counts with values of two octets does not apply; None if it does."""
+    """Return why a case that needs values of two octets does not apply, or None."""
     most = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")
-    return None if most >= 2 else f"VARDISPAR_MAX_VALUE_LENGTH is {most}, this takes 2"
+    return None if most >= 2 else f"VARDISPAR_MAX_VALUE_LENGTH is {most}; the case needs 2"
 
 
 def count_of(bench: Bench, name: str) -> int:
-    """A number of repetitions by its name in a variant: a number, or ``most``."""
+    """Return the number of repetitions that a variant names: a number, or ``most``."""
     return max_repetitions(bench) if name == "most" else min(int(name), max_repetitions(bench))
 
 
 @contextmanager
 def parameters_set(bench: Bench, protocol: str, **values: int) -> Iterator[None]:
-    """Set parameters of ``BP``, ``SRP`` or ``VD`` for a while, in this order; they get their old values back.
+    """Set parameters of ``BP``, ``SRP`` or ``VD``, in this order, and restore them at the end of the block.
 
-    Stops as inconclusive if one is not taken: a case that asks whether a value is taken does not use this.
+    Stops as inconclusive if a value is rejected: cases that test whether a value is accepted do not use this.
     """
     old = {name: bench.parameter(name) for name in values}
     try:
@@ -277,9 +282,9 @@ def parameters_set(bench: Bench, protocol: str, **values: int) -> Iterator[None]
 
 
 def safety_data(bench: Bench, number: int) -> dict[str, int | float | str]:
-    """Values for all fields of the profile's SafetyDataT as JSON has them, different for each ``number``.
+    """Return values for all fields of the profile's SafetyDataT in JSON form, different for each ``number``.
 
-    They are small whole numbers, which every field type holds exactly.
+    The values are small integers, which every field type can hold exactly.
     """
     values: dict[str, int | float | str] = {}
     for index, field in enumerate(bench.profile.srp.safety_data):
@@ -289,27 +294,26 @@ def safety_data(bench: Bench, number: int) -> dict[str, int | float | str]:
 
 
 def told(bench: Bench, report: Any) -> dict[str, Any]:
-    """The safety data of a report that was heard, in the form of :func:`safety_data`."""
+    """Return the safety data of a received report, in the form of :func:`safety_data`."""
     values = report.s_data.as_dict().values()
     names = (field.name for field in bench.profile.srp.safety_data)
     return {name: value.hex() if isinstance(value, bytes) else value for name, value in zip(names, values, strict=True)}
 
 
 def report_octets(bench: Bench) -> int:
-    """ssizeof(ExtendedSafetyDataT)."""
+    """Return ssizeof(ExtendedSafetyDataT)."""
     return len(bench.forge.srp(bench.report(bench.node_id(), 0)).octets)
 
 
 def srp_blocks(heard: Heard) -> list[bytes]:
-    """The SRP payloads of a beacon as octets, whether they are state reports or not."""
+    """Return the SRP payloads of a beacon as octets, whether they are state reports or not."""
     return heard.data(BP_PROTID_SRP)
 
 
 def until_report(bench: Bench, values: dict[str, Any] | None = None, periods: float | None = None) -> Heard | None:
-    """Wait for a beacon with a state report of these values, or of any.
+    """Wait for a beacon with a state report with these values, or with any.
 
-    Stops as inconclusive if SRP payloads come instead that cannot be read: what they say is not known, and
-    TC_SRP_REC_BV_01 fails for them.
+    Stops as inconclusive if there are only SRP payloads that cannot be decoded: TC_SRP_REC_BV_01 fails for them.
     """
     start = len(bench.heard)
 
@@ -320,17 +324,17 @@ def until_report(bench: Bench, values: dict[str, Any] | None = None, periods: fl
     if found is None:
         problems = [each for heard in bench.heard[start:] for each in heard.report_problems]
         if problems:
-            bench.inconclusive("a state report that can be read", f"{len(problems)} cannot: {problems[0]}")
+            bench.inconclusive("a state report that can be decoded", f"{len(problems)} that cannot: {problems[0]}")
     return found
 
 
 def nanoseconds(bench: Bench, ticks: int) -> int:
-    """A time stamp or a difference of two, as on the air, in ns."""
+    """Return a time stamp of a record, or a difference of two, in ns."""
     return bench.profile.types.timestamp.nanoseconds(ticks)
 
 
 def neighbours(bench: Bench) -> dict[bytes, list[dict[str, Any]]]:
-    """The neighbour table by node identifier; a list each, because there must be only one."""
+    """Return the neighbour table by node identifier; as lists, so that duplicate entries can be detected."""
     found: dict[bytes, list[dict[str, Any]]] = {}
     for row in rows(bench.must("SRP-NeighbourTable"), "neighbours"):
         found.setdefault(_octets(row.get("nodeId")), []).append(row)
@@ -345,12 +349,12 @@ def _octets(node_id: Any) -> bytes:
 
 
 def neighbour(bench: Bench, node_id: bytes) -> dict[str, Any] | None:
-    """The entry of a node, None if there is none."""
+    """Return the entry of a node; None if there is none."""
     return next(iter(neighbours(bench).get(node_id, ())), None)
 
 
 def until_neighbour(bench: Bench, node_id: bytes, seqno: int | None = None) -> dict[str, Any] | None:
-    """The entry of a node, with this seqno unless None, once it is there; None if that takes too long."""
+    """Wait for the entry of a node, with this seqno unless None; None if it does not appear in time."""
     deadline = bench.now() + round(bench.reaction * bench.period)
     while True:
         entry = neighbour(bench, node_id)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from .bench import MS, Bench
 from .services import Moment, nanoseconds
 
-#: How often two stamps are compared if their difference is wrong.
+#: Number of comparisons of two stamps if their difference is wrong.
 _MEASUREMENTS = 3
 
 
@@ -22,10 +22,10 @@ class Stamps:
 
 
 def check_apart(bench: Bench, what: str, measure: Callable[[], Stamps]) -> Stamps:
-    """Check that two stamps are as far apart as the requests that caused them; the last that were measured.
+    """Check that the difference of two stamps is that of the requests that caused them; return the last measurement.
 
-    However the implementation's clock differs from ours, this can be known to the time that the requests took. Its
-    clock may be set between two stamps, which is no fault: what is wrong is measured again, at most twice.
+    The difference is known up to the duration of the requests, whatever the offset of the implementation's clock. The
+    clock may be set between two stamps, which is not a fault: a wrong difference is measured again, at most twice.
     """
     for _ in range(_MEASUREMENTS):
         found = measure()
@@ -35,15 +35,15 @@ def check_apart(bench: Bench, what: str, measure: Callable[[], Stamps]) -> Stamp
         apart = found.second - found.first
         if low <= apart <= high:
             break
-    expected = f"the second {what} is {low / MS:.0f} to {high / MS:.0f} ms after the first"
+    expected = f"the second {what} {low / MS:.0f} to {high / MS:.0f} ms after the first"
     bench.check(low <= apart <= high, expected, f"{apart / MS:.0f} ms", shown=True)
     return found
 
 
 def check_later(bench: Bench, expected: str, least: int, measure: Callable[[], int], *requirements: str) -> None:
-    """Check that the second of two stamps, whose difference ``measure`` gives, is at least ``least`` ns later.
+    """Check that the second of two stamps is at least ``least`` ns later; ``measure`` returns their difference.
 
-    The implementation's clock may be set between the two: what is wrong is measured again, at most twice.
+    The implementation's clock may be set between the two: a wrong difference is measured again, at most twice.
     """
     for _ in range(_MEASUREMENTS):
         later = measure()
@@ -53,9 +53,9 @@ def check_later(bench: Bench, expected: str, least: int, measure: Callable[[], i
 
 
 def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
-    """Check that a stamp, in ns since 1970, is the time of the request, as far as the two clocks agree (PIXIT)."""
+    """Check that a stamp, in ns since 1970, is the time of the request, within the tolerance of the clocks (PIXIT)."""
     slack = round(bench.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
     near = request.before - slack <= stamp <= request.after + slack
     off = (stamp - request.before) / MS
-    expected = f"{what} is the time of the request, give or take {slack / MS:.0f} ms"
+    expected = f"{what} within {slack / MS:.0f} ms of the time of the request"
     bench.check(near, expected, f"{off:.0f} ms off", shown=True)

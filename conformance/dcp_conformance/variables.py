@@ -1,7 +1,7 @@
-"""What an implementation holds of a variable, asked over the air: no upper tester is needed for it.
+"""The state of a variable at an implementation, queried over the link: no upper tester is needed.
 
-A VarReqCreate tells the three states of a variable apart (VD-RC-01 to VD-RC-03): one that is alive is sent with all
-that is stored of it, an unknown one is requested in turn, and about a deleted one nothing is said.
+A VarReqCreate distinguishes the three states of a variable (VD-RC-01 to VD-RC-03): the implementation answers with the
+stored contents if it is alive, requests it if it is unknown, and does not react if it is deleted.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from .heard import Instruction
 from .peers import Peer
 
 State = Literal["unknown", "alive", "deleted"]
-#: Everything that can be said about a single variable, but for summaries, which come again and again.
+#: All records about a single variable except summaries, which are sent repeatedly.
 INSTRUCTIONS = tuple(kind for kind in ICType if kind is not ICType.SUMMARIES)
 
 
 class Held(NamedTuple):
-    """The answer of :func:`ask`."""
+    """The result of :func:`ask`."""
 
     state: State
     record: VarCreate | None
@@ -31,38 +31,38 @@ class Held(NamedTuple):
 
     @property
     def shown(self) -> bool:
-        """Whether a record shows the state: that a variable is deleted is concluded from silence."""
+        """Whether a record proves the state: a deleted variable is inferred from the missing answer."""
         return self.state != "deleted"
 
     def __str__(self) -> str:
         if self.record is None:
-            return f"it is {self.state}"
+            return f"state: {self.state}"
         upd = self.record.upd
-        return f"it is alive with sequence number {upd.seqno} and value {upd.value.hex()}"
+        return f"state: alive, with sequence number {upd.seqno} and value {upd.value.hex()}"
 
 
 def traces(bench: Bench, var_id: int, since: int, kinds: Iterable[ICType] = INSTRUCTIONS) -> list[Instruction]:
-    """Records of these kinds about a variable that were heard from a mark on."""
+    """Return records of these kinds about a variable, received since a mark."""
     wanted = set(kinds)
     return [each for heard in bench.heard[since:] for each in heard.instructions(None, var_id) if each.kind in wanted]
 
 
 def named(found: Iterable[Instruction]) -> str:
-    """The kinds of records, for people."""
+    """Return the kinds of records for a message."""
     return ", ".join(dict.fromkeys(each.kind.label for each in found)) or "nothing"
 
 
 def ask(bench: Bench, var_id: int) -> Held:
-    """Ask with a VarReqCreate what the implementation holds. Stops the case as failed if it does not answer at all."""
+    """Query the state of a variable with a VarReqCreate; fails and stops the case without an answer to a probe."""
     peer, start = bench.peer(), bench.mark()
     peer.send(peer.request_create(var_id))
     bench.require_alive("a VarReqCreate")
     if not traces(bench, var_id, start, (ICType.CREATE_VARIABLES, ICType.REQUEST_VARCREATES)):
-        # Where payloads are full, the answer comes a beacon later.
+        # If payloads are full, the answer is sent one beacon later.
         bench.beacons(1, 1.5)
     answers = bench.instructions(ICType.CREATE_VARIABLES, var_id, start)
     if answers:
-        # The last one: a payload that was composed earlier may still have been on its way.
+        # The last one: an earlier payload may have been composed before the request.
         return Held("alive", answers[-1].record)
     if not bench.features.rerequest_unknown:
         peer.send(peer.summary(var_id, 0))
@@ -72,14 +72,14 @@ def ask(bench: Bench, var_id: int) -> Held:
 
 
 def own_id(bench: Bench) -> bytes:
-    """The implementation's node identifier; a probe makes it speak if nothing was heard of it so far."""
+    """Return the implementation's node identifier; a probe makes it send a beacon if none was received so far."""
     if bench.session.sut_id is None:
         bench.require_alive("its start")
     return bench.sut_id
 
 
 def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[VarCreate]:
-    """Let the implementation learn several variables with repCnt 1 at once; inconclusive if it does not."""
+    """Teach the implementation several variables with repCnt 1 at once; inconclusive if it does not forward them."""
     creates = list(creates)
     start = bench.mark()
     peer.send_all(creates)
@@ -96,10 +96,10 @@ def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[V
 
 
 def modulus(bench: Bench) -> int:
-    """SEQNO-MODULUS: variables' sequence numbers count modulo this."""
+    """Return SEQNO-MODULUS, the modulus of the sequence numbers of variables."""
     return seqno_modulus(bench.profile.types.var_seqno.width)
 
 
 def stepped(bench: Bench, seqno: int, distance: int) -> int:
-    """A variable's sequence number at a distance from another, around the end of the range (X28)."""
+    """Return the sequence number at a distance from another, modulo SEQNO-MODULUS (X28)."""
     return (seqno + distance) % modulus(bench)

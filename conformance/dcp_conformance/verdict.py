@@ -15,6 +15,8 @@ class Verdict(StrEnum):
 
     NOT_APPLICABLE = "not-applicable"
     """The case does not concern this implementation; the reason is given."""
+    TOO_LITTLE = "too-little"
+    """A recording gave too few occasions to say anything; the number is given."""
     INFO = "info"
     """The specification leaves it open; what the implementation does is reported."""
     PASS = "pass"  # noqa: S105 - no password

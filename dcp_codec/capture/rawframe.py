@@ -84,10 +84,12 @@ def _message_class() -> Any:
 
 
 def encode(frame: Frame) -> bytes:
-    """Encode a frame as a message, its fields in the order of their numbers."""
-    seconds, nanoseconds = divmod(frame.time_ns, _SECOND)
+    """Encode a frame as a message, its fields in the order of their numbers.
+
+    There is no timestamp in it: the time of capture is the log time of the message, and stating it twice costs a tenth
+    of the size of a file.
+    """
     message = _message_class()(
-        timestamp={"seconds": seconds, "nanos": nanoseconds},
         number=frame.number,
         interface=frame.interface,
         link_type=ETHERNET,

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from dcp_spec.profile import Link
@@ -17,9 +17,13 @@ from dcp_spec.profile_loading import ProfileError, profile_names
 from dcp_codec.capture import CaptureError, CaptureReader, Frame, open_capture
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.commandline import UNUSABLE, ExpectedError
+from dcp_codec.ethertype import parse_ether_type
 from dcp_codec.frames import FrameDissector, with_ether_type
 
 from . import main
+
+if TYPE_CHECKING:
+    from dcp_codec.guess import Guess
 
 MALFORMED = 1
 
@@ -29,16 +33,11 @@ note = main.note
 
 
 def ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None) -> int | None:
-    """Parse an EtherType in decimal or 0x hex."""
-    if value is None:
-        return None
+    """Parse an EtherType; see :mod:`dcp_codec.ethertype` for the rule."""
     try:
-        number = int(value, 0)
-    except ValueError:
-        raise click.BadParameter(f"{value!r} is no number (for example 0x4953 or 18771)") from None
-    if not 0x0600 <= number <= 0xFFFF:
-        raise click.BadParameter(f"{value} is not in 0x0600..0xffff")
-    return number
+        return None if value is None else parse_ether_type(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -49,8 +48,8 @@ def profile_options(function: F) -> F:
     function = click.option(
         "--ether-type",
         callback=ether_type,
-        metavar="N",
-        help="EtherType of the beacons, decimal or 0x hex, when it is not the profile's.",
+        metavar="HEX",
+        help="EtherType of the beacons, such as 0x4953, if it is not that of the profile.",
     )(function)
     return click.option(
         "-p",
@@ -106,8 +105,15 @@ def open_input(name: str) -> Iterator[CaptureReader]:
         raise InputError(str(error)) from None
 
 
+def note_guess(name: str, found: Guess) -> None:
+    """Tell which profile was guessed, and that the guess is weak if it is."""
+    note(f"{name}: profile {found}")
+    if found.warning is not None:
+        note(f"{name}: {found.warning}: dcp-codec guess {shlex.quote(name)} says what it does not explain")
+
+
 def choose(
-    profile: str, ether_type: int | None, frames: Iterator[Frame], name: str, *, quiet: bool = False
+    profile: str, ether_type: int | None, frames: Iterator[Frame], name: str
 ) -> tuple[FrameDissector, Iterator[Frame]]:
     """The dissector for a recording, and its frames again (some are looked at to find out the profile)."""
     if profile != "auto":
@@ -117,9 +123,8 @@ def choose(
 
     first, frames = sample(frames, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
-    if not quiet:
-        note(f"{name}: profile {found}")
-    return FrameDissector(get_codec(found.best.profile.name), found.best.link), frames
+    note_guess(name, found)
+    return FrameDissector(get_codec(found.best.profile.name), found.best.link, found.warning), frames
 
 
 def report_capture_problems(reader: CaptureReader, name: str) -> int:

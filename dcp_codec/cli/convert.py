@@ -12,11 +12,13 @@ from dcp_spec.profile import Link
 
 from dcp_codec.capture import FORMATS, CaptureError, convert, extract_attachment, open_capture
 from dcp_codec.capture import attachments as list_attachments
+from dcp_codec.capture.bytesink import same_file
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.commandline import UNUSABLE, ExpectedError
 from dcp_codec.guess import guess, sample
 
-from .common import link_of, load_codec, note, profile_options
+from .common import link_of, load_codec, note, note_guess, profile_options
+from .recordings import extras
 
 
 @click.command(
@@ -27,7 +29,13 @@ from .common import link_of, load_codec, note, profile_options
 @click.argument("source")
 @click.argument("target")
 @profile_options
-@click.option("--to", "form", type=click.Choice(sorted(FORMATS)), help="Format of TARGET, when its name does not say.")
+@click.option(
+    "--to",
+    "form",
+    type=click.Choice([*sorted(FORMATS), "ros2"]),
+    help="Format of TARGET, when its name does not say. ros2 is an MCAP with ROS 2 messages only: poses, neighbour "
+    "tables, variables.",
+)
 @click.option(
     "--resolution",
     type=click.Choice(["ns", "us"]),
@@ -64,6 +72,8 @@ def command(
     try:
         if extract:
             return _extract(source, target)
+        if form == "ros2":
+            return _ros2(source, target, profile, ether_type)
         mcap = form == "mcap" or (form is None and Path(target).suffix == ".mcap")
         if mcap and source == "-":
             attach = False
@@ -97,6 +107,28 @@ def command(
     return UNUSABLE if report.problems else 0
 
 
+def _ros2(source: str, target: str, profile: str, ether_type: int | None) -> int:
+    from dcp_codec.ros2 import write_bag
+
+    if target == "-":
+        raise ExpectedError("an MCAP for ROS 2 is written to a file: give its name instead of -")
+    if source == "-" and profile == "auto":
+        raise ExpectedError("a pipe is read once: name the --profile of its frames")
+    if same_file(source, target):
+        raise ExpectedError(f"{target}: is the source itself, and would be lost")
+    codec, link = _codec(source, profile, ether_type)
+    with extras(), _progress(source) as advance:
+        stream = sys.stdin.buffer if source == "-" else Path(source)
+        report = write_bag(stream, Path(target), codec, link, progress=advance)
+    for problem in report.problems:
+        note(f"{source}: {problem.message}")
+    if report.damaged:
+        note(f"{source}: something is wrong with {report.damaged} beacons; what is sound in them was written")
+    listed = ", ".join(f"{topic} {number}" for topic, number in sorted(report.messages.items()))
+    note(f"{target}: {report.frames} frames, messages on {listed or 'no topic'}")
+    return UNUSABLE if report.problems else 0
+
+
 def _codec(source: str, profile: str, ether_type: int | None) -> tuple[Codec, Link]:
     if profile != "auto":
         codec = load_codec(profile)
@@ -104,7 +136,7 @@ def _codec(source: str, profile: str, ether_type: int | None) -> tuple[Codec, Li
     with open_capture(Path(source)) as reader:
         first, _ = sample(reader, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
-    note(f"{source}: profile {found}")
+    note_guess(source, found)
     return get_codec(found.best.profile.name), found.best.link
 
 

@@ -30,6 +30,7 @@ from .common import (
     malformed_note,
     no_beacons_note,
     note,
+    note_guess,
     open_input,
     profile_options,
     progress,
@@ -237,7 +238,7 @@ class _Run:
         else:
             found = guess([frame], framed=not is_bare, ether_type=self.ether_type)
             note(f"--hex: profile {found}")
-            dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link)
+            dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link, found.warning)
         result = dissector.dissect_bare(frame) if is_bare else dissector.dissect(frame)
         if isinstance(result, OtherTraffic):
             kind = (
@@ -298,8 +299,8 @@ class _Run:
             first.append(frame)
             found = guess(first, ether_type=self.ether_type)
         frames = chain(first, frames)
-        note(f"{interface}: profile {found}")
-        dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link)
+        note_guess(interface, found)
+        dissector = FrameDissector(get_codec(found.best.profile.name), found.best.link, found.warning)
         return self.frames(dissector, frames, interface, _nothing)
 
 

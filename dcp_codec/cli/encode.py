@@ -29,7 +29,7 @@ _BROADCAST = b"\xff" * 6
 )
 @click.argument("file", default="-", metavar="[FILE|-]")
 @click.option("-p", "--profile", required=True, metavar="NAME|FILE", help="Wire profile to encode with.")
-@click.option("--ether-type", callback=parse_ether_type, metavar="N", help="EtherType, when it is not the profile's.")
+@click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help="Another EtherType than the profile's.")
 @click.option("-o", "--out", metavar="FILE", help="Write a recording (.mcap, .pcap, .pcapng) instead of hex lines.")
 @click.option("--bare", is_flag=True, help="Only the beacon, without Ethernet header (hex output).")
 def command(file: str, profile: str, ether_type: int | None, out: str | None, bare: bool) -> int:

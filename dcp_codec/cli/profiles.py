@@ -1,24 +1,75 @@
-"""``dcp-codec profiles``: what the wire profiles are, and what one says."""
+"""``dcp-codec profiles``: what the wire profiles are, what one says, and a draft of a new one."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import click
 import msgspec
 from dcp_spec.profile_loading import ProfileError, load_profile, profile_names
+from dcp_spec.usability import refusal
 
 from dcp_codec.commandline import ExpectedError
 
+from . import main
 
-@click.command("profiles")
-@click.argument("name", required=False, metavar="[NAME|FILE]")
+#: Frames that a draft is made from and checked against.
+_FRAMES = 2000
+
+
+def _ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None) -> int | None:
+    if value is None:
+        return None
+    # What other commands share imports the codec, which a list of names does not need.
+    from .common import ether_type
+
+    return ether_type(_ctx, _param, value)
+
+
+@click.command(
+    "profiles",
+    epilog="Every key of a profile file: docs/profile-reference.md. Exit status of 'profiles new': 0 if the draft "
+    "decodes all frames that were looked at, 1 if it does not.",
+)
+@click.argument("name", required=False, metavar="[NAME|FILE|new]")
+@click.argument("new_name", required=False, metavar="[NEW-NAME]")
 @click.option("-f", "--format", "form", type=click.Choice(["text", "json", "toml"]), default="text", show_default=True)
-def command(name: str | None, form: str) -> int:
-    """List the built-in wire profiles, or show one with everything it takes over from others.
+@click.option("--from", "recording", metavar="RECORDING", help="With new: the recording to describe.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), metavar="FILE", help="With new: the file.  [default: NEW-NAME.toml]"
+)
+@click.option("--ether-type", callback=_ether_type, metavar="HEX", help="With new: EtherType of the beacons.")
+@click.option("--force", is_flag=True, help="With new: replace the file.")
+def command(
+    name: str | None,
+    new_name: str | None,
+    form: str,
+    recording: str | None,
+    out: Path | None,
+    ether_type: int | None,
+    *,
+    force: bool,
+) -> int:
+    """List the built-in wire profiles, show one with everything it takes over, or draft one.
 
-    A TOML file of your own is checked the same way; 'extends = "cpp-2.0"' in it takes over what you do not state.
+    \b
+    dcp-codec profiles                                  list them
+    dcp-codec profiles cpp-2.0                          show the layout
+    dcp-codec profiles mine.toml                        check a file of your own
+    dcp-codec profiles new mine --from flight.pcap      draft mine.toml
+
+    A draft extends the built-in profile that explains the recording best, describes what that one does not explain,
+    and is checked against the recording.
     """
+    if name == "new":
+        if new_name is None or recording is None:
+            raise click.UsageError("give a name and a recording: dcp-codec profiles new NAME --from RECORDING")
+        return _new(new_name, recording, out or Path(f"{new_name}.toml"), ether_type, force=force)
+    if new_name is not None or recording is not None or out is not None:
+        raise click.UsageError(
+            "a second name, --from and --out belong to: dcp-codec profiles new NAME --from RECORDING"
+        )
     try:
         if name is not None:
             return _show(name, form)
@@ -47,4 +98,36 @@ def _show(name: str, form: str) -> int:
         from dcp_codec.export.markdown import format_tables
 
         click.echo(format_tables(Codec(profile)))
+    if (reason := refusal(profile)) is not None:
+        main.note(reason)
     return 0
+
+
+def _new(name: str, recording: str, out: Path, ether_type: int | None, *, force: bool) -> int:
+    from dcp_codec.draft import draft_profile
+    from dcp_codec.guess import sample
+    from dcp_codec.wholefile import write_whole
+
+    from .common import open_input, report_capture_problems
+
+    if not name.isprintable() or "/" in name:
+        raise ExpectedError(f"{name!r} cannot be the name of a profile: use letters, digits, - and .")
+    if out.exists() and not force:
+        raise ExpectedError(f"{out} exists; --force replaces it, --out FILE names another")
+    with open_input(recording) as reader:
+        frames, _ = sample(reader, _FRAMES, ether_type=ether_type)
+        status = report_capture_problems(reader, recording)
+    try:
+        draft = draft_profile(name, frames, recording, ether_type=ether_type)
+    except ValueError as error:
+        raise ExpectedError(f"{recording}: {error}") from None
+    try:
+        write_whole(out, draft.text.encode())
+    except OSError as error:
+        raise ExpectedError(f"{out} cannot be written: {error.strerror}") from None
+    click.echo(f"{out}: extends {draft.extends}")
+    click.echo(f"  {draft.decoded} of {draft.frames} frames decode with it, {draft.before} with {draft.extends} itself")
+    for each in draft.left:
+        click.echo(f"  not explained yet: {each.text} (first in frame {each.frame})")
+    click.echo(f"  look at it, then: dcp-codec decode {recording} --profile {out}")
+    return max(status, int(draft.decoded < draft.frames))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dcp_codec.table.job import Outcome
 
 #: Package that is missing -> extra that has it; else "table".
-_EXTRAS = {"duckdb": "duckdb", "distributed": "dask", "matplotlib": "report", "jinja2": "report"}
+_EXTRAS = {"duckdb": "duckdb", "distributed": "dask", "bokeh": "report", "jinja2": "report", "mcap_ros2": "ros2"}
 
 
 def check_input(files: Sequence[str], profile: str) -> None:
@@ -30,13 +30,17 @@ def check_input(files: Sequence[str], profile: str) -> None:
 
 @contextmanager
 def extras() -> Iterator[None]:
-    """Say which extra to install where a package is missing."""
+    """Say which extra to install where a package is missing, and that the decoder is compiled when it is."""
     try:
-        yield
+        from dcp_codec.table.jit import announcing
+
+        with announcing(note):
+            yield
     except ImportError as error:
-        extra = _EXTRAS.get((error.name or "").partition(".")[0], "table")
+        package = (error.name or "").partition(".")[0]
+        extra = _EXTRAS.get(package, "table")
         raise ExpectedError(
-            f"{error.name or error} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
+            f"{package or error} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""``dcp-codec report``: the plots that people look at first, as one HTML page and as PNG."""
+"""``dcp-codec report``: what matters of recordings, as one HTML page with plots and tables."""
 
 from __future__ import annotations
 
@@ -37,20 +37,13 @@ _MANY = 20
     metavar="FILE.html",
     help="The page. [default: the name of the recording with .html, here; report.html for several]",
 )
-@click.option(
-    "--png",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Put every plot into this folder as well, as PNG.",
-)
 @profile_options
 @click.option("--force", is_flag=True, help="Replace what is at --out.")
-def command(
-    files: tuple[str, ...], out: Path | None, png: Path | None, profile: str, ether_type: int | None, force: bool
-) -> int:
-    """Draw recordings: beacons and loss, age of information, neighbours, positions, variables, overhead, anomalies.
+def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: int | None, force: bool) -> int:
+    """Show who holds what, what got lost or never arrived, and plots to zoom.
 
-    The page is one file that needs no other and no network, in light and dark. Each recording is a chapter.
+    The page is one file that needs no other and no network, in light and dark. Two recordings stand side by side;
+    each of more is a chapter, and a table compares them.
     """
     check_input(files, profile)
     with extras():
@@ -72,21 +65,15 @@ def command(
         from dcp_codec.report.page import render
 
         with octets_progress(recordings) as advance:
-            chapters, outcomes = _chapters(recordings, profile, ether_type, advance, png=png is not None)
+            chapters, outcomes = _chapters(recordings, profile, ether_type, advance)
         if not chapters:
             raise ExpectedError("; ".join(str(outcome.failure) for outcome in outcomes[:5]))
-        pictures = [plot for chapter in chapters for plot in chapter.plots]
         try:
             page.parent.mkdir(parents=True, exist_ok=True)
             write_whole(page, render(chapters).encode("utf-8", "backslashreplace"))
-            for plot in pictures if png is not None else []:
-                assert png is not None
-                assert plot.png is not None
-                png.mkdir(parents=True, exist_ok=True)
-                write_whole(png / f"{plot.name}.png", plot.png)
         except OSError as error:
             raise ExpectedError(f"{error.filename or page}: {error.strerror or error}") from None
-    note(f"{page}: {len(pictures)} plots")
+    note(f"{page}: {sum(len(chapter.plots) for chapter in chapters)} plots")
     return max(tell(outcome) for outcome in outcomes)
 
 
@@ -101,10 +88,8 @@ def _chapters(
     profile: str,
     ether_type: int | None,
     advance: Callable[[int], object],
-    *,
-    png: bool,
 ) -> tuple[list[Chapter], list[Outcome]]:
-    from dcp_codec.report.page import chapter
+    from dcp_codec.report.chapter import chapter
     from dcp_codec.report.recorded import gather
     from dcp_codec.table.job import Outcome
 
@@ -115,6 +100,6 @@ def _chapters(
         except CaptureError as error:
             outcomes.append(Outcome(path, failure=str(error)))
             continue
-        chapters.append(chapter(recorded, number, png=png))
+        chapters.append(chapter(recorded, number))
         outcomes.append(recorded.outcome)
     return chapters, outcomes

@@ -73,6 +73,7 @@ def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int, 
         dissector, frames = choose(profile, ether_type, iter(reader), name)
         link = dissector.link
         stats = Stats(dissector.codec, link)
+        stats.doubt = dissector.doubt
         with progress(reader, name) as advance:
             for frame in frames:
                 stats.add(frame, locate(frame.data, link))

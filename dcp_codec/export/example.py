@@ -18,10 +18,6 @@ from dcp_codec.values import (
     Container,
     ExtendedSafetyData,
     Payload,
-    VarCreate,
-    VarSpec,
-    VarSumm,
-    VarUpdate,
 )
 
 #: 2023-11-14T22:13:20Z
@@ -83,9 +79,11 @@ def _report(codec: Codec, node_id: bytes) -> ExtendedSafetyData:
 
 
 def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
+    # A profile that adds fields to a record has a class of its own for it.
+    types = codec.types
     numbers = codec.profile.vardis.container_types.by_name()
     has = codec.profile.vardis.var_spec
-    spec = VarSpec(
+    spec = types["VarSpec"](
         7,
         node_id,
         2,
@@ -93,10 +91,10 @@ def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
         _now(codec) if "creationTime" in has else None,
         5000 % (1 << 8 * codec.profile.types.var_timeout.width) if "timeout" in has else None,
     )
-    create = VarCreate(spec, VarUpdate(7, 3, b"ABCD"))
+    create = types["VarCreate"](spec, types["VarUpdate"](7, 3, b"ABCD"))
     return (
         Container(numbers["CREATE-VARIABLES"], (create,)),
-        Container(numbers["SUMMARIES"], (VarSumm(7, 3), VarSumm(9, 0))),
+        Container(numbers["SUMMARIES"], (types["VarSumm"](7, 3), types["VarSumm"](9, 0))),
     )
 
 

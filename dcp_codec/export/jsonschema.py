@@ -27,6 +27,12 @@ _MAC = "^[0-9a-f]{2}(?::[0-9a-f]{2}){5}$"
 _MAX_TIME_NS = 2**63 - 1
 
 
+#: Only there if the profile was guessed and the guess is weak.
+_DOUBT: dict[str, JSONSchema] = {
+    "profileDoubt": {"type": "string", "description": "why the profile, which was guessed, may be the wrong one"}
+}
+
+
 def frame_schema(codec: Codec) -> JSONSchema:
     """The schema of :meth:`dcp_codec.frames.DissectedFrame.as_json`, well-formed beacons and others."""
     strict, partial = RecordSchemas(codec.profile, "strict"), RecordSchemas(codec.profile, "partial")
@@ -44,7 +50,7 @@ def frame_schema(codec: Codec) -> JSONSchema:
         "that could not be read are null or missing.",
         {
             "type": "object",
-            "properties": {**own, **members, **_findings()},
+            "properties": {**own, **_DOUBT, **members, **_findings()},
             "required": [*own, *_findings()],
             "additionalProperties": False,
             "if": {"properties": {"errors": {"maxItems": 0}}},

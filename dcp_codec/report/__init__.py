@@ -1,6 +1,7 @@
-"""Recordings as a page with the plots that people look at first; ``dcp-codec report``.
+"""Recordings as a page of plots and tables; ``dcp-codec report``.
 
-Drawn from the tables of :mod:`dcp_codec.table`: ``recorded`` gathers what is needed of them, ``analysis`` and
-``variables`` turn it into numbers, ``canvas`` and ``figures`` draw those with matplotlib (extra ``report``), ``page``
-puts the page together. docs/report.md says what each plot shows.
+Made from the tables of :mod:`dcp_codec.table`: ``recorded`` gathers what is needed of them, ``analysis``,
+``variables``, ``holding`` and ``reactions`` turn it into numbers (NumPy, no drawing), ``chart`` and ``plots`` draw
+those with Bokeh (extra ``report``), ``chapter`` says what there is to say of one recording, and ``page`` puts the page
+together. docs/report.md says what each plot shows.
 """

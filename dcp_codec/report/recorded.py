@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,8 +12,9 @@ import pyarrow as pa
 from dcp_spec.profile import SafetyField
 
 from dcp_codec.codec import Codec
+from dcp_codec.holdings import DELETED, UNKNOWN
 from dcp_codec.plain import plain
-from dcp_codec.table.decoding import Batch, ColumnDecoder
+from dcp_codec.table.decoding import Batch, ColumnDecoder, worth_compiling
 from dcp_codec.table.job import Advance, Outcome, others, resolve
 from dcp_codec.table.sources import Recording
 
@@ -24,6 +26,11 @@ NUMBER_OCTETS = 8
 NOBODY = "unknown"
 #: Rows of all tables that are kept of one recording: about four for each beacon, some 55 octets each while it is read.
 MOST_ROWS = 20_000_000
+#: Tables of records by which a node says what it holds of a variable, as dcp_codec.holdings takes them.
+HOLDING = ("creates", "updates", "summaries", "deletes", "req_updates", "req_creates")
+#: What the tables without sequence numbers say instead.
+_INSTEAD = {"deletes": DELETED, "req_creates": UNKNOWN}
+_SECOND = 1_000_000_000
 #: Characters of a description that are kept.
 _DESCRIPTION = 120
 
@@ -73,14 +80,17 @@ class Recorded:
     nodes: list[str]
     reasons: list[str]
     contents: list[str]
-    #: Columns by table: beacons, payloads, containers, srp, said, errors.
+    #: Columns by table: beacons, payloads, containers, srp, said (values), held (what nodes say they hold), errors.
     tables: dict[str, dict[str, Column]]
     variables: dict[int, Variable]
     requirements: dict[str, str]
     #: Units of x, y, z by role, for a profile whose safety data names them.
     units: dict[str, str]
-    #: The number of different sequence numbers of beacons; 0 for a profile without.
+    #: The number of different sequence numbers of beacons, and of variables; 0 for a profile without.
     modulus: int
+    number_modulus: int
+    #: Options of dcp-codec that decode this recording as this report did.
+    options: str = ""
 
     def column(self, table: str, name: str) -> Column:
         """One column; empty if the profile has no such table."""
@@ -95,7 +105,8 @@ _KEPT: dict[str, dict[str, Any]] = {
     "containers": {"time": np.int64, "content": np.int16, "octets": np.int64},
     "srp": {"time": np.int64, "node": np.int32, "x": np.float64, "y": np.float64, "z": np.float64},
     "said": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64}
-    | {"size": np.int64, "number": np.float64},
+    | {"creation": np.int64, "size": np.int64, "number": np.float64},
+    "held": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64},
     "errors": {"frame": np.int64, "time": np.int64, "node": np.int32, "reason": np.int32},
 }
 
@@ -116,7 +127,7 @@ class _Gatherer:
         self.roles: dict[str, SafetyField] = {
             each.role: each for each in self.codec.profile.srp.safety_data if each.role
         }
-        self.modulus = 0
+        self.modulus = self.number_modulus = 0
         #: Rows of all tables so far.
         self.rows = 0
 
@@ -133,6 +144,7 @@ class _Gatherer:
         for name in ("creates", "updates"):
             if name in tables and tables[name].num_rows:
                 self._said(tables[name])
+        self._held({name: tables[name] for name in HOLDING if name in tables and tables[name].num_rows})
         if "creates" in tables:
             self._creations(tables["creates"])
 
@@ -192,11 +204,42 @@ class _Gatherer:
             node=self.nodes.numbers(rows["sender"]),
             variable=variable,
             seqno=_integers(rows["seqno"]),
+            creation=_creation_times(rows),
             size=size,
             number=number,
         )
         for each, row in _last_rows(variable):
             self._variable(each).value = rows["value"][row].as_py() or b""
+
+    def _held(self, tables: dict[str, pa.RecordBatch]) -> None:
+        """Keep what nodes say they hold: where it changes, and once a second, so that silence is seen."""
+        if not tables:
+            return
+        numbers = []
+        for name, rows in tables.items():
+            if name in _INSTEAD:
+                numbers.append(np.full(rows.num_rows, _INSTEAD[name], np.int64))
+            else:
+                self.number_modulus = 1 << rows.schema.field("seqno").type.bit_width
+                numbers.append(_integers(rows["seqno"]).astype(np.int64))
+        number = np.concatenate(numbers)
+        frame, time, variable = (
+            np.concatenate([_integers(rows[name]) for rows in tables.values()]) for name in ("frame", "time", "varId")
+        )
+        node = np.concatenate([self.nodes.numbers(rows["sender"]) for rows in tables.values()])
+        order = np.lexsort((frame, node, variable))
+        frame, time, node, variable, number = (each[order] for each in (frame, time, node, variable, number))
+        kept = np.ones(order.size, bool)
+        for each in (node, variable, number, time // _SECOND):
+            each = each.astype(np.int64)
+            kept[1:] &= each[1:] == each[:-1]
+        kept = ~kept
+        kept[0] = True
+        # The last word before a silence, and of this batch.
+        ends = (np.diff(variable) != 0) | (np.diff(node) != 0) | (np.diff(time) > _SECOND)
+        kept |= np.append(ends, True)
+        rows = {"frame": frame, "time": time, "node": node, "variable": variable, "seqno": number}
+        self._keep("held", **{name: column[kept] for name, column in rows.items()})
 
     def _creations(self, rows: pa.RecordBatch) -> None:
         producers = self.nodes.numbers(rows["prodId"])
@@ -228,6 +271,15 @@ def _integers(column: pa.Array) -> Column:
         column = column.cast(pa.int64())
     found: Column = column.to_numpy(zero_copy_only=False)
     return found
+
+
+def _creation_times(rows: pa.RecordBatch) -> Column:
+    """When the variable was created, as the record says it; 0 where a create does not say it, -1 for an update."""
+    if "prodId" not in rows.schema.names:
+        return np.full(rows.num_rows, -1, np.int64)
+    if "creationTime" not in rows.schema.names:
+        return np.zeros(rows.num_rows, np.int64)
+    return _integers(rows["creationTime"]).astype(np.int64)
 
 
 def _numbers(column: pa.Array) -> tuple[Column, Column]:
@@ -268,8 +320,8 @@ def gather(
     codec, link, note = resolve(path, profile, ether_type)
     outcome = Outcome(path, codec.profile.name, [note] if note else [])
     gatherer = _Gatherer(codec)
-    decoder = ColumnDecoder(codec, link)
     with Recording(path) as recording:
+        decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
         position = 0
         for block in recording.blocks():
             for batch in decoder.batches(block):
@@ -301,4 +353,11 @@ def gather(
         requirements=gatherer.requirements,
         units={role: member.unit for role, member in gatherer.roles.items()},
         modulus=gatherer.modulus,
+        number_modulus=gatherer.number_modulus,
+        options=_options(codec.profile.name if profile == "auto" else profile, ether_type),
     )
+
+
+def _options(profile: str, ether_type: int | None) -> str:
+    shown = f"--profile {shlex.quote(profile)}"
+    return shown if ether_type is None else f"{shown} --ether-type 0x{ether_type:04x}"

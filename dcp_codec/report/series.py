@@ -1,4 +1,4 @@
-"""Small things for plots: fewer points, stairs, numbers in words."""
+"""Long series made short without losing extremes, wrapping numbers unwrapped, and numbers in words."""
 
 from __future__ import annotations
 
@@ -10,17 +10,43 @@ import numpy.typing as npt
 Column = npt.NDArray[Any]
 
 
-def stairs(ends: Column, values: Column) -> tuple[Column, Column]:
-    """A line that is level in each piece of time that ``ends`` bound."""
-    return np.repeat(ends, 2)[1:-1], np.repeat(values, 2)
+def extremes(x: Column, y: Column, bins: int) -> Column:
+    """The rows to draw of a series: the first, last, least and greatest of each of ``bins`` equal pieces of ``x``.
 
-
-def thinned(rows: Column, many: int) -> Column:
-    """At most ``many`` of some rows, evenly, with the first and the last."""
-    if rows.size <= many:
-        return rows
-    kept: Column = rows[np.linspace(0, rows.size - 1, many).astype(np.int64)]
+    ``x`` ascends. Few rows come back whole. Every row that comes back is a real one, so that values shown under the
+    pointer are true. NaN in ``y`` is no extreme.
+    """
+    if x.size <= 4 * bins:
+        return np.arange(x.size)
+    span = float(x[-1] - x[0]) or 1.0
+    piece = np.minimum(((x - x[0]) * (bins / span)).astype(np.int64), bins - 1)
+    starts = np.flatnonzero(np.diff(piece, prepend=-1))
+    order = np.lexsort((y, piece))
+    # NaN is sorted last: the greatest is before them.
+    numbers = np.add.reduceat((~np.isnan(y)).astype(np.int64), starts)
+    ends = np.append(starts[1:], x.size)
+    kept: Column = np.unique(
+        np.concatenate([starts, ends - 1, order[starts], order[starts + np.maximum(numbers - 1, 0)]])
+    )
     return kept
+
+
+def unwrapped(numbers: Column, modulus: int, restarts: Column | None = None) -> Column:
+    """Numbers that count modulo ``modulus`` as numbers that go on; half of them are ahead, as in the protocol.
+
+    Where ``restarts`` is true the count begins again with the number itself.
+    """
+    if not numbers.size or not modulus:
+        return numbers.astype(np.int64)
+    step: Column = np.diff(numbers.astype(np.int64))
+    step = step % modulus
+    step = np.where(step >= modulus // 2, step - modulus, step)
+    found = np.concatenate([[0], np.cumsum(step)]) + int(numbers[0])
+    if restarts is not None and restarts.any():
+        # Each count starts from its first number.
+        first = np.maximum.accumulate(np.where(restarts, np.arange(numbers.size), 0))
+        found = found - found[first] + numbers[first]
+    return found
 
 
 def runs(there: Column) -> list[tuple[int, int]]:
@@ -36,9 +62,9 @@ def usual_interval(seconds: Column) -> float:
 
 def seconds_text(seconds: float) -> str:
     """A duration for people: "0.35 s", "12 s", "4 min 10 s"."""
-    if seconds < 1:
+    if abs(seconds) < 1:
         return f"{seconds * 1000:.3g} ms"
-    if seconds < 100:
+    if abs(seconds) < 100:
         return f"{seconds:.3g} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
@@ -49,14 +75,6 @@ def ordinal(number: int) -> str:
     """ "1st", "2nd", "11th"."""
     ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th") if number % 100 not in (11, 12, 13) else "th"
     return f"{number}{ending}"
-
-
-def si(value: float) -> str:
-    """A number with k, M, G and so on, for ticks."""
-    for letter, factor in (("E", 1e18), ("P", 1e15), ("T", 1e12), ("G", 1e9), ("M", 1e6), ("k", 1e3)):
-        if abs(value) >= factor:
-            return f"{value / factor:g}{letter}"
-    return f"{value:g}"
 
 
 def in_unit(unit: str | None) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from .analysis import Time
 from .recorded import NUMBER_OCTETS, Column, Recorded
+from .series import unwrapped
 
 #: A sequence number that is heard again after so long (ns) is that of another value, as in docs/tables.md.
 _SILENCE = 5_000_000_000
@@ -24,66 +25,122 @@ class Values:
     seqno: Column
     node: Column
     time: Column
+    frame: Column
     number: Column
     size: Column
+    #: Time of creation where a CREATE said the value first, 0 if it does not say that time; -1 for an UPDATE.
+    creation: Column
     #: Whether the node that said it first is the producer, or the producer is not known.
     from_producer: Column
 
 
 @dataclass(frozen=True)
-class Hops:
-    """Each first passing on of a value by another node: when (s), by whom, how long after the first (s).
+class Passings:
+    """Each first passing on of a value by another node than the first: when (s), by whom, how long after that (s).
 
-    ``before`` is who said it last before that; ``hop`` counts the nodes that had said it. ``counted`` are those of
-    values that came from their producer.
+    ``order`` counts the nodes that had said the value before. That is no number of hops: two neighbours of the first
+    node are 1 and 2. ``counted`` are those of values that came from their producer.
     """
 
     variable: Column
     time: Column
+    frame: Column
     node: Column
-    before: Column
-    hop: Column
+    order: Column
     delay: Column
     counted: Column
 
 
-def dissemination(recorded: Recorded, time: Time) -> tuple[Values, Hops]:
+@dataclass(frozen=True)
+class Sayings:
+    """All that was said of values, by variable, number and frame: ``rows`` of the table ``said`` in that order.
+
+    ``value`` numbers the values, ``first`` are the places at which each of them was heard first, ``rank`` is the place
+    of each value among those of its variable, in the order in which they were first heard.
+    """
+
+    rows: Column
+    value: Column
+    first: Column
+    rank: Column
+
+    def firsts(self, node: Column, nodes: int) -> Column:
+        """Where each node says each value for the first time, by value and frame. ``node`` is who says each row."""
+        key = self.value * max(1, nodes) + node
+        order = np.argsort(key, kind="stable")
+        new = np.ones(order.size, bool)
+        new[1:] = key[order[1:]] != key[order[:-1]]
+        found: Column = np.sort(order[new])
+        return found
+
+
+def sayings(recorded: Recorded) -> Sayings:
+    """Tell values apart: a number that is heard again after five seconds of silence is that of another value."""
+    said = recorded.tables["said"]
+    rows = np.lexsort((said["frame"], said["seqno"], said["variable"]))
+    variable, seqno, stamp = (said[name][rows] for name in ("variable", "seqno", "time"))
+    new = np.ones(rows.size, bool)
+    other = (variable[1:] != variable[:-1]) | (seqno[1:] != seqno[:-1])
+    new[1:] = other | (stamp[1:] - stamp[:-1] > _SILENCE)
+    first = np.flatnonzero(new)
+    order = np.lexsort((said["frame"][rows[first]], variable[first]))
+    place = np.arange(first.size)
+    rank = np.empty(first.size, np.int64)
+    rank[order] = place - np.searchsorted(variable[first][order], variable[first][order], "left")
+    return Sayings(rows, np.cumsum(new) - 1, first, rank)
+
+
+def dissemination(recorded: Recorded, time: Time, found: Sayings | None = None) -> tuple[Values, Passings]:
     """Follow each value of each variable from the node that said it first."""
     said = recorded.tables["said"]
-    order = np.lexsort((said["frame"], said["seqno"], said["variable"]))
-    variable, seqno, node, stamp = (said[name][order] for name in ("variable", "seqno", "node", "time"))
-    new = np.ones(order.size, bool)
-    if order.size:
-        other = (variable[1:] != variable[:-1]) | (seqno[1:] != seqno[:-1])
-        new[1:] = other | (stamp[1:] - stamp[:-1] > _SILENCE)
-    value = np.cumsum(new) - 1
-    first = np.flatnonzero(new)
-    seconds = time.seconds(stamp)
-    # Rows are in the order of frames within a value, so the first of each (value, node) is its first passing on.
-    _, passing = np.unique(value * max(1, len(recorded.nodes)) + node, return_index=True)
-    passing = np.sort(passing)
+    found = found or sayings(recorded)
+    value, first = found.value, found.first
+    columns = {name: column[found.rows] for name, column in said.items()}
+    node, seconds = columns["node"], time.seconds(columns["time"])
+    passing = found.firsts(node, len(recorded.nodes))
     rank = np.arange(passing.size) - np.searchsorted(value[passing], value[passing], "left")
-    hops = passing[rank > 0]
-    good = _from_producer(recorded, variable[first], node[first])
-    by_time = np.argsort(seconds[first], kind="stable")
+    later = passing[rank > 0]
+    variable = columns["variable"][first]
+    good = _from_producer(recorded, variable, node[first])
+    by_time = np.lexsort((columns["frame"][first], seconds[first]))
+    rows = first[by_time]
     values = Values(
-        variable=variable[first][by_time],
-        seqno=seqno[first][by_time],
-        node=node[first][by_time],
-        time=seconds[first][by_time],
-        number=said["number"][order][first][by_time],
-        size=said["size"][order][first][by_time],
+        variable=variable[by_time],
+        seqno=columns["seqno"][rows],
+        node=node[rows],
+        time=seconds[rows],
+        frame=columns["frame"][rows],
+        number=columns["number"][rows],
+        size=columns["size"][rows],
+        creation=columns["creation"][rows],
         from_producer=good[by_time],
     )
-    return values, Hops(
-        variable=variable[hops],
-        time=seconds[hops],
-        node=node[hops],
-        before=node[hops - 1],
-        hop=rank[rank > 0],
-        delay=seconds[hops] - seconds[first][value[hops]],
-        counted=good[value[hops]],
+    return values, Passings(
+        variable=columns["variable"][later],
+        time=seconds[later],
+        frame=columns["frame"][later],
+        node=node[later],
+        order=rank[rank > 0],
+        delay=seconds[later] - seconds[first][value[later]],
+        counted=good[value[later]],
     )
+
+
+def counted(recorded: Recorded, values: Values, variable: int) -> tuple[Column, Column, Column]:
+    """Rows of one variable, their sequence numbers unwrapped, and where the variable was created again.
+
+    A creation is a new one where its creation time is another, or, in profiles without, where its number goes back.
+    """
+    rows = np.flatnonzero(values.variable == variable)
+    seqno, creation = values.seqno[rows], values.creation[rows]
+    created = np.flatnonzero(creation >= 0)
+    again = np.zeros(rows.size, bool)
+    if created.size > 1:
+        stamps = creation[created]
+        again[created[1:]] = np.where(
+            stamps[1:] | stamps[:-1], stamps[1:] != stamps[:-1], seqno[created[1:]] < seqno[created[:-1]]
+        )
+    return rows, unwrapped(seqno, recorded.number_modulus, again), again
 
 
 def _from_producer(recorded: Recorded, variable: Column, node: Column) -> Column:
@@ -91,12 +148,6 @@ def _from_producer(recorded: Recorded, variable: Column, node: Column) -> Column
     producers = {number: known.producer for number, known in recorded.variables.items() if known.producer in senders}
     found = [producers.get(each, who) == who for each, who in zip(variable.tolist(), node.tolist(), strict=True)]
     return np.array(found, bool)
-
-
-def edges(hops: Hops) -> dict[tuple[int, int], int]:
-    """How often a node passed on what another had said last: (from, to) -> values."""
-    pairs, many = np.unique(np.stack([hops.before, hops.node]), axis=1, return_counts=True)
-    return {(int(a), int(b)): int(count) for a, b, count in zip(*pairs, many, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -113,7 +164,7 @@ class VariableLine:
     p95: float | None
 
 
-def lines(recorded: Recorded, values: Values, hops: Hops, many: int) -> list[VariableLine]:
+def lines(recorded: Recorded, values: Values, passed: Passings, many: int) -> list[VariableLine]:
     """The ``many`` variables with most values, those first."""
     numbers, counts = np.unique(values.variable, return_counts=True)
     found = []
@@ -121,7 +172,7 @@ def lines(recorded: Recorded, values: Values, hops: Hops, many: int) -> list[Var
         number = int(numbers[row])
         known = recorded.variables[number]
         sizes = np.unique(values.size[values.variable == number])
-        delays = hops.delay[(hops.variable == number) & hops.counted]
+        delays = passed.delay[(passed.variable == number) & passed.counted]
         high, low = int(sizes.max()), int(sizes.min())
         found.append(
             VariableLine(

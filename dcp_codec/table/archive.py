@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +20,7 @@ from dcp_codec.capture import SUFFIXES
 from dcp_codec.codec import get_codec
 from dcp_codec.wholefile import rename_durably, sync_tree
 
+from .jit import COMPILING, LOG, announcing
 from .job import Advance, Job, Outcome, run
 from .shape import ERRORS, Shape
 from .writing import Format, write_database
@@ -102,6 +104,9 @@ def _check(order: Order) -> None:
         for name in order.tables:
             if name not in known:
                 raise TableError(f"profile {order.profile} has no table {name}, only {', '.join(sorted(known))}")
+    if order.form == "duckdb":
+        # Asked for before anything is decoded.
+        import_module("duckdb")
     out = order.out
     if out.exists() and not (out.is_file() or out.is_dir()):
         raise TableError(f"{out}: is neither a file nor a folder, and is not replaced")
@@ -156,13 +161,14 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
         return [run(job, advance) for job in jobs]
     context = multiprocessing.get_context("spawn")
     done: Any = context.Value("q", 0)
+    compiling: Any = context.Value("b", 0)
     others = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(workers, context, initializer=_Worker.prepare, initargs=(done,)) as pool:
+    with ProcessPoolExecutor(workers, context, initializer=_Worker.prepare, initargs=(done, compiling)) as pool:
         # The longest first, so that no worker is left alone with it at the end.
         order_of_work = sorted(range(len(jobs)), key=lambda index: -_size(jobs[index].path))
         futures: dict[int, Future[Outcome]] = {index: pool.submit(_Worker.work, jobs[index]) for index in order_of_work}
         try:
-            _watch(list(futures.values()), lambda: int(done.value), advance)
+            _watch(list(futures.values()), lambda: int(done.value), lambda: bool(compiling.value), advance)
             return [futures[index].result() for index in range(len(jobs))]
         except BrokenExecutor:
             raise TableError(
@@ -182,10 +188,12 @@ class _Worker:
     done: Any = None
 
     @classmethod
-    def prepare(cls, done: Any) -> None:
+    def prepare(cls, done: Any, compiling: Any) -> None:
+        """Begin; ``compiling`` becomes 1 when a process has to compile."""
         # Ctrl-C goes to all processes of a terminal; the first one sees to it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         cls.done = done
+        announcing(lambda _: setattr(compiling, "value", 1)).__enter__()
 
     @classmethod
     def work(cls, job: Job) -> Outcome:
@@ -196,11 +204,16 @@ class _Worker:
         return run(job, count)
 
 
-def _watch(futures: Sequence[Future[Outcome]], done: Callable[[], int], advance: Advance) -> None:
-    """Wait for all, and tell how far they are."""
-    seen, pending = 0, set(futures)
+def _watch(
+    futures: Sequence[Future[Outcome]], done: Callable[[], int], compiling: Callable[[], bool], advance: Advance
+) -> None:
+    """Wait for all, and tell how far they are and that some compile."""
+    seen, pending, said = 0, set(futures), False
     while pending:
         _, pending = wait(pending, timeout=_LOOK, return_when=FIRST_COMPLETED)
+        if compiling() and not said:
+            said = True
+            LOG.info(COMPILING)
         now = done()
         advance(now - seen)
         seen = now

@@ -25,6 +25,9 @@ from .stage import MOVED, OF_A_FRAME, Stage
 
 Integers = npt.NDArray[np.int64]
 
+#: Octets of a recording up to which the decoder runs as plain Python. That takes less than a second (25 µs for a frame
+#: of 90 octets); Numba takes as long to load what it compiled earlier, and ten seconds to compile it.
+LITTLE = 1 << 20
 #: Rows of a table, and octets of a column of varying octets, that a batch holds at most (unless one frame has more).
 ROOM, SPACE = 1 << 19, 1 << 22
 
@@ -74,11 +77,17 @@ class Batch(NamedTuple):
     other: int
 
 
+def worth_compiling(octets: int | None) -> bool:
+    """Whether a recording of so many octets (None: not known) takes less time with machine code than without."""
+    return octets is None or octets > LITTLE
+
+
 class ColumnDecoder:
     """Decodes frames to columns with one codec; ``link`` replaces the profile's idea of where beacons are.
 
-    ``interpret`` runs the generated source as plain Python, which is slow and compiles nothing. Not for use by
-    several threads at a time.
+    ``interpret`` runs the generated source as plain Python, which is slow and compiles nothing; the rows are the same.
+    :func:`worth_compiling` says whether a recording is large enough for machine code. Not for use by several threads
+    at a time.
     """
 
     def __init__(

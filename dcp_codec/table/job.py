@@ -15,7 +15,7 @@ from dcp_codec.frames import with_ether_type
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_codec.guess import guess, sample
 
-from .decoding import ColumnDecoder
+from .decoding import ColumnDecoder, worth_compiling
 from .sources import Recording
 from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
 
@@ -73,7 +73,8 @@ def resolve(path: str | Path, profile: str, ether_type: int | None) -> tuple[Cod
     with open_capture(path) as reader:
         first, _ = sample(reader, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)
-    return get_codec(found.best.profile.name), found.best.link, f"profile {found}"
+    text = f"profile {found}" if found.warning is None else f"profile {found}; {found.warning}"
+    return get_codec(found.best.profile.name), found.best.link, text
 
 
 def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
@@ -88,7 +89,8 @@ def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
             outcome.notes.append(note)
         outcome.profile = codec.profile.name
         with Recording(job.path) as recording:
-            _write(job, recording, ColumnDecoder(codec, link), outcome, advance)
+            decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
+            _write(job, recording, decoder, outcome, advance)
             outcome.problems += [problem.message for problem in recording.problems]
         if outcome.other == outcome.frames:
             outcome.link = link

@@ -279,8 +279,8 @@ def kernel_source(shape: Shape) -> str:
     targets = ", ".join(f"t{table.number}" for table in tables)
     octets = "".join(f", d{column.number}" for column in varying)
     signature = f"decode({', '.join(PARAMETERS)}, {targets}{octets})"
-    add("a_mask, a_most = I64(a_slots.size - 1), I64(a_keys.size)")
-    add("n_mask, n_most = I64(n_slots.size - 1), I64(n_keys.size)")
+    add("a_mask, a_most = I64(len(a_slots) - 1), I64(len(a_keys))")
+    add("n_mask, n_most = I64(len(n_slots) - 1), I64(len(n_keys))")
     before = places(shape.columns)
     for column in shape.columns:
         add(f"at{column.number} = {before[column.number] // int(item(column)[1])} * high")

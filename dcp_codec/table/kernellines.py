@@ -87,6 +87,8 @@ class KernelLines:
             self.octet(at, relative + place) + (f" << {8 * rank}" if rank else "") for rank, place in enumerate(order)
         ]
         text = " | ".join(f"({part})" for part in parts) if size > 1 else parts[0]
+        if size == 8:
+            text = f"wrapped({text})"
         if scalar.signed and size < 8:
             sign = 1 << (8 * size - 1)
             text = f"((({text}) ^ {sign}) - {sign})"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,34 @@ from dcp_codec.capture.frame import Frame
 from dcp_codec.capture.mcapfile import RECORD_HEAD, McapReader
 
 from .decoding import Block
+from .jit import machine
 from .messages import FULL, ODD, OTHER, RAW, walk_messages
 
 #: Octets of unpacked chunks that one block has, unless one chunk has more.
 _BUFFER = 1 << 23
 _CHANNELS = 1 << 16
+
+
+#: Pieces of memory of one kind that are kept: for the block being made, the one being decoded, and one between them.
+_KEPT = 3
+
+
+class _Reused:
+    """Memory that is given out again as soon as nobody refers to it; fresh memory costs as much as filling it."""
+
+    def __init__(self, make: Callable[[], Any]) -> None:
+        self._make = make
+        self._made: list[Any] = []
+
+    def take(self) -> Any:
+        """Return memory that nobody uses, with whatever was left in it."""
+        for index in range(len(self._made)):
+            # The list and the call refer to it. Views of an array do, too.
+            if sys.getrefcount(self._made[index]) <= 2:
+                return self._made[index]
+        made = self._make()
+        self._made = [*self._made, made][-_KEPT:]
+        return made
 
 
 class McapBlocks(McapReader):
@@ -34,7 +58,9 @@ class McapBlocks(McapReader):
         self._others_too = False
         #: Blocks that are finished, to be given out before anything else.
         self._ready: list[Block] = []
-        self._buffer = np.empty(_BUFFER, np.uint8)
+        self._buffers = _Reused(lambda: np.empty(_BUFFER, np.uint8))
+        self._columns = _Reused(lambda: np.empty((6, frames), np.int64))
+        self._buffer: Any = self._buffers.take()
         #: Octets of the buffer that are taken, and where the last of them begin that were asked for at once.
         self._used = self._last = 0
         self._begin()
@@ -43,7 +69,8 @@ class McapBlocks(McapReader):
     def _begin(self) -> None:
         """Begin an empty block, in what is left of the buffer."""
         self._count = 0
-        self._arrays = [np.empty(self._most, np.int64) for _ in range(6)]
+        # The rows refer to the whole.
+        self._arrays = list(self._columns.take())
 
     def _records(self) -> Iterator[Any]:
         for event in self._events:
@@ -74,11 +101,12 @@ class McapBlocks(McapReader):
         """Return memory for ``size`` octets at the end of the buffer, of a fresh one if this one has no room."""
         if self._used + size > len(self._buffer):
             self._end_block()
-            self._buffer = np.empty(max(_BUFFER, size), np.uint8)
+            self._buffer = self._buffers.take() if size <= _BUFFER else np.empty(size, np.uint8)
             self._used = 0
         self._last = self._used
         self._used += size
-        return self._buffer.data[self._last : self._used]
+        memory: memoryview = self._buffer.data
+        return memory[self._last : self._used]
 
     def _copied(self, octets: bytes | memoryview) -> int:
         """Copy ``octets`` into the buffer; returns where they begin in it."""
@@ -89,8 +117,7 @@ class McapBlocks(McapReader):
         self, records: bytes | memoryview, base: int, *, whole: bool = True, position: int = 0
     ) -> Iterator[Any]:
         # Chunks that were packed are in the buffer already, see _room.
-        buffer: Any = self._buffer
-        unpacked = isinstance(records, memoryview) and records.obj is buffer
+        unpacked = isinstance(records, memoryview) and records.obj is self._buffer
         begin = self._last if unpacked else self._copied(records)
         buffer = self._buffer
         while not self._others_too:
@@ -99,7 +126,7 @@ class McapBlocks(McapReader):
                 begin = self._copied(records[position:]) - position
                 buffer = self._buffer
             before = self._count
-            after, self._count, why = walk_messages(
+            after, self._count, why = machine(walk_messages)(
                 buffer, begin + position, begin + len(records), self._kinds(), self._count, *self._arrays
             )
             position = after - begin

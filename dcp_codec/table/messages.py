@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from dcp_codec.capture.frame import ETHERNET, MAX_TIME_NS
+from dcp_codec.capture.frame import ETHERNET
 
-from .jit import helper, machine
+from .jit import helper
 
 _I64: Any = np.int64
 _U64: Any = np.uint64
-_SECOND = 1_000_000_000
-_LAST_SECOND = MAX_TIME_NS // _SECOND
 _HEAD, _MESSAGE_HEAD, _MESSAGE = 9, 22, 5
+#: Where the log time is in a message.
+_LOG_TIME = 6
 _MOST_32 = (1 << 32) - 1
 _MOST_NUMBER = 1 << 62
 
@@ -27,9 +27,8 @@ UNKNOWN, RAW, OTHER = 0, 1, 2
 ODD, FULL = 0, 1
 
 # Tags of protobuf: number of the field and wire type (0 is a number, 2 are octets with their length), in the order
-# of `dcp_codec.capture.rawframe.FIELDS`.
-_TIMESTAMP, _NUMBER, _INTERFACE, _LINK_TYPE, _ORIG_LEN, _DATA = 0x0A, 0x10, 0x18, 0x20, 0x28, 0x32
-_SECONDS, _NANOS = 0x08, 0x10
+# of `dcp_codec.capture.rawframe.FIELDS`. A timestamp, which comes first, is for the reader: our writer has none.
+_NUMBER, _INTERFACE, _LINK_TYPE, _ORIG_LEN, _DATA = 0x10, 0x18, 0x20, 0x28, 0x32
 
 
 @helper
@@ -62,7 +61,6 @@ def _tagged(b: Any, at: int, stop: int, tag: int, most: int) -> tuple[int, int]:
     return _varint(b, at + 1, stop, most)
 
 
-@machine
 def walk_messages(
     b: Any,
     position: int,
@@ -95,19 +93,10 @@ def walk_messages(
             break
         if count == starts.size:
             return position, count, FULL
-        size, at = _tagged(b, start + _MESSAGE_HEAD, stop, _TIMESTAMP, 127)
-        inner = at + size
-        if size < 0 or inner > stop:
+        # Its log time, which is negative here for times after 2262.
+        time, at = _little(b, start + _LOG_TIME, 8), start + _MESSAGE_HEAD
+        if time < 0:
             break
-        seconds, at = _tagged(b, at, inner, _SECONDS, _LAST_SECOND - 1)
-        if seconds < 0:
-            break
-        # Protobuf leaves out what is 0.
-        nanoseconds = _I64(0)
-        if at != inner:
-            nanoseconds, at = _tagged(b, at, inner, _NANOS, _SECOND - 1)
-            if nanoseconds < 0 or at != inner:
-                break
         number, at = _tagged(b, at, stop, _NUMBER, _MOST_NUMBER)
         if number <= 0:
             break
@@ -126,7 +115,7 @@ def walk_messages(
         starts[_U64(count)] = at
         stops[_U64(count)] = stop
         numbers[_U64(count)] = number
-        times[_U64(count)] = seconds * _SECOND + nanoseconds
+        times[_U64(count)] = time
         lengths[_U64(count)] = max(orig_len, size)
         interfaces[_U64(count)] = interface
         count += 1

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .jit import machine
+from .jit import helper
 
 # Numba knows these types; to everybody else the numbers are plain integers.
 _I64: Any = np.int64
@@ -20,13 +20,19 @@ _HASH_MULTIPLIER = 0x100000001B3
 _HASH_START = 0x4BF29CE484222325
 
 
-@machine
+@helper
 def _pair(b: Any, at: int) -> Any:
     """The 16-bit number at ``at``, big-endian."""
     return (_I64(b[_U64(at)]) << 8) | _I64(b[_U64(at + 1)])
 
 
-@machine
+@helper
+def wrapped(number: Any) -> Any:
+    """The number whose 64 bits, with a sign, are those of ``number``: in machine code it is there already."""
+    return number
+
+
+@helper
 def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, int, int]:
     """Where the bearer payload of the frame ``b[start:stop]`` starts and stops, and the EtherType.
 
@@ -60,13 +66,13 @@ def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, in
     return segment + 8, max(segment + 8, end), ether
 
 
-@machine
+@helper
 def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: int) -> Any:
     """The number of the identifier ``b[at:at + size]`` in a pool that has ``many``; a new one is appended.
 
     -1 if the pool is full. ``ends[n]`` is where identifier ``n`` starts in ``arena``, and ends that before it.
     """
-    mask = _I64(slots.size - 1)
+    mask = _I64(len(slots) - 1)
     mixed = _I64(_HASH_START)
     for i in range(size):
         mixed = (mixed ^ _I64(b[_U64(at + i)])) * _HASH_MULTIPLIER
@@ -86,7 +92,7 @@ def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: 
                 return found
         place = (place + 1) & mask
     start = ends[_U64(many)]
-    if many + 1 >= ends.size or start + size > arena.size:
+    if many + 1 >= len(ends) or start + size > len(arena):
         return -1
     for i in range(size):
         arena[_U64(start + i)] = b[_U64(at + i)]
@@ -95,7 +101,7 @@ def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: 
     return many
 
 
-@machine
+@helper
 def move(stage: Any, rows: int, target: Any, done: int, moves: Any, begin: int, end: int) -> None:
     """Append the first ``rows`` rows of the columns ``moves[begin:end]`` to the ``done`` rows that they have.
 

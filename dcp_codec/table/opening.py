@@ -12,7 +12,7 @@ from dcp_spec.profile import Link
 from dcp_codec.codec import Codec, get_codec
 
 from .archive import find_recordings
-from .decoding import ColumnDecoder
+from .decoding import ColumnDecoder, worth_compiling
 from .job import resolve
 from .shape import TABLES, table_names
 from .sources import Recording
@@ -39,7 +39,7 @@ class OpenTable:
         several = len(recordings) > 1
         schemas = []
         for path, codec, link in recordings:
-            known = ColumnDecoder(codec, link).schemas
+            known = ColumnDecoder(codec, link, interpret=True).schemas
             if name not in known:
                 raise ValueError(f"{path}: profile {codec.profile.name} has no table {name!r}, only {', '.join(known)}")
             schemas.append(file_schema(known[name]) if several else known[name])
@@ -51,8 +51,8 @@ class OpenTable:
     def batches(self) -> Iterator[pa.RecordBatch]:
         """The rows in the order of the recordings, in pieces that keep memory bounded."""
         for path, codec, link in self._recordings:
-            decoder = ColumnDecoder(codec, link)
             with Recording(path) as recording:
+                decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
                 for block in recording.blocks():
                     for batch in decoder.batches(block):
                         rows = batch.tables[self.name]

@@ -22,7 +22,8 @@ from dcp_codec.capture.pcap import PcapReader
 from dcp_codec.capture.pcapng import PcapngReader
 from dcp_codec.capture.pcapngblocks import Interface
 
-from .decoding import Block, Integers
+from .decoding import Block, Integers, worth_compiling
+from .jit import machine
 from .walkers import walk_pcap, walk_pcapng
 
 if TYPE_CHECKING:
@@ -41,21 +42,34 @@ _BIGGEST = (1 << 63) - 1
 class Recording:
     """A recording to be read once, in blocks. A context manager.
 
+    ``walk`` says whether machine code finds the frames; by default it does in files that are worth it.
+
     Raises :class:`~dcp_codec.capture.CaptureError` if it cannot be read at all; ``problems`` is complete when
     ``blocks()`` has ended. ``frames`` counts those given out.
     """
 
-    def __init__(self, source: str | Path | BinaryIO, *, frames: int = FRAMES, span: int = SPAN) -> None:
+    def __init__(
+        self, source: str | Path | BinaryIO, *, frames: int = FRAMES, span: int = SPAN, walk: bool | None = None
+    ) -> None:
         reader = open_capture(source)
         self._mcap: McapBlocks | None = None
-        if reader.format == "mcap" and isinstance(source, str | Path) and source != "-" and reader.size is not None:
+        walk = worth_compiling(reader.size) if walk is None else walk
+        mapped = isinstance(source, str | Path) and source != "-" and bool(reader.size) and walk
+        if reader.format == "mcap" and mapped:
+            assert isinstance(source, str | Path)
             reader.close()
             # Here, so that nobody who has no MCAP file pays for importing the library.
             from .mcapblocks import McapBlocks
 
-            reader = self._mcap = McapBlocks(open_source(source), frozenset({ETHERNET}), frames)
+            octets = open_source(source)
+            try:
+                reader = self._mcap = McapBlocks(octets, frozenset({ETHERNET}), frames)
+            except BaseException:
+                octets.close()
+                raise
         self._reader: CaptureReader = reader
-        self._source = source
+        #: The file, if it can be mapped and is worth walking by machine code.
+        self._file = Path(str(source)) if mapped else None
         self._frames, self._span = frames, span
         #: Frames that were given out so far.
         self.frames = 0
@@ -94,11 +108,11 @@ class Recording:
             yield from self._pcapng(mapped, reader)
 
     def _mapped(self) -> mmap.mmap | None:
-        """The file in memory; None for what cannot be mapped (pipes, streams)."""
-        if not isinstance(self._source, str | Path) or self._source == "-" or not self._reader.size:
+        """The file in memory; None for what cannot be mapped (pipes, streams) and for little files."""
+        if self._file is None:
             return None
         try:
-            with Path(self._source).open("rb") as file:
+            with self._file.open("rb") as file:
                 return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except (OSError, ValueError):
             return None
@@ -110,7 +124,7 @@ class Recording:
         nothing = np.zeros(self._frames, np.int64)
         while True:
             arrays = _arrays(5, self._frames)
-            count, after, _ = walk_pcap(
+            count, after, _ = machine(walk_pcap)(
                 octets, position, big, scale, limit, number, self._frames, self._span, *arrays
             )  # fmt: skip
             if not count:
@@ -135,7 +149,7 @@ class Recording:
             if known is not reader.interfaces or described is None or len(described) != len(reader.interfaces):
                 known = reader.interfaces
                 described = _described(known)
-            count, after = walk_pcapng(
+            count, after = machine(walk_pcapng)(
                 octets, position, reader.big_endian, described, MAX_RECORD_LENGTH, number, self._frames, self._span,
                 *arrays,
             )  # fmt: skip

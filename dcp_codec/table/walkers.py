@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .jit import machine
+from .jit import helper
 
 # Numba knows these types; to everybody else the numbers are plain integers.
 _I64: Any = np.int64
@@ -21,14 +21,13 @@ _RECORD = 16
 _AHEAD = 4096
 
 
-@machine
+@helper
 def word(b: Any, at: int, big: bool) -> Any:
     """The unsigned 32-bit number at ``at``."""
     w, x, y, z = _I64(b[_U64(at)]), _I64(b[_U64(at + 1)]), _I64(b[_U64(at + 2)]), _I64(b[_U64(at + 3)])
     return (w << 24) | (x << 16) | (y << 8) | z if big else (z << 24) | (y << 16) | (x << 8) | w
 
 
-@machine
 def walk_pcap(
     b: Any,
     position: int,
@@ -82,7 +81,7 @@ _ENHANCED_PACKET = 6
 _FIXED, _LEAST = 28, 32
 
 
-@machine
+@helper
 def _plain_options(b: Any, at: int, stop: int, big: bool) -> bool:
     """Whether the options in ``b[at:stop]`` lie within it."""
     while at < stop:
@@ -99,7 +98,6 @@ def _plain_options(b: Any, at: int, stop: int, big: bool) -> bool:
     return True
 
 
-@machine
 def walk_pcapng(
     b: Any,
     position: int,

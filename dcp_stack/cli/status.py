@@ -29,7 +29,7 @@ def _lines(status: dict[str, Any]) -> list[str]:
         ("up for", span(runtime.get("uptime_ms", 0))),
         ("link", _link(link)),
         ("BP", f"{_active(bp)}, next beacon number {bp['next_seqno']}, {counted(len(bp['clients']), 'protocol')}"),
-        ("beacons", f"{counters.get('beacons-sent', 0)} sent, {counters.get('beacons-received', 0)} received"),
+        ("beacons", f"{_sent(counters, link)}, {counters.get('beacons-received', 0)} received"),
     ]
     if "srp" in node:
         srp = node["srp"]
@@ -50,9 +50,16 @@ def _lines(status: dict[str, Any]) -> list[str]:
         rows.append(("recording", f"{recording['path']}, {recording['frames']} frames{problem}"))
     if "positions" in runtime:
         rows.append(("position", runtime["positions"]["source"]))
+    rows += [("undelivered", each["text"]) for each in status.get("obstacles", ())]
     drops = ", ".join(f"{name} {count}" for name, count in status["drops"].items())
     rows.append(("ignored", drops or "nothing"))
     return [f"{name:<10} {text}" for name, text in rows]
+
+
+def _sent(counters: dict[str, int], link: dict[str, Any]) -> str:
+    """How many beacons left the node, and how many did not."""
+    made, failed = counters.get("beacons-sent", 0), link.get("send_errors", 0)
+    return f"{max(made - failed, 0)} sent" + (f" ({failed} could not be sent)" if failed else "")
 
 
 def _active(entity: dict[str, Any]) -> str:
@@ -62,9 +69,10 @@ def _active(entity: dict[str, Any]) -> str:
 def _link(link: dict[str, Any]) -> str:
     troubles = ("send_errors", "kernel_drops", "outages")
     shown = [counted(link[name], name.removesuffix("s").replace("_", " ")) for name in troubles if link.get(name)]
+    state = [] if link.get("up", True) else ["DOWN"]
     if same := own_address(link):
         shown.append(same)
-    return ", ".join([str(link.get("name", "?")), *shown])
+    return ", ".join([str(link.get("name", "?")), *state, *shown])
 
 
 def own_address(link: dict[str, Any]) -> str:

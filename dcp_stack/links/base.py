@@ -59,6 +59,11 @@ class Link(Protocol):
         """Our own address, as it is in ``Reception.source`` at those who hear us; empty if the link has none."""
         ...
 
+    @property
+    def up(self) -> bool:
+        """Whether it can carry frames as far as it knows; False from the first sign of an outage to its end."""
+        ...
+
     def fileno(self) -> int:
         """A descriptor that is readable when :meth:`receive` has something; -1 if the link has none.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 
+from dcp_codec.ethertype import parse_ether_type
 from dcp_stack.config import NodeConfig
 from dcp_stack.links.base import Link, LinkError
 
@@ -64,7 +65,10 @@ def _open_eth(interface: str, options: Options, config: NodeConfig) -> Link:
     if not interface:
         raise LinkError("eth: which interface? as in eth:wlan0")
     profile, node = config.profile, config.node_id
-    ether_type = _number(options, "type", profile.link.ether_type)
+    try:
+        ether_type = parse_ether_type(options["type"]) if "type" in options else profile.link.ether_type
+    except ValueError as error:
+        raise LinkError(f"eth:{interface}: type: {error}") from None
     if ether_type is None:
         raise LinkError(f"eth:{interface}: profile {profile.name} knows no EtherType; name it, as in ,type=0x88b5")
     source = _address(options, node)

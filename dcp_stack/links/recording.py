@@ -195,6 +195,11 @@ class RecordingLink:
         """That of the link."""
         return self.link.source
 
+    @property
+    def up(self) -> bool:
+        """That of the link."""
+        return self.link.up
+
     def fileno(self) -> int:
         """That of the link."""
         return self.link.fileno()

@@ -42,6 +42,9 @@ a request is answered the frames are taken, too, and while somebody is to be tol
 FLOOD: Final = 64
 """As many frames that waited for a beacon are processed before it, however late it is; more at once are a flood, after
 which the link is not left alone until the next beacon."""
+OBSTACLE_INTERVAL: Final = 10_000 * MS
+MOST_TOLD: Final = 100
+"""Least time between two lines of the log about what does not get through, and how many there are in a life."""
 _NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
 #: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -100,6 +103,8 @@ class Driver:
         self._dirty = True
         self._published = self._heartbeat = 0
         self._bad_samples = 0
+        self._told: set[tuple[str, int, str]] = set()
+        self._obstacles_told = self.started - OBSTACLE_INTERVAL
 
     def add_control(self, control: ControlSocket | StandardStreams) -> None:
         """Let clients in by this."""
@@ -301,12 +306,25 @@ class Driver:
         self._srp_slack = self._slack_of_srp()
         if self._recorder is not None:
             self._recorder.tick()
+        self._tell_obstacles(now)
         for attachment in self._attachments:
             attachment.tick(now)
         for control in self._controls:
             for channel in control.channels:
                 if channel.stalled_since is not None:
                     channel.busy = True
+
+    def _tell_obstacles(self, now: int) -> None:
+        """Log what does not get through: each kind and variable once, and at most one line in a while."""
+        if self.node.vardis is None or now < self._obstacles_told + OBSTACLE_INTERVAL:
+            return
+        for obstacle in self.node.vardis.obstacles(now):
+            key = (obstacle.kind, obstacle.var_id, obstacle.peer)
+            if key not in self._told and len(self._told) < MOST_TOLD:
+                self._told.add(key)
+                self._obstacles_told = now
+                log.warning("%s", obstacle)
+                return
 
     def _slack_of_srp(self) -> int:
         # SRP traverses its table six times in a timeout and must five times: 1/6 + 1/30 = 1/5.
@@ -322,6 +340,7 @@ class Driver:
             "pid": os.getpid(),
             "link": {
                 "name": self.link.name,
+                "up": self.link.up,
                 "max_packet_size": self.link.max_packet_size,
                 **{name: getattr(counters, name) for name in counters.__struct_fields__},
             },

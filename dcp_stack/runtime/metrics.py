@@ -12,6 +12,7 @@ import io
 import logging
 import socket
 import time
+from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,7 +34,7 @@ PATIENCE: Final = 5_000_000_000
 
 #: What counters of BP and of the link mean; those of payloads have a label for the protocol.
 _MEANINGS: Final = {
-    "beacons-sent": "Beacons handed to the link.",
+    "beacons-sent": "Beacons handed to the link, also if it could not send them: see dcp_link_send_errors.",
     "beacons-received": "Well-formed beacons of this network from other nodes.",
     "beacons-left-out": "Beacons for which the time had passed when the node came to them.",
     "beacons-without-payload": "Times for a beacon at which there was nothing to say.",
@@ -104,6 +105,7 @@ class NodeCollector:
         for name in counters.__struct_fields__:
             yield CounterMetricFamily(f"dcp_link_{name}", _meaning(name), value=getattr(counters, name))
         yield from self._recording()
+        yield GaugeMetricFamily("dcp_link_up", "Whether the link can carry frames.", value=int(self._link.up))
         yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", value=int(node.bp.active))
         yield GaugeMetricFamily(
             "dcp_control_sessions", "Clients of the control socket that are connected.", len(self._server.sessions)
@@ -120,6 +122,13 @@ class NodeCollector:
             kinds.add_metric(["alive"], len(known) - deleted)
             kinds.add_metric(["deleted"], deleted)
             yield kinds
+            obstacles = GaugeMetricFamily(
+                "dcp_vardis_obstacles", "Variables that do not get through to neighbours, by reason.", labels=["reason"]
+            )
+            reasons = Counter(each.kind for each in node.vardis.obstacles(time.monotonic_ns()))
+            for reason in ("asked-again", "unconfirmed", "superseded"):
+                obstacles.add_metric([reason], reasons[reason])
+            yield obstacles
 
     def _recording(self) -> Iterator[Metric]:
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily

@@ -61,6 +61,14 @@ def load_profile(name_or_path: str | Path) -> Profile:
     return _build(_resolve(_read(path), str(path), path.parent), str(path))
 
 
+def profile_from(raw: dict[str, Any], where: str) -> Profile:
+    """The profile that the tables of a TOML file describe; ``extends`` can name a built-in profile only.
+
+    ``where`` is what error messages call it. Raises :class:`ProfileError`.
+    """
+    return _build(_resolve(dict(raw), where, None), where)
+
+
 @functools.cache
 def _load_builtin(name: str) -> Profile:
     return _build(_resolve(_read_builtin(name), name, None), name)

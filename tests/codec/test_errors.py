@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from array import array
 from typing import Any, NamedTuple
 
@@ -644,3 +645,28 @@ def _with_spec(beacon, **changes):
     create = beacon.payloads[0].content[0].records[0]
     changed = msgspec.structs.replace(create, spec=msgspec.structs.replace(create.spec, **changes))
     return msgspec.structs.replace(beacon, payloads=(Payload(2, (Container(5, (changed,)),)),))
+
+
+@pytest.mark.parametrize(
+    ("payload", "indices", "records"),
+    [
+        # Two VarSumms, then a VarUpdate whose value is cut off behind a complete one.
+        ("010207010802 0202 07030141 080402", (1, 1), 1),
+        ("0202 07030141 07", (0, 1), 1),
+        ("0201 0703", (0, 0), 0),
+        ("0701 01", (0,), None),
+        ("01", (0,), None),
+    ],
+)
+def test_an_error_says_in_which_container_and_record_it_lies(
+    payload: str, indices: tuple[int, ...], records: int | None
+) -> None:
+    codec, octets = get_codec("dcp-2.0"), bytes.fromhex(payload)
+    with pytest.raises(DecodeError) as caught:
+        codec.decode_containers(octets)
+    assert caught.value.indices == indices
+    assert pickle.loads(pickle.dumps(caught.value)).indices == indices
+    start = len(codec.encode_containers(caught.value.partial or ()))
+    most = indices[1] if len(indices) > 1 else 0
+    found = codec.decode_leading_records(octets, start, most)
+    assert (None if found is None else len(found.records)) == records

@@ -129,10 +129,18 @@ def _has_timeout(network: Network) -> bool:
     return features(network.codec.profile.spec_version).creation_time
 
 
-def judged(frames: Iterable[Frame], profile: str, pics: Pics | None = None) -> RunResult:
-    """What the invariants say of a recording; without ``pics`` nobody has stated its beacon period."""
+def judged(frames: Iterable[Frame], profile: str, pics: Pics | None = None, *, enough: int | None = 1) -> RunResult:
+    """What the invariants say of a recording; without ``pics`` nobody has stated its beacon period.
+
+    Recordings of tests are short: one occasion is ``enough`` for a pass, None for as many as users need.
+    """
     judge = Judge(
-        codec_of(profile), pics or Pics(), recording="test.mcap", command="again", period_known=pics is not None
+        codec_of(profile),
+        pics or Pics(),
+        recording="test.mcap",
+        command="again",
+        period_known=pics is not None,
+        enough=enough,
     )
     for frame in frames:
         judge.feed(frame)

@@ -16,7 +16,7 @@ from dcp_stack.config import VardisConfig
 
 from .rig import codec_of, known_cases
 
-VALUE = "VARDISPAR_MAX_VALUE_LENGTH was taken to be 32, as in the profile: say what it is (pixit.max_value_length)"
+VALUE = "VARDISPAR_MAX_VALUE_LENGTH was taken to be 32, as in the profile: state its value (pixit.max_value_length)"
 
 
 def judged(

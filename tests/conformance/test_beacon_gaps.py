@@ -56,7 +56,7 @@ def test_it_is_repeated_until_no_beacon_comes_in_between(held_up: int):
     bench = bench_of()
     with BPClient(bench, ONCE) as client:
         act = two_payloads(bench, client, stalling(bench, held_up))
-        payloads = between_beacons(bench, "two payloads are submitted", act, client.in_frame)
+        payloads = between_beacons(bench, "submission of two payloads", act, client.in_frame)
         start = len(bench.heard)
         bench.wait(3)
         assert client.sent(start) == payloads[1:]
@@ -67,7 +67,7 @@ def test_at_last_with_bp_deactivated():
     bench = bench_of()
     with BPClient(bench, ONCE) as client:
         act = two_payloads(bench, client, stalling(bench, 100))
-        payloads = between_beacons(bench, "two payloads are submitted", act, client.in_frame)
+        payloads = between_beacons(bench, "submission of two payloads", act, client.in_frame)
         bench.wait(3)
         assert client.sent()[-1:] == payloads[1:]
         assert client.sent().count(payloads[0]) == 0
@@ -77,7 +77,7 @@ def test_slow_calls_are_made_with_bp_deactivated_from_the_start():
     bench = bench_of(call_ms=300)
     with BPClient(bench, ONCE) as client:
         act = two_payloads(bench, client, lambda: None)
-        between_beacons(bench, "two payloads are submitted", act, client.in_frame)
+        between_beacons(bench, "submission of two payloads", act, client.in_frame)
         calls = [event.text for event in bench.traffic.events if event.direction == "call"]
         assert calls.count("BP-TransmitPayload") == 2
         assert calls.count(DEACTIVATE) == calls.count(ACTIVATE) == 1
@@ -87,10 +87,10 @@ def test_what_never_works_is_not_judged():
     bench = bench_of(without=(DEACTIVATE,))
     with BPClient(bench, ONCE) as client, pytest.raises(StopCase):
         between_beacons(
-            bench, "two payloads are submitted", two_payloads(bench, client, stalling(bench, 100)), client.in_frame
+            bench, "submission of two payloads", two_payloads(bench, client, stalling(bench, 100)), client.in_frame
         )
     assert [check.verdict for check in bench.checks] == [Verdict.INCONCLUSIVE]
-    assert bench.checks[0].observed == "a beacon came in between each time"
+    assert bench.checks[0].observed == "a beacon in between in each attempt"
 
 
 @pytest.mark.parametrize(("before", "good"), [(0, False), (4 * MS, False), (6 * MS, True), (50 * MS, True)])

@@ -137,7 +137,7 @@ def test_a_record_that_is_larger_than_a_payload():
     good = one("TC_VD_CMP_BV_12", told, make=node_of(Small))
     assert good.verdict is Verdict.PASS, good.reason
     assert one("TC_VD_CMP_BV_12", told, make=node_of(SmallAndStops)).verdict is Verdict.FAIL
-    assert "tells no maximum sizes" in one("TC_VD_CMP_BV_12").reason
+    assert "with the maximum sizes in the PIXIT" in one("TC_VD_CMP_BV_12").reason
 
 
 def test_the_longest_value_is_found_by_trying():

@@ -86,8 +86,8 @@ class Strict(InProcess):
     ("kind", "said"),
     [
         (InProcess, "no"),
-        (SameSeed, "yes: nodes that are started together stay in step"),
-        (Strict, "beacons are strictly periodic"),
+        (SameSeed, "yes: nodes that are started together keep sending at the same times"),
+        (Strict, "the beacons are strictly periodic"),
     ],
 )
 def test_the_jitter_after_two_starts_is_compared(kind: type[InProcess], said: str):

@@ -114,7 +114,7 @@ def test_what_a_late_tester_could_not_even_try_is_tried_again():
     def body(bench: Bench, number: int) -> None:
         if number == 1:
             rig.be_late(bench)
-            bench.inconclusive("two payloads between two beacons", "a beacon came in between each time")
+            bench.inconclusive("two payloads between two beacons", "a beacon in between in each attempt")
         check(bench, True)
 
     assert rig.run(body).verdict is Verdict.PASS

@@ -165,7 +165,7 @@ def without_vardis() -> InProcess:
 def test_it_may_have_no_vardis():
     result, contact = sanity(repeating(without_vardis()))
     assert result.verdict is Verdict.INCONCLUSIVE
-    assert "does it have VarDis? If not, give [pics] vardis = false" in result.reason
+    assert "if the implementation has no VarDis, set vardis = false in [pics]" in result.reason
     assert contact.unanswered == {"summary", "create", "request"}
 
 

@@ -25,7 +25,7 @@ SLOW: Mapping[str, dict[str, Any]] = {
 #: Variables whose timeout is over before a slow implementation first speaks, and what slow calls come too late for.
 MOST_UNDECIDED = 8
 #: Up to 1.1 BP cannot be deactivated while stimuli are made that must fall between two beacons.
-TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon came in between each time; calls take up to 500 ms"
+TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon in between in each attempt; calls take up to 500 ms"
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_timeouts_of_one_octet_make_cases_with_longer_ones_not_applicable(tmp_pa
     assert found["TC_VD_SCR_TI_01-200"].verdict is Verdict.PASS
     late = found["TC_VD_SCR_TI_01-1500"]
     assert late.verdict is Verdict.NOT_APPLICABLE
-    assert "VarTimeoutT expresses at most 255 ms" in late.reason
+    assert "VarTimeoutT holds at most 255 ms" in late.reason
 
 
 def test_layouts_of_other_versions_are_sent_with_the_identifiers_of_the_profile(tmp_path: Any):

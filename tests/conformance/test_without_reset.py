@@ -54,7 +54,7 @@ def still_reporting(profile: str, result: CaseResult) -> bool:
         codec_of(profile).profile.spec_version < SpecVersion.V1_3
         and result.id == "TC_BP_HDR_BV_09"
         and result.verdict is Verdict.INCONCLUSIVE
-        and result.reason.startswith("a pause in which it has nothing to send: ")
+        and result.reason.startswith("no beacon during the pause: ")
     )
 
 

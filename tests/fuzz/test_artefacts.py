@@ -34,7 +34,7 @@ def summaries(count):
 
 
 def saved(folder, effect=None, mutant="M-BP-RX-15-dies", steps=STEPS, mode="stack", **more):
-    effect = effect or Effect("raised", "IndexError: a read beyond the frame", 0, "IndexError in repaired")
+    effect = effect or Effect("raised", "IndexError: a read past the end of the frame", 0, "IndexError in repaired")
     target = SavedTarget(mode, "a mutant", mutant)
     cause = explained(CODEC, steps, effect) if mode != "codec" else None
     found = Finding(list(steps), effect, minimised=True, confirmed=True, cause=cause)

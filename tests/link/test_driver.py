@@ -32,6 +32,8 @@ class ListedLink:
         self.counters = LinkCounters()
         self.driver: Driver | None = None
 
+    up = True
+
     def fileno(self) -> int:
         return -1
 

@@ -43,7 +43,7 @@ def test_small_rooms(room, frames, frames_of, reference, rows, differ):
     """All batches are looked at when the last one was made: none may lie in memory that was used again."""
     path, codec = C_LATEJOIN, get_codec("cpp-2.0")
     decoder = ColumnDecoder(codec, room=room, space=room)
-    with Recording(path, frames=frames) as source:
+    with Recording(path, frames=frames, walk=True) as source:
         found = tables(batch for block in source.blocks() for batch in decoder.batches(block))
     expected = reference(codec, frames_of(path))
     assert differ({name: rows(table) for name, table in found.items()}, expected) == []
@@ -53,7 +53,7 @@ def test_memory_is_used_again():
     """Whoever looks at one batch after the other sees the same few pieces of memory."""
     path, decoder = C_LATEJOIN, ColumnDecoder(get_codec("cpp-2.0"))
     addresses = set()
-    with Recording(path, frames=10) as source:
+    with Recording(path, frames=10, walk=True) as source:
         for block in source.blocks():
             for batch in decoder.batches(block):
                 addresses.add(batch.tables["beacons"].column("frame").buffers()[1].address)
@@ -133,7 +133,7 @@ import resource, sys
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec import get_codec
 decoder, rows = ColumnDecoder(get_codec("cpp-2.0")), 0
-with Recording(sys.argv[1]) as source:
+with Recording(sys.argv[1], walk=True) as source:
     for block in source.blocks():
         for batch in decoder.batches(block):
             rows += batch.tables["beacons"].num_rows
@@ -169,7 +169,7 @@ def test_little_is_kept_of_many_batches(tmp_path):
     decoder = ColumnDecoder(get_codec("cpp-2.0"))
     writers = {name: ParquetTable(tmp_path / name, schema) for name, schema in decoder.schemas.items()}
     before, most = megabytes(), 0
-    with Recording(C_LATEJOIN, frames=1) as source:
+    with Recording(C_LATEJOIN, frames=1, walk=True) as source:
         for block in source.blocks():
             for batch in decoder.batches(block):
                 for name, rows in batch.tables.items():
@@ -190,7 +190,7 @@ from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec import Codec
 codec = Codec("cpp-2.0")
 codec.beacon_plan = codec.envelope_plan
-with Recording(sys.argv[1]) as source:
+with Recording(sys.argv[1], walk=True) as source:
     decoder = ColumnDecoder(codec)
     print(sum(batch.tables["payloads"].num_rows for block in source.blocks() for batch in decoder.batches(block)))
 """
@@ -223,11 +223,11 @@ def test_what_was_compiled_is_kept(tmp_path):
 _SEVERAL = """
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
-from dcp_codec.table import messages, native, walkers
-for module in (messages, native, walkers):
-    for name, function in vars(module).items():
-        if isinstance(function, Dispatcher) and not isinstance(function._cache, NullCache):
-            assert len(function.signatures) <= 1, (name, function.signatures)
+from dcp_codec.table import jit, messages, walkers
+for function in (messages.walk_messages, walkers.walk_pcap, walkers.walk_pcapng):
+    compiled = jit.machine(function)
+    assert isinstance(compiled, Dispatcher) and not isinstance(compiled._cache, NullCache)
+    assert len(compiled.signatures) <= 1, (function, compiled.signatures)
 """
 
 
@@ -274,5 +274,5 @@ def test_a_folder_that_others_may_write_is_no_cache(tmp_path, monkeypatch):
 
 
 def test_blocks_are_no_larger_than_asked_for():
-    with Recording(C_LATEJOIN, frames=100) as source:
+    with Recording(C_LATEJOIN, frames=100, walk=True) as source:
         assert [block.frames for block in source.blocks()] == [100, 100, 70]

@@ -17,8 +17,8 @@ from dcp_spec.constants import ICType
 from dcp_codec import Codec
 from dcp_codec.layout import walk
 from dcp_codec.plan import Group, Many, Scalar, Text
-from dcp_codec.table import ColumnDecoder, native
-from dcp_codec.table.compiled import _function
+from dcp_codec.table import ColumnDecoder
+from dcp_codec.table.compiled import PLAIN, function_of
 from dcp_codec.table.kernel import kernel_source
 from dcp_codec.table.sources import packed
 from dcp_codec.table.stage import MOVED, OF_A_FRAME
@@ -42,8 +42,7 @@ class Watch:
         )
         # Each column is filled in one place at least.
         assert found >= len(decoder.shape.columns)
-        helpers = {"intern": native.intern.py_func, "locate": native.locate.py_func}
-        decoder._decode = _function(source, {**helpers, "inside": self.inside, "move": self.move})
+        decoder._decode = function_of(source, {**PLAIN, "inside": self.inside, "move": self.move})
 
     def inside(self, row: Any, high: int) -> Any:
         assert 0 <= row < high

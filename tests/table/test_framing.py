@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_codec.table import native
+from dcp_codec.table.jit import machine
 
 from ..chance import examples
 
@@ -24,7 +25,7 @@ def both(frame: bytes, link: Link) -> tuple[Any, Any]:
     """What machine code says of a frame in the middle of a buffer, and what it has to say."""
     octets = np.frombuffer(b"\xff" * 7 + frame + b"\x49\x53" * 40, np.uint8)
     kind = link.udp_port if link.transport == "udp" else link.ether_type
-    start, stop, ether = native.locate(octets, 7, 7 + len(frame), link.transport == "udp", kind)
+    start, stop, ether = machine(native.locate)(octets, 7, 7 + len(frame), link.transport == "udp", kind)
     found = locate(frame, link)
     if isinstance(found, OtherTraffic):
         return (start, ether), (-1, -1 if found.ether_type is None else found.ether_type)
@@ -68,7 +69,8 @@ def test_every_length_of_a_tagged_datagram():
 def test_identifiers_get_numbers_in_the_order_they_come():
     octets = np.frombuffer(b"abcabdabc" + b"ab", np.uint8)
     slots, ends, arena = np.full(16, -1, np.int32), np.zeros(4, np.int64), np.empty(8, np.uint8)
-    assert [native.intern(octets, at, size, slots, ends, arena, many) for at, size, many in (
+    intern = machine(native.intern)
+    assert [intern(octets, at, size, slots, ends, arena, many) for at, size, many in (
         (0, 3, 0), (3, 3, 1), (6, 3, 2), (9, 2, 2), (0, 2, 3), (0, 0, 3)
     )] == [0, 1, 0, 2, 2, -1]  # fmt: skip
     assert arena.tobytes() == b"abcabdab"
@@ -77,6 +79,7 @@ def test_identifiers_get_numbers_in_the_order_they_come():
 def test_a_pool_without_space_says_so():
     octets = np.frombuffer(b"abcdefgh", np.uint8)
     slots, ends, arena = np.full(16, -1, np.int32), np.zeros(4, np.int64), np.empty(4, np.uint8)
-    assert native.intern(octets, 0, 5, slots, ends, arena, 0) == -1
-    assert native.intern(octets, 0, 4, slots, ends, arena, 0) == 0
-    assert native.intern(octets, 4, 1, slots, ends, arena, 1) == -1
+    intern = machine(native.intern)
+    assert intern(octets, 0, 5, slots, ends, arena, 0) == -1
+    assert machine(native.intern)(octets, 0, 4, slots, ends, arena, 0) == 0
+    assert machine(native.intern)(octets, 4, 1, slots, ends, arena, 1) == -1

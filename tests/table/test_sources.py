@@ -25,7 +25,7 @@ from ..chance import examples
 def read(path: Path, **options: Any) -> tuple[Any, ...]:
     """Frames and problems of a file by blocks."""
     found = []
-    with Recording(path, **options) as recording:
+    with Recording(path, walk=True, **options) as recording:
         position = 0
         for block in recording.blocks():
             assert block.position >= position
@@ -153,7 +153,7 @@ def test_pcapng_where_nothing_is_plain(folder):
 
 def mcap_message(**fields: Any) -> bytes:
     """A message as our writer makes it, but for these fields; None leaves a field out."""
-    values = {"timestamp": (1, 2), "number": 3, "interface": 0, "link_type": 1, "orig_len": 4, "data": b"\0\1\2\3"}
+    values = {"timestamp": None, "number": 3, "interface": 0, "link_type": 1, "orig_len": 4, "data": b"\0\1\2\3"}
     found = b""
     for number, value in enumerate((values | fields).values(), start=1):
         if isinstance(value, int):
@@ -200,7 +200,7 @@ ODD_MESSAGES = [
             {"timestamp": (0, 0)},
             {"timestamp": (7, 0)},
             {"timestamp": (0, 7)},
-            {"timestamp": None},
+            {"timestamp": (1, 2)},
             {"timestamp": (9223372036, 854775807)},
             {"timestamp": (9223372036, 854775808)},
             {"timestamp": (5, 1_000_000_000)},
@@ -249,13 +249,15 @@ def test_mcap_messages_of_any_kind(folder):
     schema, channel = described(octets)
     number = struct.unpack_from("<H", channel, 9)[0]
 
-    def record(message: bytes, where: int = number) -> bytes:
-        content = struct.pack("<HIQQ", where, 0, 77, 78) + message
+    def record(message: bytes, where: int = number, log_time: int = 77) -> bytes:
+        content = struct.pack("<HIQQ", where, 0, log_time, 78) + message
         return RECORD_HEAD.pack(5, len(content)) + content
 
     plain = record(mcap_message())
     for message in ODD_MESSAGES:
         check(head + schema + channel + plain + record(message) + plain, folder)
+    for time in (0, 2**63 - 1, 2**63, 2**64 - 1):
+        check(head + schema + channel + plain + record(mcap_message(), log_time=time) + plain, folder)
     everything = b"".join(plain + record(message) for message in ODD_MESSAGES)
     check(head + schema + channel + everything + record(b"{}", number + 1) + plain, folder)
     check(head + schema + channel + everything + RECORD_HEAD.pack(5, 3) + b"abc" + plain, folder)

@@ -1,4 +1,4 @@
-"""dcp-bp.md: Service `BP-TransmitPayload`; Transmit Path. Rules that only version 1.0 has."""
+"""dcp-bp.md: Service `BP-TransmitPayload`; Transmit Path. Rules that exist in version 1.0 only."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _COUNTED = Needs(until=V1_0, entities=(), ut=(*CLIENT, QUERY))
 
 @case(
     "TC_BP_TXP_BI_14",
-    "In 1.0 mode QUEUE refuses an empty payload, and keeps what it has",
+    "In 1.0, mode QUEUE rejects an empty payload and keeps the buffered ones",
     requirements="BP-TXP-12",
-    stimulus="a client with mode QUEUE and two payloads that wait submits one of no octets",
-    expect="BP-STATUS-EMPTY-PAYLOAD, and two payloads as before",
+    stimulus="a client with mode QUEUE and two buffered payloads submits an empty payload",
+    expect="BP-STATUS-EMPTY-PAYLOAD; two buffered payloads as before",
     needs=_COUNTED,
 )
 def empty_payload(bench: Bench) -> None:
@@ -33,16 +33,16 @@ def empty_payload(bench: Bench) -> None:
             bench.expect_status(EMPTY, TRANSMIT, protId=client.prot_id, payload="")
             return before, client.number()
 
-        before, after = between_beacons(bench, "payloads are submitted and counted", act, client.in_frame)
-        bench.check(after == before, f"{before} payloads as before", f"{after}", shown=True)
+        before, after = between_beacons(bench, "submission and counting of payloads", act, client.in_frame)
+        bench.check(after == before, f"{before} buffered payloads, as before", f"{after}", shown=True)
 
 
 @case(
     "TC_BP_QM_BV_13",
-    "In 1.0 a queue keeps all payloads, and each beacon takes one of them",
+    "In 1.0, a queue keeps all payloads, and each beacon takes one of them",
     requirements="BP-QM-10 BP-QRY-02 BP-QM-03 BP-TXP-09",
-    stimulus="a client with mode QUEUE submits six payloads between two beacons, and counts them each time",
-    expect="BP-STATUS-OK and 1 to 6; then one of them in each beacon, in the order of submission",
+    stimulus="between two beacons, a client with mode QUEUE submits six payloads and queries their number after each",
+    expect="BP-STATUS-OK and 1 to 6 buffered payloads; then one payload in each beacon, in the order of submission",
     needs=_COUNTED,
     window=10,
 )
@@ -59,14 +59,29 @@ def one_from_the_queue(bench: Bench) -> None:
             return payloads, numbers
 
         start = bench.mark()
-        payloads, numbers = between_beacons(bench, "six payloads are submitted", act, client.in_frame)
+        payloads, numbers = between_beacons(bench, "submission of six payloads", act, client.in_frame)
         right = list(range(1, 7))
-        bench.check(numbers == right, f"{right} payloads", f"{numbers}", "BP-QRY-02", shown=True)
+        bench.check(
+            numbers == right, f"{right} buffered payloads after the submissions", f"{numbers}", "BP-QRY-02", shown=True
+        )
         bench.until_quiet(client.in_frame, since=start)
         frames = client.frames(start)
         needed(bench, frames, "beacons with the payloads")
         counts = [len(client.in_frame(each)) for each in frames]
-        bench.check(max(counts) == 1, "one payload in a beacon", f"{counts}", "BP-QM-10", frames=frames, shown=True)
+        bench.check(
+            max(counts) == 1,
+            "one payload of the client in each beacon",
+            f"{counts}",
+            "BP-QM-10",
+            frames=frames,
+            shown=True,
+        )
         sent = [each for each in client.sent(start) if each in payloads]
         said = listed(sent, payloads)
-        bench.check(sent == payloads, "all in order", said, "BP-QM-03", shown=not part_of(sent, payloads))
+        bench.check(
+            sent == payloads,
+            "all payloads in the order of submission",
+            said,
+            "BP-QM-03",
+            shown=not part_of(sent, payloads),
+        )

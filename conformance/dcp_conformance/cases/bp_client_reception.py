@@ -1,7 +1,7 @@
-"""dcp-bp.md: Receive Path, as a client protocol of the tester sees it.
+"""dcp-bp.md: Receive Path, observed through a client protocol of the tester.
 
-What BP makes of received beacons shows in BP-ReceivePayload.indication as well, so that an implementation without
-VarDis is decided. What has to be ignored is followed by an honest beacon that must be indicated.
+Processing of received beacons can be observed in BP-ReceivePayload.indication, so that implementations without VarDis
+are decided too. A beacon that must be ignored is followed by a valid one that must be indicated.
 """
 
 from __future__ import annotations
@@ -38,14 +38,15 @@ from .bp_seqno import check_first_number, first_number
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
 _LENGTHS = dataclasses.replace(lengths(), entities=(), ut=_RECEPTION.ut)
-#: Blocks in one beacon: more than a receiver is likely to have a fixed number of places for.
+#: Blocks in one beacon: more than a fixed-size buffer of a receiver is likely to hold.
 _MANY = 40
 
 
 def after(bench: Bench, client: BPClient, peer: Peer, what: str, *requirements: str) -> list[bytes]:
-    """Send an honest beacon and wait until its payload is indicated; the payloads indicated before.
+    """Send a valid beacon, wait for the indication of its payload, and return the payloads indicated before it.
 
-    Stops as failed if it is not, also not a second time: the receiver does not work any more after ``what``.
+    Fails and stops the case if two valid beacons in a row are not indicated: the receiver has stopped working after
+    ``what``.
     """
     for number in (1, 2):
         honest = b"honest" + bytes([number])
@@ -53,12 +54,16 @@ def after(bench: Bench, client: BPClient, peer: Peer, what: str, *requirements: 
         if until(bench, lambda sent=honest: sent in client.received()):  # type: ignore[misc]
             received = client.received()
             return received[: received.index(honest)]
-    bench.fail(f"a payload after {what} is indicated", "two are not", *requirements)
+    bench.fail(
+        f"the payload of a valid beacon after {what} is indicated",
+        "two valid beacons, neither indicated",
+        *requirements,
+    )
     return None
 
 
 def check_ignored(bench: Bench, send: Callable[[Peer, Block], object], what: str, *requirements: str) -> None:
-    """Check that no payload of what ``send`` sends with a block of a client is indicated."""
+    """Check that no payload of the beacon sent by ``send``, which gets a block of a registered client, is indicated."""
     with BPClient(bench, ONCE) as client:
         peer, hidden = bench.peer(), b"hidden"
         send(peer, Block(client.prot_id, hidden))
@@ -70,7 +75,7 @@ def check_ignored(bench: Bench, send: Callable[[Peer, Block], object], what: str
 
 @dataclasses.dataclass(frozen=True)
 class _Fault:
-    """A header that must not be accepted."""
+    """An invalid header that a receiver must reject."""
 
     what: str
     requirement: str
@@ -84,14 +89,12 @@ def _other_network(bench: Bench) -> int:
 
 
 _FAULTS: dict[str, _Fault] = {
-    "version": _Fault("a beacon of another version", "BP-RX-01", "version", lambda _: {"bp.version": 2}),
-    "magic": _Fault("a beacon with another magic number", "BP-RX-02", "magicNo", lambda _: {"bp.magicNo": 0x497F}),
-    "length-0": _Fault("a beacon of length 0", "BP-RX-03", "length", lambda _: {"bp.length": 0}, V1_2),
-    "no-payloads": _Fault(
-        "a beacon that announces no payloads", "BP-RX-04", "numPayloads", lambda _: {"bp.numPayloads": 0}
-    ),
+    "version": _Fault("a beacon with another version", "BP-RX-01", "version", lambda _: {"bp.version": 2}),
+    "magic": _Fault("a beacon with another magicNo", "BP-RX-02", "magicNo", lambda _: {"bp.magicNo": 0x497F}),
+    "length-0": _Fault("a beacon with length 0", "BP-RX-03", "length", lambda _: {"bp.length": 0}, V1_2),
+    "no-payloads": _Fault("a beacon with numPayloads 0", "BP-RX-04", "numPayloads", lambda _: {"bp.numPayloads": 0}),
     "network": _Fault(
-        "a beacon of another network",
+        "a beacon with another networkId",
         "BP-RX-05",
         "networkId",
         lambda bench: {"bp.networkId": _other_network(bench)},
@@ -102,9 +105,9 @@ _FAULTS: dict[str, _Fault] = {
 
 @case(
     "TC_BP_CRX_BI_01",
-    "No payload of a beacon whose header is wrong is indicated ({variant})",
+    "No payload of a beacon with an invalid header is indicated ({variant})",
     requirements="BP-RX-01",
-    stimulus="a beacon with a block of a client and a wrong header: {variant}; then an honest one",
+    stimulus="a beacon with a block for a client and an invalid header ({variant}); then a valid beacon",
     expect="an indication of the second payload only",
     variants={
         name: Variant(
@@ -126,9 +129,9 @@ def wrong_header(bench: Bench, fault: _Fault) -> None:
 
 @case(
     "TC_BP_CRX_BI_02",
-    "No payload of a beacon that claims to be the node's own is indicated",
+    "No payload of a beacon with the node's own senderId is indicated",
     requirements="BP-RX-06",
-    stimulus="a beacon with a block of a client and the implementation's identifier as senderId; then an honest one",
+    stimulus="a beacon with a block for a client and the implementation's own senderId; then a valid beacon",
     expect="an indication of the second payload only",
     needs=dataclasses.replace(_RECEPTION, ut=CLIENT, header=("senderId",)),
 )
@@ -137,14 +140,14 @@ def own_sender(bench: Bench) -> None:
         with BPClient(bench, ONCE) as client:
             client.transmit(client.payload())
             needed(bench, client.until_sent(), "a beacon of the implementation")
-    check_ignored(bench, lambda peer, block: peer.send(block, sender=bench.sut_id), "a beacon of its own")
+    check_ignored(bench, lambda peer, block: peer.send(block, sender=bench.sut_id), "a beacon with its own senderId")
 
 
 @case(
     "TC_BP_CRX_BV_01",
-    "Each of 40 blocks in a beacon is indicated, in the order of the blocks",
+    "Each of 40 blocks in a beacon is indicated, in order",
     requirements="BP-RX-07 BP-RXP-02",
-    stimulus="a beacon with 40 blocks of a client, of different lengths",
+    stimulus="a beacon with 40 blocks for a client, of different lengths",
     expect="40 indications, in order",
     needs=_RECEPTION,
 )
@@ -158,18 +161,18 @@ def many_blocks(bench: Bench) -> None:
         places = [payloads.index(each) for each in received if each in payloads]
         bench.check(
             received == payloads,
-            f"{_MANY} indications in order",
-            f"of blocks {places}",
+            f"{_MANY} indications, in the order of the blocks",
+            f"indications of blocks {places}",
             shown=not part_of(received, payloads),
         )
 
 
 @case(
     "TC_BP_CRX_BV_02",
-    "Beacon sequence numbers are not checked ({variant})",
+    "Receivers accept any beacon sequence number ({variant})",
     requirements="BP-RX-10",
-    stimulus="beacons of one sender with blocks of a client; sequence numbers: {variant}",
-    expect="an indication for each",
+    stimulus="beacons of one sender with blocks for a client; sequence numbers: {variant}",
+    expect="an indication for each beacon",
     needs=dataclasses.replace(_RECEPTION, since=V1_1, header=("seqno",)),
     variants={"repeated": (41, 41, 41), "decreasing": (999, 5, 0), "wrapping": (BP_SEQNO_MODULUS - 1, 0, 1)},
 )
@@ -180,38 +183,41 @@ def any_number(bench: Bench, numbers: Sequence[int]) -> None:
             peer.seqno = number
             peer.send(Block(client.prot_id, octets))
         received = client.until_received(len(payloads))
-        said = f"of {listed(received, payloads)}"
+        said = f"indications of payloads {listed(received, payloads)}"
         bench.check(set(received) >= set(payloads), f"indications of payloads {listed(payloads, payloads)}", said)
 
 
 @case(
     "TC_BP_CRX_BI_03",
-    "A block that is longer than its beacon is not indicated ({variant})",
+    "A block that extends past the end of its beacon is not indicated ({variant})",
     requirements="BP-RX-09",
-    stimulus="a beacon with two blocks of a client, of which the second claims {variant} octets more; an honest one",
+    stimulus=(
+        "a beacon with two blocks for a client, the second with a length {variant} octets too large; then a valid "
+        "beacon"
+    ),
     expect="no indication of the second block; the first is indicated, or the beacon is discarded (X48)",
     needs=dataclasses.replace(_RECEPTION, since=V1_1, header=("numPayloads",), when=length_is_of_blocks),
     variants={"1": 1, "4": 4, "1000": 1000},
 )
 def past_the_end(bench: Bench, more: int) -> None:
     with BPClient(bench, ONCE, size=128) as client:
-        # Long enough not to be padded by the bearer.
+        # Long enough not to need padding by the bearer.
         peer, good, bad = bench.peer(), b"good" * 6, b"bad!" * 16
         blocks = [Block(client.prot_id, octets) for octets in (good, bad)]
         peer.send(*blocks, lies={"payloads[1].length": len(bad) + more})
-        received = after(bench, client, peer, "a block that is longer than its beacon")
+        received = after(bench, client, peer, "a block that extends past the end of its beacon")
         wrong = [octets for octets in received if octets != good]
-        said = f"{len(wrong)} others, of {', '.join(str(len(each)) for each in wrong)} octets"
-        bench.check(not wrong, "an indication of the first block at most", said, shown=True)
+        said = f"{len(wrong)} other payloads, of {', '.join(str(len(each)) for each in wrong)} octets"
+        bench.check(not wrong, "at most an indication of the first block", said, shown=True)
         bench.reading("X48", "deliver-blocks" if good in received else "discard-beacon")
 
 
 @case(
     "TC_BP_CRX_BI_04",
-    "numPayloads {variant} for two blocks is survived",
+    "A receiver survives numPayloads {variant} in a beacon of two blocks",
     requirements="BP-RX-12",
-    stimulus="a beacon with two blocks of a client and numPayloads {variant}; then an honest one",
-    expect="what is indicated is reported (X47, X48)",
+    stimulus="a beacon with two blocks for a client and numPayloads {variant}; then a valid beacon",
+    expect="the case reports which payloads are indicated (X47, X48)",
     needs=dataclasses.replace(_RECEPTION, header=("numPayloads",)),
     variants={"1": 1, "3": 3},
 )
@@ -220,8 +226,13 @@ def other_count(bench: Bench, claimed: int) -> None:
         peer, payloads = bench.peer(), [b"first" * 6, b"second" * 6]
         blocks = [Block(client.prot_id, octets) for octets in payloads]
         peer.send(*blocks, lies={"bp.numPayloads": claimed})
-        received = after(bench, client, peer, "a wrong number of payloads", "BP-RX-16")
-        bench.check(part_of(received, payloads), "whole blocks", f"{[each.hex() for each in received]}", shown=True)
+        received = after(bench, client, peer, "a wrong numPayloads", "BP-RX-16")
+        bench.check(
+            part_of(received, payloads),
+            "indications of complete blocks only",
+            f"indications of {[each.hex() for each in received]}",
+            shown=True,
+        )
         if bench.profile.has_header_field("length"):
             bench.reading("X48", "deliver-blocks" if received else "discard-beacon")
         elif claimed < len(payloads):
@@ -231,10 +242,10 @@ def other_count(bench: Bench, claimed: int) -> None:
 
 @case(
     "TC_BP_CRX_BV_03",
-    "Padding behind the end of a beacon is ignored ({variant})",
+    "Padding after the end of a beacon is ignored ({variant})",
     requirements="BP-RX-14",
-    stimulus="a beacon with a block of a client, followed by octets that length does not count",
-    expect="an indication of the block, and of that of the next beacon",
+    stimulus="a beacon with a block for a client, followed by octets that its length does not count",
+    expect="indications of this block and of that of the next beacon",
     needs=_LENGTHS,
     variants={"1-zero": b"\0", "46-zeros": bytes(46), "7-others": bytes(range(200, 207))},
 )
@@ -243,15 +254,19 @@ def padding(bench: Bench, octets: bytes) -> None:
         peer, inside = bench.peer(), b"inside"
         peer.send(Block(client.prot_id, inside), padding=octets)
         received = after(bench, client, peer, "padding")
-        bench.check(inside in received, "the block before the padding is indicated", "it is not")
-        bench.check(set(received) <= {inside}, "nothing else is", f"{[each.hex() for each in received]}", shown=True)
+        bench.check(inside in received, "the block before the padding is indicated", "not indicated")
+        bench.check(
+            set(received) <= {inside}, "no other indication", f"{[each.hex() for each in received]}", shown=True
+        )
 
 
 @case(
     "TC_BP_CRX_BI_05",
-    "A length that reaches {variant} beyond the frame is survived, as a client sees it",
+    "A receiver survives a length that reaches past the end of the frame, observed by a client ({variant})",
     requirements="BP-RX-15",
-    stimulus="a beacon with a block of a client whose length reaches {variant} beyond the frame; then an honest one",
+    stimulus=(
+        "a beacon with a block for a client, its length beyond the end of the frame ({variant}); then a valid beacon"
+    ),
     expect="an indication of the second payload; whether the first is indicated is a reading (X02)",
     needs=_LENGTHS,
     variants={"1-octet": 1, "as-far-as-possible": None},
@@ -263,38 +278,38 @@ def length_beyond_frame(bench: Bench, more: int | None) -> None:
         block = Block(client.prot_id, octets)
         honest = len(peer.beacon(block)) - header_octets(bench)
         peer.send(block, lies={"bp.length": 0xFFFF if more is None else honest + more})
-        received = after(bench, client, peer, "a length beyond the frame", "BP-RX-15")
+        received = after(bench, client, peer, "a length past the end of the frame", "BP-RX-15")
         bench.reading("X02", "frame-size" if octets in received else "length-field")
         bench.check(True, "the payload of the next beacon is indicated")
 
 
 @case(
     "TC_BP_CRX_BI_06",
-    "Octets that are no beacon are survived, as a client sees it",
+    "A receiver survives octets that are not a beacon, observed by a client",
     requirements="BP-RX-16",
-    stimulus="a beacon cut off behind each of its octets, and 20 frames of arbitrary octets; then an honest one",
-    expect="no indication for any of them; an indication for the honest one",
+    stimulus="a beacon truncated after each of its octets, and 20 frames of random octets; then a valid beacon",
+    expect="an indication for the valid beacon only",
     needs=_RECEPTION,
     destructive=True,
 )
 def no_beacons(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
         peer, rng = bench.peer(), random.Random(3)  # noqa: S311 - the same octets every time, no secret
-        # Where blocks have a fixed size, most of their octets mean nothing.
+        # In blocks of fixed size most octets carry no meaning.
         whole = peer.beacon(Block(client.prot_id, b"whole"))
         for end in range(header_octets(bench) + (0 if bench.profile.bp.payload_area else len(b"whole"))):
             peer.send_octets(whole[:end])
         for _ in range(20):
             peer.send_octets(rng.randbytes(rng.choice((0, 1, 17, 46, 100))))
-        received = after(bench, client, peer, "octets that are no beacon", "BP-RX-16")
+        received = after(bench, client, peer, "octets that are not a beacon", "BP-RX-16")
         bench.check(not received, "no indication", f"{[each.hex() for each in received]}", shown=True)
 
 
 @case(
     "TC_BP_CRX_BO_01",
-    "What a deactivated BP receives is never indicated to a client",
+    "Beacons received while BP is inactive are never indicated to a client",
     requirements="BP-MGT-03 BP-RX-13",
-    stimulus="while BP is inactive, a block for a client; BP-MGMT-Activate; then an honest beacon",
+    stimulus="a block for a client while BP is inactive; BP-MGMT-Activate; then a valid beacon",
     expect="an indication of the second payload only",
     needs=dataclasses.replace(_RECEPTION, since=V1_2, ut=(REGISTER, DEREGISTER, ACTIVATE, DEACTIVATE)),
     window=6,
@@ -305,16 +320,23 @@ def deaf_for_clients(bench: Bench) -> None:
         with bench.deactivated("BP"):
             peer.send(Block(client.prot_id, early))
             bench.wait(1)
-        received = after(bench, client, peer, "an inactive time", "BP-MGT-05")
-        bench.check(early not in received, "nothing of what came before is indicated", "it is", shown=True)
+        received = after(bench, client, peer, "a time of inactivity", "BP-MGT-05")
+        bench.check(
+            early not in received,
+            "no indication of a payload received while BP was inactive",
+            "an indication of it",
+            shown=True,
+        )
 
 
 @case(
     "TC_BP_CRX_BV_04",
-    "A block for nobody and an empty one do not hide the block behind them",
+    "Blocks of unregistered protocols and empty blocks do not hide the blocks after them",
     requirements="BP-RX-08 BP-RX-07",
-    stimulus="a beacon with a block for nobody, an empty one for nobody, an empty one of a client, and one with octets",
-    expect="an indication of the last; whether the empty block is indicated is a reading (X46)",
+    stimulus=(
+        "a beacon with four blocks: unregistered protocol, the same empty, a client's empty, the client's with octets"
+    ),
+    expect="an indication of the last block; whether the empty block is indicated is a reading (X46)",
     needs=_RECEPTION,
 )
 def behind_others(bench: Bench) -> None:
@@ -323,18 +345,20 @@ def behind_others(bench: Bench) -> None:
         peer.send(
             Block(nobody, b"nobody"), Block(nobody, b""), Block(client.prot_id, b""), Block(client.prot_id, octets)
         )
-        received = after(bench, client, peer, "blocks for nobody")
-        bench.check(octets in received, "an indication of the last block", "there is none")
-        bench.check(set(received) <= {b"", octets}, "nothing else", f"{[each.hex() for each in received]}", shown=True)
+        received = after(bench, client, peer, "blocks of an unregistered protocol")
+        bench.check(octets in received, "an indication of the last block", "no indication of it")
+        bench.check(
+            set(received) <= {b"", octets}, "no other indication", f"{[each.hex() for each in received]}", shown=True
+        )
         bench.reading("X46", "deliver-empty" if b"" in received else "ignore-empty")
 
 
 @case(
     "TC_BP_INI_BV_05",
-    "After a reset sequence numbers start again, as the payload of a client shows",
+    "Sequence numbers start over after a reset, observed in a client's payloads",
     requirements="BP-INI-02 BP-HDR-12 BP-HDR-13",
-    stimulus="two payloads of a client, UT-Reset, a third",
-    expect="the first beacon has seqno 0 (1 in version 1.0; X03)",
+    stimulus="two payloads of a client, UT-Reset, a third payload",
+    expect="seqno 0 in the first beacon (1 in version 1.0; X03)",
     window=8,
     needs=Needs(entities=(), ut=(*CLIENT, "UT-Reset"), header=("seqno",)),
 )
@@ -353,10 +377,10 @@ def numbers_after_reset(bench: Bench) -> None:
 
 @case(
     "TC_BP_HDR_BV_12",
-    "No number is used up while no client has a payload",
+    "No sequence number is used while no client has a payload",
     requirements="BP-HDR-09",
-    stimulus="a payload of a client, then nothing for six periods, then another payload",
-    expect="the number after the pause is the next one",
+    stimulus="a payload of a client, six periods without any, another payload",
+    expect="consecutive sequence numbers before and after the pause",
     window=12,
     needs=Needs(entities=(), ut=CLIENT, header=("seqno",)),
 )
@@ -370,21 +394,23 @@ def idle_clients(bench: Bench) -> None:
         needed(bench, client.until_sent(), "a beacon with the second payload")
     following = bench.heard[bench.heard.index(last) + 1]
     if last.seqno is None or following.seqno is None:
-        bench.inconclusive("beacons that can be read", f"{last.problem or following.problem}")
+        bench.inconclusive("decodable beacons", f"{last.problem or following.problem}")
     right = (last.seqno + 1) % BP_SEQNO_MODULUS
     if following.seqno != right:
-        bench.fail(f"{right} follows", f"{following.seqno} does", frames=[last, following], numbers=True)
+        bench.fail(
+            f"seqno {right} in the next beacon", f"seqno {following.seqno}", frames=[last, following], numbers=True
+        )
     if pause:
-        bench.inconclusive("a pause in which it has nothing to send", f"{len(pause)} beacons came")
-    bench.check(True, "consecutive numbers")
+        bench.inconclusive("no beacon during the pause", f"{len(pause)} beacons")
+    bench.check(True, "consecutive sequence numbers")
 
 
 @case(
     "TC_BP_HDR_BV_13",
-    "protocolId and length of a block are two octets each, as the payload of a client shows",
+    "protocolId and length of a block have two octets each, observed in a client's payload",
     requirements="BP-HDR-11 BP-FMT-01 DATA-01",
-    stimulus="a payload of 258 octets under a protocol identifier of two different octets",
-    expect="both octets of the identifier, both octets of the length, and the payload, one behind the other",
+    stimulus="a payload of 258 octets for a protocol identifier with two different octets",
+    expect="both octets of the identifier, both octets of the length, then the payload",
     needs=Needs(
         entities=(),
         ut=CLIENT,
@@ -406,25 +432,25 @@ def block_header(bench: Bench) -> None:
 
 
 def broken_by(head: bytes, right: bytes) -> Iterator[str]:
-    """The rules that a block header breaks with other octets, each difference by its own rule."""
+    """Yield the requirements that a wrong block header breaks."""
     (prot_id, length), (right_id, right_length) = ((each[:2], each[2:]) for each in (head, right))
     if prot_id not in (right_id, right_id[::-1]):
-        # The octets are not those of two fields of two octets: nothing can be said of their meaning.
+        # If the first field has an unexpected value, the boundary between the fields is unknown.
         yield "BP-HDR-11"
         return
     if right_id[::-1] == prot_id or right_length[::-1] == length:
         yield "DATA-01"
     if length not in (right_length, right_length[::-1]):
-        # Another number of 16 bits is the wrong one; one that eight bits can hold may have lost the upper octet.
+        # With a non-zero upper octet the length has 16 bits and is wrong; otherwise its upper octet may be missing.
         yield "BP-FMT-01" if length[0] else "BP-HDR-11"
 
 
 @case(
     "TC_BP_CRX_BV_05",
-    "Node identifiers of senders are compared for equality and nothing else ({variant})",
+    "Any other node identifier is accepted as a sender ({variant})",
     requirements="DATA-04",
-    stimulus="a beacon with a block of a client and the senderId {variant}",
-    expect="an indication",
+    stimulus="a beacon with a block for a client and a special senderId: {variant}",
+    expect="an indication of the block",
     needs=Needs(
         entities=(),
         ut=CLIENT,
@@ -443,4 +469,4 @@ def any_sender(bench: Bench, made: Callable[[bytes], bytes]) -> None:
             client.transmit(client.payload())
             needed(bench, client.until_sent(), "a beacon of the implementation")
         bench.peer().send(Block(client.prot_id, b"from anybody"), sender=made(bench.sut_id))
-        bench.check(client.until_received(), "an indication", "there is none in time")
+        bench.check(client.until_received(), "an indication of the block", "no indication in time")

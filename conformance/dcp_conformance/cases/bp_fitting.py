@@ -1,6 +1,7 @@
 """dcp-bp.md: Transmit Path, what fits into a beacon.
 
-Which client is served first, and how many of them, is free; what is too large must wait.
+The specification leaves open which clients are served first and how many of them; a payload that does not fit must
+wait.
 """
 
 from __future__ import annotations
@@ -35,33 +36,33 @@ _FITTING = Needs(entities=(), ut=CLIENT, when=areas_of_fixed_size)
 
 
 def sizes_for(bench: Bench, octets: int) -> tuple[int, int]:
-    """Sizes of two payloads whose blocks have so many octets together."""
+    """Return the sizes of two payloads whose blocks together have `octets` octets."""
     first = octets // 2 - block_header_octets(bench)
     return first, octets - first - 2 * block_header_octets(bench)
 
 
 @case(
     "TC_BP_TX_BV_01",
-    "Payloads that do not fit into one beacon together go into two ({variant})",
+    "Payloads that together do not fit into one beacon are sent in two (excess: {variant})",
     requirements="BP-TX-04 BP-FMT-02",
-    stimulus="two clients submit payloads whose blocks have {variant} more than a beacon has room for",
-    expect="both payloads, in different beacons, none of which is larger than BPPAR_MAXIMUM_PACKET_SIZE",
+    stimulus="two clients submit payloads whose blocks together exceed the room in a beacon; excess: {variant}",
+    expect="both payloads in different beacons, neither larger than BPPAR_MAXIMUM_PACKET_SIZE",
     needs=_FITTING,
     variants={"one-octet": 1, "a-header": None, "almost-all-of-it": 0.9},
 )
 def do_not_fit_together(bench: Bench, more: float | None) -> None:
     space = room(bench)
-    # With one octet too much for blocks and header they still fit if only blocks count (X04).
+    # If the header does not count (X04), an excess of one octet over blocks and header still fits.
     extra = header_octets(bench) + 1 if more is None else round(more * space) if more < 1 else round(more)
     fitting(bench, space + extra, together=False)
 
 
 @case(
     "TC_BP_TX_BV_02",
-    "Payloads that just fit into one beacon together are sent",
+    "Payloads that together just fit into one beacon are sent",
     requirements="BP-FMT-02 BP-TX-03",
-    stimulus="two clients submit payloads whose blocks have exactly as many octets as a beacon has room for",
-    expect="both payloads; whether they share the beacon is reported",
+    stimulus="two clients submit payloads whose blocks together exactly fill the room in a beacon",
+    expect="both payloads; the case reports whether they share a beacon",
     needs=_FITTING,
 )
 def fit_together(bench: Bench) -> None:
@@ -69,29 +70,29 @@ def fit_together(bench: Bench) -> None:
 
 
 def fitting(bench: Bench, octets: int, *, together: bool) -> None:
-    """Let two clients submit payloads of so many octets in all, and look at the beacons that they come in."""
+    """Let two clients submit payloads of `octets` octets in total and check the beacons that carry them."""
     first, second = sizes_for(bench, octets)
     with BPClient(bench, ONCE, size=first) as one, BPClient(bench, ONCE, size=second) as two:
         starts: list[int] = []
 
         def act() -> list[bytes]:
-            # What was sent in an attempt before does not count.
+            # Payloads sent in an earlier attempt do not count.
             starts.append(len(bench.heard))
             payloads = [one.payload(first), two.payload(second)]
             one.transmit(payloads[0])
             two.transmit(payloads[1])
             return payloads
 
-        # Otherwise they come in different beacons by themselves.
+        # Submitted across a beacon, they would be sent in different beacons in any case.
         payloads = between_beacons(
-            bench, "two payloads are submitted", act, lambda heard: one.in_frame(heard) or two.in_frame(heard)
+            bench, "submission of two payloads", act, lambda heard: one.in_frame(heard) or two.in_frame(heard)
         )
         start = starts[-1]
         bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.reaction)
         sent = [*one.sent(start), *two.sent(start)]
         bench.check(
             sorted(sent) == sorted(payloads),
-            "both payloads once",
+            "both payloads, each sent once",
             listed(sent, payloads),
             "BP-TX-04",
             shown=len(sent) > len(payloads),
@@ -103,26 +104,34 @@ def fitting(bench: Bench, octets: int, *, together: bool) -> None:
             bench.reading("X04", "blocks-only")
         else:
             bench.check(
-                not shared, "they come in different beacons", "they share one", "BP-TX-04", frames=shared, shown=True
+                not shared,
+                "the payloads in different beacons",
+                "both payloads in one beacon",
+                "BP-TX-04",
+                frames=shared,
+                shown=True,
             )
         check_sizes(bench, start)
 
 
 def check_sizes(bench: Bench, since: int) -> None:
-    """Check that no beacon is larger than it may be; X04 leaves open whether the header counts."""
+    """Check that no beacon exceeds the maximum size; X04 leaves open whether the header counts."""
     limit = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")
     margin = header_octets(bench) if bench.readings.get("X04") == "blocks-only" else 0
     large = [heard for heard in bench.heard[since:] if len(heard.octets) > limit + margin]
-    found = f"{max(len(heard.octets) for heard in large)} octets" if large else ""
+    found = f"a beacon of {max(len(heard.octets) for heard in large)} octets" if large else ""
     bench.check(not large, f"no beacon of more than {limit} octets", found, "BP-FMT-02", frames=large, shown=True)
 
 
 @case(
     "TC_BP_TX_BV_03",
-    "The head of a queue blocks what stands behind it, and is not overtaken",
+    "The payload at the head of a queue is not overtaken by a later one",
     requirements="BP-TX-06 BP-TX-04",
-    stimulus="a client repeats a payload that fills most of a beacon; another one queues a large and a small payload",
-    expect="the small payload never before the large one",
+    stimulus=(
+        "a client repeats a payload that fills most of a beacon; another client queues a large payload and then a "
+        "small one"
+    ),
+    expect="the small payload is never sent before the large one",
     needs=_FITTING,
     window=8,
 )
@@ -144,8 +153,8 @@ def head_of_line(bench: Bench) -> None:
         overtaken = tail in sent and (head not in sent or sent.index(tail) < sent.index(head))
         bench.check(
             not overtaken,
-            "the small payload waits",
-            "it is sent first",
+            "the small payload is sent after the large one",
+            "the small payload is sent first",
             "BP-TX-06",
             frames=client.frames(start),
             shown=head in sent,
@@ -155,22 +164,26 @@ def head_of_line(bench: Bench) -> None:
         ]
         bench.check(
             not shared,
-            "the large payload is not sent together with the first",
-            "it is",
+            "the large payload and the repeated one in different beacons",
+            "both in one beacon",
             "BP-TX-04",
             frames=shared,
             shown=True,
         )
         if head not in sent:
-            bench.info("Does a payload that always fits keep back a larger one?", "for 8 periods", "BP-TX-03")
+            bench.info(
+                "Can a payload that always fits delay a larger one indefinitely?",
+                "yes, for at least 8 periods",
+                "BP-TX-03",
+            )
 
 
 @case(
     "TC_BP_TX_BV_04",
-    "Payloads of several clients are all sent; how many share a beacon is free",
+    "The payloads of several clients are all sent; the number of blocks in a beacon is free",
     requirements="BP-TX-03 BP-FMT-01",
     stimulus="four clients with different modes submit small payloads",
-    expect="each of them unchanged; order and number of blocks are reported",
+    expect="each payload unchanged; the case reports order and number of blocks",
     needs=_SENDER,
 )
 def several_clients(bench: Bench) -> None:
@@ -183,14 +196,14 @@ def several_clients(bench: Bench) -> None:
             client.transmit(payload)
         bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
         if not all(client.frames(start) for client in clients):
-            # One that is repeated may be served first in every beacon.
+            # The repeated payload may be served first in every beacon.
             bench.call(DEREGISTER, protId=clients[1].prot_id)
             bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
         for client, payload in zip(clients, payloads, strict=True):
             sent = set(client.sent(start))
             bench.check(
                 sent == {payload},
-                "the payload as it was submitted",
+                "the payload as submitted, and no other",
                 f"{sorted(sent)!r}",
                 "BP-FMT-01",
                 shown=sent - {payload},
@@ -202,7 +215,9 @@ def several_clients(bench: Bench) -> None:
             ids = [client.prot_id for client in clients]
             order = [ids.index(prot_id) + 1 for prot_id, _ in first.blocks if prot_id in ids]
             bench.info(
-                "Which of four clients does a beacon serve, in which order?", ", ".join(map(str, order)), "BP-TX-03"
+                "Which of four clients does the first beacon serve, and in which order?",
+                ", ".join(map(str, order)),
+                "BP-TX-03",
             )
 
 
@@ -210,8 +225,8 @@ def several_clients(bench: Bench) -> None:
     "TC_BP_TX_BV_05",
     "A beacon never has more than 255 blocks",
     requirements="BP-TX-08",
-    stimulus="260 clients with a payload of one octet each",
-    expect="all payloads on the air, in beacons of at most 255 blocks with the right numPayloads",
+    stimulus="260 clients submit a payload of one octet each",
+    expect="all payloads, in beacons of at most 255 blocks with a correct numPayloads",
     needs=Needs(
         entities=(),
         ut=(*CLIENT, "UT-Reset"),
@@ -235,11 +250,11 @@ def most_blocks(bench: Bench) -> None:
     def ours(heard: Heard) -> set[int]:
         return ids.intersection(prot_id for prot_id, _ in heard.blocks)
 
-    # One block in each beacon would be right, too (BP-TX-03).
+    # One block in each beacon is also allowed (BP-TX-03).
     frames = bench.until_quiet(ours, 2 * len(ids), start)
     seen = {prot_id for heard in frames for prot_id in ours(heard)}
     large = [heard for heard in bench.heard[start:] if len(heard.blocks) > BP_MAX_PAYLOADS]
-    said = f"{len(large[0].blocks)} in one" if large else ""
+    said = f"{len(large[0].blocks)} blocks in one beacon" if large else ""
     bench.check(not large, f"beacons of at most {BP_MAX_PAYLOADS} blocks", said, frames=large, shown=True)
     lost = len(ids - seen)
-    bench.check(not lost, "all 260 payloads", f"{lost} are missing")
+    bench.check(not lost, "all 260 payloads are sent", f"{lost} are missing")

@@ -1,7 +1,7 @@
 """dcp-bp.md: Data Types; Packet Format; Transmit Path.
 
-What stands in the headers of the implementation's beacons. The octets are read here, not by what decodes them
-elsewhere, so that a field is judged although another one is wrong.
+Contents of the headers in the implementation's beacons. The octets are read here and not with the decoder, so that a
+field is judged even if another field is wrong.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from dcp_conformance.heard import Heard
 from dcp_conformance.services import rows
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
-#: What an Ethernet frame holds at least: shorter bearer payloads may have been padded on their way.
+#: Minimum payload of an Ethernet frame: shorter bearer payloads may have been padded in transit.
 _MAY_BE_PADDED = 46
 
 
 class Wire(NamedTuple):
-    """A beacon as its octets say."""
+    """The headers and blocks of a beacon, read from its octets."""
 
     heard: Heard
     fields: dict[str, object]
-    """The header's fields by their names in the specification."""
+    """The fields of the header, by their names in the specification."""
     counted: Sequence[tuple[int, bytes]]
-    """The blocks, as far as they are there: protocol identifiers and payloads."""
+    """The blocks that are present: protocol identifiers and payloads."""
     end: int
-    """Where they end."""
+    """Offset of the end of the last block."""
     whole: bool
-    """Whether all of them are there."""
+    """Whether all blocks are present."""
 
 
 def read(bench: Bench, heard: Heard) -> Wire:
-    """Take the headers of a beacon apart.
+    """Read the headers of a beacon.
 
-    The blocks are those that length, numPayloads and the lengths of blocks agree on, or would but for one of them;
-    otherwise as many as numPayloads says.
+    Where length, numPayloads and the block lengths agree, or a single one of them differs, the blocks are those that
+    the majority describes; otherwise as many blocks as numPayloads gives.
     """
     octets, types = heard.octets, bench.profile.types
     header = bench.codec.dissect(octets).root.find("bp")
@@ -79,29 +79,29 @@ def read(bench: Bench, heard: Heard) -> Wire:
 
 
 def beacons_read(bench: Bench, count: int = 6, clients: int = 2) -> list[Wire]:
-    """Beacons of an implementation that has several blocks to send."""
+    """Return beacons of an implementation that has several blocks to send."""
     with talking(bench, clients=clients):
         return [read(bench, heard) for heard in some_beacons(bench, count)]
 
 
 def check_field(bench: Bench, wires: Sequence[Wire], name: str, right: object, *requirements: str) -> None:
-    """Check that a header field has a value in all beacons."""
+    """Check that a header field has the value ``right`` in all beacons."""
     wrong = [each for each in wires if each.fields.get(name) != right]
     show = (lambda value: f"{value:#x}") if isinstance(right, int) else repr
-    said = "" if not wrong else f"it is {show(wrong[0].fields.get(name) or 0)} in {len(wrong)} of {len(wires)} beacons"
+    said = "" if not wrong else f"{show(wrong[0].fields.get(name) or 0)} in {len(wrong)} of {len(wires)} beacons"
     frames = [each.heard for each in wrong[:8]]
     bench.check(not wrong, f"{name} is {show(right)} in every beacon", said, *requirements, frames=frames, shown=True)
 
 
 def _judged(bench: Bench, wires: Sequence[Wire], *requirements: str) -> None:
-    """Fail for what beacons break of these requirements; inconclusive if something else hides the blocks."""
+    """Fail for beacons that break one of these requirements; inconclusive if another fault hides the blocks."""
     for wire in wires:
         faults = judge(wire.heard.octets, bench.codec)
         for each in faults:
             if each.requirement in requirements:
                 bench.fail(each.expected, each.observed, each.requirement, frames=[wire.heard], shown=True)
         if faults and not (wire.heard.salvaged.clear and wire.heard.seqno is not None):
-            bench.inconclusive("headers that can be told from what follows", f"{faults[0]}")
+            bench.inconclusive("headers that can be separated from the blocks", f"{faults[0]}")
 
 
 def _fields(*names: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
@@ -112,7 +112,7 @@ def _fields(*names: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
     "TC_BP_HDR_BV_01",
     "Every beacon has version 0x01 and magicNo 0x497E",
     requirements="BP-HDR-01 BP-HDR-02",
-    stimulus="something to send in every period",
+    stimulus="payloads to send in every period",
     expect="both values in six beacons",
     window=8,
     needs=_fields("version", "magicNo"),
@@ -125,7 +125,7 @@ def constants(bench: Bench) -> None:
 
 
 def _registered(bench: Bench) -> set[int] | None:
-    """The protocols that are registered now; None if they cannot be listed."""
+    """Return the registered protocol identifiers; None if they cannot be listed."""
     upper = bench.session.upper
     if upper is None or LIST not in upper.methods:
         return None
@@ -136,10 +136,10 @@ def _registered(bench: Bench) -> set[int] | None:
 
 @case(
     "TC_BP_HDR_BV_02",
-    "The fields of both headers stand in the order of the specification",
+    "The fields of both headers have the order of the specification",
     requirements="BP-HDR-10",
-    stimulus="something to send in every period",
-    expect="magicNo, senderId, numPayloads and the protocolIds of the blocks make sense at their places",
+    stimulus="payloads to send in every period",
+    expect="plausible magicNo, senderId, numPayloads and block protocolIds at their offsets",
     window=8,
     needs=_fields("version", "magicNo", "senderId", "numPayloads", since=V1_1),
 )
@@ -150,7 +150,7 @@ def order_of_fields(bench: Bench) -> None:
     check_field(bench, wires, "senderId", bench.sut_id)
     known = {BP_PROTID_SRP, BP_PROTID_VARDIS, *(client.prot_id for client in clients)}
     others = _registered(bench)
-    # Where nobody can say which clients of its own the node has, one known identifier in a beacon has to do.
+    # If the clients of the implementation cannot be listed, one known identifier in a beacon is sufficient.
     strange = [
         each
         for each in wires
@@ -160,20 +160,20 @@ def order_of_fields(bench: Bench) -> None:
     ]
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
     frames = [each.heard for each in strange[:8]]
-    expected = "blocks of protocols that are registered, as long as they say"
-    bench.check(not strange, expected, f"protocols {sorted(ids)} in {len(strange)} beacons", frames=frames, shown=True)
-    bare = [each.heard for each in wires if not each.counted]
+    expected = "blocks of registered protocols, each with the announced length"
     bench.check(
-        not bare, "numPayloads counts at least one block", f"none in {len(bare)} beacons", frames=bare[:8], shown=True
+        not strange, expected, f"blocks of protocols {sorted(ids)} in {len(strange)} beacons", frames=frames, shown=True
     )
+    bare = [each.heard for each in wires if not each.counted]
+    bench.check(not bare, "numPayloads of at least 1", f"no block in {len(bare)} beacons", frames=bare[:8], shown=True)
 
 
 @case(
     "TC_BP_HDR_BV_03",
-    "protocolId has 16 bits: 2 for VarDis, 1 for SRP",
+    "protocolId has 16 bits; its value is 2 for VarDis and 1 for SRP",
     requirements="BP-HDR-11",
-    stimulus="something to send for VarDis, and for SRP where the upper tester can hand down safety data",
-    expect="blocks with these identifiers in two octets each",
+    stimulus="payloads of VarDis, and of SRP if the upper tester can submit safety data",
+    expect="blocks with these identifiers, two octets each",
     window=6,
     needs=Needs(header=("numPayloads",)),
 )
@@ -189,24 +189,24 @@ def predefined_identifiers(bench: Bench) -> None:
         some_beacons(bench, 4)
         if not any(heard.has_vardis for heard in bench.heard[start:]):
             bench.until(lambda heard: heard.has_vardis)
-    # The report may have left before the hand-down was confirmed.
+    # The report may have been sent before the call was confirmed.
     wires = [read(bench, heard) for heard in bench.heard[start:]]
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
     width = bench.profile.types.protocol_id.width
     bench.check(
-        width == 2, "the identifier has two octets", f"it has {width} in the profile {bench.profile.name}", shown=True
+        width == 2, "a protocolId of two octets", f"{width} octets in the profile {bench.profile.name}", shown=True
     )
-    bench.check(BP_PROTID_VARDIS in ids, "blocks of protocol 2 (VarDis)", f"there are {sorted(ids)}")
+    bench.check(BP_PROTID_VARDIS in ids, "blocks of protocol 2 (VarDis)", f"protocols {sorted(ids)}")
     if reports:
-        bench.check(BP_PROTID_SRP in ids, "a block of protocol 1 (SRP)", f"there are {sorted(ids)}")
+        bench.check(BP_PROTID_SRP in ids, "a block of protocol 1 (SRP)", f"protocols {sorted(ids)}")
 
 
 @case(
     "TC_BP_HDR_BV_04",
-    "senderId is the node's own identifier in every beacon, whoever it answers",
+    "senderId is the node's own identifier in every beacon",
     requirements="BP-HDR-03 BP-PAR-09",
-    stimulus="beacons of three peers that bring reactions",
-    expect="the same senderId always; the one that the upper tester names, if it names one",
+    stimulus="beacons of three peers that cause reactions",
+    expect="the same senderId in all beacons; that reported by the upper tester, if it reports one",
     window=12,
     needs=_fields("senderId"),
 )
@@ -217,22 +217,26 @@ def sender(bench: Bench) -> None:
         for _ in range(3):
             bench.probe()
     ids = {each.fields.get("senderId") for each in wires} | {heard.sender for heard in bench.heard}
-    bench.check(len(ids - {None}) == 1, "one senderId", f"{len(ids)} different ones", shown=len(ids - {None}) > 1)
+    bench.check(
+        len(ids - {None}) == 1, "one senderId in all beacons", f"{len(ids)} different ones", shown=len(ids - {None}) > 1
+    )
     upper = bench.session.upper
     told = str(upper.about.get("nodeId", "")).replace(":", "").lower() if upper is not None else ""
     if told:
         heard = wires[0].fields.get("senderId")
         said = heard.hex() if isinstance(heard, bytes) else f"{heard}"
         bench.check(said == told, f"senderId {told}", said, "BP-HDR-03", frames=[wires[0].heard], shown=True)
-    # A frame from the same address with another identifier: not recognised as the implementation's.
+    # Frames from the same link address with another senderId: they are not attributed to the implementation.
     sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers_made}
     other = [heard for heard in bench.others if heard.source in sources]
-    expected = "no beacon of the same station under another identifier"
-    bench.check(not other, expected, f"{len(other)} of them", frames=other[:8], shown=True)
+    expected = "no beacon with another senderId from the same link address"
+    bench.check(not other, expected, f"{len(other)} such beacons", frames=other[:8], shown=True)
 
 
 def _named_by_another(bench: Bench) -> None:
-    """Fail if it answers under an identifier that it says is not its own: nothing else could be heard of it then."""
+    """Fail if the implementation answers with a senderId other than the nodeId it reports: its beacons would not be
+    recognised.
+    """
     if bench.pics.vardis is False or bench.session.upper is None or "nodeId" not in bench.session.upper.about:
         return
     start, others, unknown, peer = bench.mark(), len(bench.others), bench.unknown_id(), bench.peer()
@@ -241,15 +245,15 @@ def _named_by_another(bench: Bench) -> None:
     known = {each.node_id for each in bench.peers_made}
     answers = [each for each in bench.others[others:] if each.about(ICType.REQUEST_VARCREATES, unknown)]
     if not bench.heard[start:] and answers and not known & {each.sender for each in answers}:
-        said = f"the request that a summary brought came from {(answers[0].sender or b'').hex(':')}"
+        said = f"senderId {(answers[0].sender or b'').hex(':')} in the answer to a summary"
         bench.fail(f"senderId {bench.sut_id.hex(':')}", said, "BP-HDR-03", frames=answers[:4], shown=True)
 
 
 @case(
     "TC_BP_HDR_BV_05",
-    "networkId is BPPAR_NETWORK_ID, and has two octets or more",
+    "networkId equals BPPAR_NETWORK_ID and has at least two octets",
     requirements="BP-HDR-04 BP-HDR-05",
-    stimulus="something to send in every period",
+    stimulus="payloads to send in every period",
     expect="the value of the parameter in six beacons",
     window=8,
     needs=_fields("networkId", since=V2_0),
@@ -258,22 +262,24 @@ def network(bench: Bench) -> None:
     wires = beacons_read(bench)
     check_field(bench, wires, "networkId", bench.parameter("BPPAR_NETWORK_ID"), "BP-HDR-04")
     width = bench.profile.types.network_id.width
-    bench.check(width >= 2, "networkId has 16 bits or more", f"it has {8 * width}", "BP-HDR-05", shown=True)
+    bench.check(width >= 2, "a networkId of at least 16 bits", f"{8 * width} bits", "BP-HDR-05", shown=True)
 
 
 @case(
     "TC_BP_HDR_BV_06",
-    "length is the sum of all blocks with their headers",
+    "length is the total size of all blocks with their headers",
     requirements="BP-HDR-06",
-    stimulus="several clients with something to send in every period",
-    expect="length is what numPayloads blocks have, or what follows the header in frames that are not padded",
+    stimulus="several clients with payloads to send in every period",
+    expect="length equals the total size of numPayloads blocks, or of all octets after the header in unpadded frames",
     window=8,
     needs=Needs(
         since=V1_2,
         entities=(),
         header=("length", "numPayloads"),
         when=lambda bench: (
-            None if bench.profile.bp.length_means == "blocks" else f"length is something else in {bench.profile.name}"
+            None
+            if bench.profile.bp.length_means == "blocks"
+            else f"the field length has another meaning in {bench.profile.name}"
         ),
     ),
 )
@@ -283,7 +289,7 @@ def length(bench: Bench) -> None:
     for wire in wires:
         said = wire.fields.get("length")
         size = len(wire.heard.octets)
-        # With either of the two the beacon is consistent; if both disagree, the length is wrong.
+        # The beacon is consistent with either value; length is wrong only if it matches neither.
         right = {wire.end - start} if wire.whole else set()
         if size > _MAY_BE_PADDED:
             right.add(size - start)
@@ -294,10 +300,10 @@ def length(bench: Bench) -> None:
 
 @case(
     "TC_BP_HDR_BV_07",
-    "numPayloads is the number of blocks, and they follow each other without gaps",
+    "numPayloads is the number of blocks, which follow each other without gaps",
     requirements="BP-HDR-07 BP-FMT-01",
-    stimulus="several clients with something to send in every period",
-    expect="numPayloads blocks of known protocols, the last of which ends where the beacon ends",
+    stimulus="several clients with payloads to send in every period",
+    expect="numPayloads blocks of known protocols, the last of which ends at the end of the beacon",
     window=8,
     needs=_fields("numPayloads"),
 )
@@ -306,7 +312,7 @@ def number_of_blocks(bench: Bench) -> None:
     _judged(bench, wires, "BP-HDR-07", "BP-FMT-01")
     for wire in wires:
         number, size = wire.fields.get("numPayloads"), len(wire.heard.octets)
-        said = f"{len(wire.counted)} blocks that end at octet {wire.end} of {size}"
+        said = f"{len(wire.counted)} blocks, ending at octet {wire.end} of {size}"
         right = wire.whole and number == len(wire.counted) and (wire.end == size or size <= _MAY_BE_PADDED)
         if not bench.check(right, f"{number} blocks that fill the beacon", said, frames=[wire.heard], shown=True):
             return
@@ -314,10 +320,10 @@ def number_of_blocks(bench: Bench) -> None:
 
 @case(
     "TC_BP_FMT_BV_01",
-    "Beacons are not larger than BPPAR_MAXIMUM_PACKET_SIZE",
+    "No beacon is larger than BPPAR_MAXIMUM_PACKET_SIZE",
     requirements="BP-FMT-02",
-    stimulus="three clients submit the largest payloads they may; VarDis has something to send, and later nothing",
-    expect="no larger beacon; all payloads at the latest when no other block keeps them back",
+    stimulus="three clients submit the largest allowed payloads; VarDis has payloads to send at first, and later none",
+    expect="no larger beacon; all payloads are sent, at the latest when no other block competes with them",
     window=20,
     needs=Needs(
         entities=(), ut=CLIENT, when=lambda bench: "blocks of fixed size" if bench.profile.bp.payload_area else None
@@ -345,7 +351,7 @@ def largest_beacons(bench: Bench) -> None:
 
         bench.until(all_sent, 3 * bench.reaction)
         if variable is not None and not all_sent():
-            # A block that is in every beacon may be served first every time: the order is free (BP-TX-03).
+            # A block that is in every beacon may be served first each time: the order is free (BP-TX-03).
             variable.send(variable.delete(var_id))
             bench.until_quiet(lambda heard: heard.has_vardis and not all_sent())
             bench.until(all_sent, 3 * bench.reaction)
@@ -356,29 +362,34 @@ def largest_beacons(bench: Bench) -> None:
             bench.reading("X04", "blocks-only")
             large = []
         bench.check(
-            not large, f"beacons of at most {limit} octets", f"one has {most}", "BP-FMT-02", frames=large, shown=True
+            not large,
+            f"beacons of at most {limit} octets",
+            f"a beacon of {most} octets",
+            "BP-FMT-02",
+            frames=large,
+            shown=True,
         )
 
 
 def _check_all_sent(bench: Bench, clients: Sequence[BPClient]) -> None:
-    """Check that each client has sent its payload, unless every beacon to the end had a block of somebody else."""
+    """Check that each client has sent its payload, unless every beacon had a block of another client."""
     waiting = [client for client in clients if not client.sent()]
     ours = {client.prot_id for client in clients}
     last = bench.wait(2 * bench.reaction) if waiting else []
     waiting = [client for client in waiting if not client.sent()]
     if waiting and last and all({prot_id for prot_id, _ in each.blocks} - ours for each in last):
-        bench.info("Does a block in every beacon keep back the largest payloads?", "yes", "BP-TX-03")
+        bench.info("Can a block in every beacon delay the largest payloads indefinitely?", "yes", "BP-TX-03")
         return
-    said = f"{len(waiting)} are missing"
-    bench.check(not waiting, "each of the payloads in a beacon", said, "BP-TX-04")
+    said = f"{len(waiting)} not sent"
+    bench.check(not waiting, "each of the payloads is sent", said, "BP-TX-04")
 
 
 @case(
     "TC_BP_FMT_BV_02",
-    "Without a payload there is no beacon",
+    "No beacon is sent without a payload",
     requirements="BP-FMT-03",
-    stimulus="none, for six periods",
-    expect="no beacon without blocks; where all buffers can be asked and are empty, no beacon at all",
+    stimulus="none for six periods",
+    expect="no beacon without blocks; no beacon at all if all buffers are known to be empty",
     window=6,
     needs=Needs(entities=()),
 )
@@ -389,15 +400,17 @@ def silence(bench: Bench) -> None:
         for each in heard
         if len(each.octets) <= header_octets(bench) or read(bench, each).fields.get("numPayloads") == 0
     ]
-    bench.check(not bare, "no beacon without blocks", f"{len(bare)} of them", frames=bare, shown=True)
+    bench.check(not bare, "no beacon without blocks", f"{len(bare)} such beacons", frames=bare, shown=True)
     upper = bench.session.upper
     if heard and upper is not None and LIST in upper.methods:
-        # A payload is that of a client.
+        # Each payload belongs to a registered client.
         clients = set(registered(bench))
         strange = [each for each in heard if not {prot_id for prot_id, _ in each.blocks} & clients]
-        said = f"{len(strange)} have none"
-        bench.check(not strange, "beacons with a block of a registered protocol", said, frames=strange[:8], shown=True)
+        said = f"{len(strange)} beacons without one"
+        bench.check(
+            not strange, "a block of a registered protocol in each beacon", said, frames=strange[:8], shown=True
+        )
     if heard and upper is not None and {"UT-Reset", QUERY} <= upper.methods:
         waiting = [bench.call(QUERY, protId=each).result.get("number") for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)]
-        what = f"{len(heard)} beacons came; SRP and VarDis have {waiting} payloads"
+        what = f"{len(heard)} beacons; SRP and VarDis have {waiting} buffered payloads"
         bench.info("Is the implementation silent after a reset?", what, frames=heard[:8])

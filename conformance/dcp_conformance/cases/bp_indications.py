@@ -1,6 +1,6 @@
 """dcp-bp.md: Payload Exchange and Buffer Management, Payload Transmission Indication.
 
-What clients are told: payloads that were received for them, and payloads of theirs that have gone.
+Indications to clients: payloads received for them, and their own payloads sent.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from dcp_conformance.forge import Block
 
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
 _SMALL = 256
-#: Beacon periods in which a second indication of the same payload would have come.
+#: Time in beacon periods in which a duplicate indication would arrive.
 _AFTERWARDS = 1.5
 
 
 def pattern(size: int, start: int = 0) -> bytes:
-    """Octets of all values, one after the other."""
+    """Return ``size`` octets with all values, starting from a value that depends on ``start``."""
     return bytes((start + 37 * index) % 256 for index in range(size))
 
 
 def _largest(bench: Bench) -> int:
-    """A payload that every node of the profile can receive, in octets."""
+    """Return a payload size in octets that every node of the profile can receive."""
     return min(_SMALL, bench.profile.bp.payload_area or _SMALL)
 
 
 def _registrable(bench: Bench) -> int:
-    """The largest payload that a client may have, and that a beacon of the profile's bearer carries."""
+    """Return the largest payload size, in octets, that a client can register and the bearer can carry."""
     fits = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
     return min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
 
@@ -63,10 +63,10 @@ def _registrable(bench: Bench) -> int:
 
 @case(
     "TC_BP_RXP_BV_01",
-    "A received payload of {variant} octets is indicated once, unchanged",
+    "A received payload is indicated once and unchanged (octets: {variant})",
     requirements="BP-RXP-01 BP-RXP-02 UWB-06",
-    stimulus="a client registers; a beacon with a block of its protocol with {variant} octets",
-    expect="one BP-ReceivePayload.indication with protId, length {variant} and these octets",
+    stimulus="a beacon with a block for a registered client (payload octets: {variant})",
+    expect="one BP-ReceivePayload.indication with the protId, the length and the octets of the payload",
     needs=_RECEPTION,
     variants={"1": 1, "2": 2, "37": 37, "255": 255, "256": 256, "1000": 1000, "as-many-as-fit": 0xFFFF},
 )
@@ -75,11 +75,11 @@ def unchanged(bench: Bench, size: int) -> None:
     with BPClient(bench, ONCE, size=len(octets)) as client:
         bench.peer().send(Block(client.prot_id, octets))
         received = client.until_received()
-        bench.require(received, "an indication", "there is none in time", "BP-RXP-01", "UWB-06")
+        bench.require(received, "an indication of the payload", "no indication in time", "BP-RXP-01", "UWB-06")
         bench.check(
             received[0] == octets,
-            f"the {len(octets)} octets",
-            f"{len(received[0])}: {received[0][:32].hex()}",
+            f"a payload of {len(octets)} octets, as sent",
+            f"{len(received[0])} octets: {received[0][:32].hex()}...",
             "BP-RXP-01",
             shown=True,
         )
@@ -94,10 +94,10 @@ def unchanged(bench: Bench, size: int) -> None:
 
 @case(
     "TC_BP_RXP_BV_02",
-    "Payloads go to the client of their protocol and to no other",
+    "Payloads are indicated to the client of their protocol and to no other",
     requirements="BP-RXP-03 BP-RXP-02",
-    stimulus="two clients; beacons with a block for the one, for the other, and for nobody",
-    expect="each client is told of its own payload once",
+    stimulus="two clients; one beacon with a block for each, and one with a block of an unregistered protocol",
+    expect="each client gets one indication, of its own payload",
     needs=_RECEPTION,
 )
 def right_client(bench: Bench) -> None:
@@ -114,8 +114,8 @@ def right_client(bench: Bench) -> None:
         for client, right in ((one, first), (two, second)):
             received = client.received()
             known = [first, second, pattern(9, 2)]
-            said = f"it is told of {listed(received, known)}"
-            mine = f"a client is told of payload {listed([right], known)} once"
+            said = f"indications of payloads {listed(received, known)}"
+            mine = f"one indication of payload {listed([right], known)}"
             bench.check(
                 right in received and set(received) == {right}, mine, said, "BP-RXP-03", shown=set(received) - {right}
             )
@@ -128,14 +128,14 @@ def right_client(bench: Bench) -> None:
         ]
         bench.check(
             not strange,
-            "no indication for a protocol of nobody",
+            "no indication for an unregistered protocol",
             f"{len(strange)} indications",
             "BP-RXP-03",
             shown=True,
         )
 
 
-#: Beacons that are sent until all of their blocks are indicated.
+#: Number of times the blocks are sent until all of them are indicated.
 _ATTEMPTS = 2
 
 
@@ -145,9 +145,9 @@ def _all_received(wanted: Mapping[BPClient, list[bytes]], received: Callable[[BP
 
 @case(
     "TC_BP_RXP_BV_03",
-    "Each block of a registered client gives an indication, in the order of the blocks ({variant})",
+    "Each block of a registered client is indicated, in the order of the blocks ({variant})",
     requirements="BP-RX-07 BP-RX-08",
-    stimulus="a beacon with blocks of two clients (1, 2) and of nobody (0), in the order {variant}",
+    stimulus="a beacon with blocks of two clients (1, 2) and of an unregistered protocol (0), in the order {variant}",
     expect="an indication for each block of a client, in order",
     needs=_RECEPTION,
     variants={"1-2-1": (1, 2, 1), "0-1-0-2": (0, 1, 0, 2), "1-1-1-1": (1, 1, 1, 1), "2-0": (2, 0), "1": (1,)},
@@ -160,7 +160,7 @@ def each_block(bench: Bench, layout: Sequence[int]) -> None:
         def received_of(client: BPClient) -> list[bytes]:
             return [each for each in client.received() if each not in earlier]
 
-        # Frames get lost on the air, and payloads where a receiver has room for few.
+        # Frames may be lost, and a receiver with few buffers may lose payloads.
         for attempt in range(_ATTEMPTS):
             start = attempt * len(layout)
             blocks = [Block(prot_ids[who], pattern(5 + number, start + number)) for number, who in enumerate(layout)]
@@ -177,7 +177,7 @@ def each_block(bench: Bench, layout: Sequence[int]) -> None:
             bench.check(
                 received == right,
                 expected,
-                f"of {listed(received, known)}",
+                f"indications of blocks {listed(received, known)}",
                 "BP-RX-07",
                 "BP-RX-08",
                 shown=not part_of(received, right),
@@ -186,9 +186,12 @@ def each_block(bench: Bench, layout: Sequence[int]) -> None:
 
 @case(
     "TC_BP_RXP_BO_01",
-    "Nothing is indicated before registration and after deregistration",
+    "No payload is indicated before registration or after deregistration",
     requirements="BP-REG-10 BP-DRG-04",
-    stimulus="beacons with a block of a protocol before it is registered, meanwhile, and after it is deregistered",
+    stimulus=(
+        "beacons with a block of a protocol before its registration, while it is registered, and after its "
+        "deregistration"
+    ),
     expect="an indication of the second payload only",
     needs=Needs(entities=(), ut=("UT-Subscribe", REGISTER, DEREGISTER)),
 )
@@ -198,7 +201,8 @@ def while_registered(bench: Bench) -> None:
     try:
         early, right, late = (pattern(8, start) for start in range(3))
         peer.send(Block(client.prot_id, early))
-        # What was sent on the air and what is asked at the services take different ways to the implementation.
+        # The beacon and the service request reach the implementation through different channels: without a pause their
+        # order is undefined.
         bench.wait(0.5)
         with client:
             peer.send(Block(client.prot_id, right))
@@ -208,20 +212,35 @@ def while_registered(bench: Bench) -> None:
         bench.wait(_AFTERWARDS)
         received = client.received()
         bench.check(
-            right in received, "the payload is indicated while the client is registered", "it is not", "BP-REG-10"
+            right in received,
+            "an indication of the payload received while the client is registered",
+            "no indication",
+            "BP-REG-10",
         )
-        bench.check(early not in received, "nothing is indicated before registration", "it is", "BP-REG-10", shown=True)
-        bench.check(late not in received, "nothing is indicated after deregistration", "it is", "BP-DRG-04", shown=True)
+        bench.check(
+            early not in received,
+            "no indication of the payload received before registration",
+            "an indication of it",
+            "BP-REG-10",
+            shown=True,
+        )
+        bench.check(
+            late not in received,
+            "no indication of the payload received after deregistration",
+            "an indication of it",
+            "BP-DRG-04",
+            shown=True,
+        )
     finally:
         bench.call("UT-Subscribe")
 
 
 @case(
     "TC_BP_RXP_BI_01",
-    "A block of length 0 for a client is survived",
+    "A receiver survives a block of length 0 for a client",
     requirements="BP-RX-16",
-    stimulus="a beacon with an empty block of a client's protocol and one with octets",
-    expect="the octets are indicated; whether the empty block is, is reported",
+    stimulus="a beacon with an empty block for a client, then one with a payload",
+    expect="an indication of the payload; the case reports whether the empty block is indicated (X46)",
     needs=_RECEPTION,
     robustness=True,
 )
@@ -231,16 +250,18 @@ def empty_block(bench: Bench) -> None:
         peer.send(Block(client.prot_id, b""))
         peer.send(Block(client.prot_id, octets))
         until(bench, lambda: octets in client.received())
-        bench.check(octets in client.received(), "the beacon behind it is processed", "it is not")
+        bench.check(
+            octets in client.received(), "an indication of the payload in the next beacon", "no indication of it"
+        )
         bench.reading("X46", "deliver-empty" if b"" in client.received() else "ignore-empty")
 
 
 @case(
     "TC_BP_RXP_BV_04",
-    "What becomes of a payload that is larger than the receiver has registered",
+    "A payload larger than the receiving client's maxPayloadSize is indicated as a whole or not at all",
     requirements="BP-RXP-01",
     stimulus="a client with maxPayloadSize 10; a beacon with a block of 11 octets",
-    expect="an indication of all octets or none: the bound is on what the client itself submits",
+    expect="an indication of all octets or none: maxPayloadSize limits the payloads that the client submits",
     needs=_RECEPTION,
 )
 def larger_than_own(bench: Bench) -> None:
@@ -252,17 +273,22 @@ def larger_than_own(bench: Bench) -> None:
         received = client.received()
         whole = all(each in (large, small) for each in received)
         bench.check(
-            whole and small in received, "whole payloads", f"{[each.hex() for each in received]}", shown=not whole
+            whole and small in received,
+            "complete payloads, among them that of the next beacon",
+            f"indications of {[each.hex() for each in received]}",
+            shown=not whole,
         )
         bench.reading("X49", "deliver-larger" if large in received else "discard-larger")
 
 
 @case(
     "TC_BP_RXP_BV_05",
-    "The identifier of {variant} belongs to the client that registers it after {variant} was deregistered",
+    "After {variant} was deregistered, its identifier belongs to the client that registers it",
     requirements="BP-RXP-03 BP-DRG-05",
-    stimulus="BP-DeregisterProtocol of that identifier; the tester registers it; a beacon with a block of it",
-    expect="the tester's client is told of the payload",
+    stimulus=(
+        "BP-DeregisterProtocol for the identifier of {variant}; the tester registers it; a beacon with a block of it"
+    ),
+    expect="an indication to the tester's client",
     window=6,
     destructive=True,
     variants={
@@ -271,19 +297,19 @@ def larger_than_own(bench: Bench) -> None:
     },
 )
 def taken_over(bench: Bench, prot_id: int) -> None:
-    # A call without an answer may have been carried out.
+    # A call without an answer may still have been executed.
     deregistered = True
     try:
         answer = bench.call(DEREGISTER, protId=prot_id)
         deregistered = answer.ok
-        # On a node without the protocol the identifier is free.
+        # On a node without this protocol the identifier is not in use.
         if not answer.ok and not answer.is_status(UNKNOWN_PROTOCOL):
-            bench.inconclusive("the identifier can be had", str(answer))
+            bench.inconclusive("an identifier that can be deregistered", str(answer))
         with BPClient(bench, ONCE, prot_id=prot_id) as client:
             octets = pattern(9)
             bench.peer().send(Block(prot_id, octets))
             received = client.until_received()
-            bench.check(octets in received, "an indication of the payload", "there is none in time")
+            bench.check(octets in received, "an indication of the payload", "no indication in time")
     finally:
         if deregistered:
             bring_back(bench)
@@ -293,29 +319,29 @@ def taken_over(bench: Bench, prot_id: int) -> None:
 
 
 def no_indication(bench: Bench) -> str | None:
-    """For ``Needs.when``: why BP-PayloadTransmitted cannot be judged."""
+    """Return why BP-PayloadTransmitted cannot be judged, or None; for ``Needs.when``."""
     claimed = bench.pics.payload_transmitted_indication
     if claimed is False:
         return f"the PICS denies payload_transmitted_indication ({DENIED} fails for that)"
     if claimed is None and not bench.profile.behaviour.payload_transmitted_indication:
         return (
-            f"implementations of the profile {bench.profile.name} have no BP-PayloadTransmitted, and the PICS says "
-            f"nothing ({DENIED} fails for that)"
+            f"implementations of the profile {bench.profile.name} have no BP-PayloadTransmitted, and the PICS "
+            f"does not mention it ({DENIED} fails for that)"
         )
     return None
 
 
 def both(*conditions: Callable[[Bench], str | None] | None) -> Callable[[Bench], str | None]:
-    """For ``Needs.when``: the first reason that any of these gives."""
+    """Combine conditions for ``Needs.when``: the result returns the first reason that one of them gives."""
     return lambda bench: next((why for each in conditions if each is not None and (why := each(bench))), None)
 
 
 @case(
     "TC_BP_PTI_BV_01",
-    "A client is told when its payload is put into a beacon ({variant})",
+    "A client gets an indication when its payload is put into a beacon ({variant})",
     requirements="BP-PTI-01",
     stimulus="a client with mode {variant} submits a payload",
-    expect="one BP-PayloadTransmitted.indication with its protId; with REPEAT one for each beacon",
+    expect="one BP-PayloadTransmitted.indication with its protId; with mode REPEAT one for each beacon",
     variants={
         name: Variant(each.value, needs=dataclasses.replace(each.needs, when=both(each.needs.when, no_indication)))
         for name, each in each_mode(*CLIENT).items()
@@ -329,7 +355,7 @@ def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
         heard = client.until_sent()
         needed(bench, heard, "a beacon with the payload")
         told = until(bench, lambda: bool(indications(bench, TRANSMITTED, client.prot_id)), 1)
-        bench.check(told, "an indication", "there is none within a period of the beacon")
+        bench.check(told, "an indication of the transmission", "no indication within one period after the beacon")
         if mode is not REPEAT:
             bench.wait(_AFTERWARDS)
             count = len(indications(bench, TRANSMITTED, client.prot_id))
@@ -338,10 +364,10 @@ def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
 
 @case(
     "TC_BP_PTI_BV_02",
-    "A client with mode REPEAT is told each time that its payload is put into a beacon",
+    "A client with mode REPEAT gets an indication for each beacon that its payload is put into",
     requirements="BP-PTI-03",
-    stimulus="a client with mode REPEAT submits one payload; six beacons with it",
-    expect="an indication for each beacon",
+    stimulus="a client with mode REPEAT submits one payload; the implementation sends it in six beacons",
+    expect="an indication for each of the beacons",
     needs=Needs(entities=(), ut=CLIENT, when=no_indication),
     window=8,
 )
@@ -350,7 +376,7 @@ def told_of_each_repetition(bench: Bench) -> None:
         client.transmit(client.payload())
         for _ in range(6):
             client.until_sent()
-        # The indication of the last beacon may come a little later.
+        # The indication of the last beacon may arrive slightly later.
         bench.wait(0.3)
         frames, count = client.frames(), len(indications(bench, TRANSMITTED, client.prot_id))
         bench.require(len(frames) >= 6, "six beacons with the payload", f"{len(frames)}", "BP-QM-05")

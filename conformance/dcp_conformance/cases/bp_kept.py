@@ -1,6 +1,6 @@
 """dcp-bp.md: Service Interface; Other BP Management Services.
 
-What must stay as it is: a client's registration and payloads, whatever others do, and its fields in the list.
+State that must not change: the registration, payloads and list entry of a client while other clients and services act.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
 
 
 def _another(bench: Bench, mode: QueueingMode = REPEAT) -> BPClient:
-    """A second client that has come, submitted a payload and gone."""
+    """Return a second client that has registered, submitted a payload and deregistered."""
     with BPClient(bench, mode) as other:
         other.transmit(other.payload())
     return other
@@ -107,10 +107,10 @@ _EVENTS: dict[str, tuple[str, Callable[[Bench, BPClient], object], Needs]] = {
 
 @case(
     "TC_BP_KEEP_BO_01",
-    "What a client has registered and buffered stays when it or another {variant}",
+    "Registration and buffered payloads of a client do not change (event: {variant})",
     requirements="BP-REG-02",
-    stimulus="a client repeats a payload; then: {variant}",
-    expect="its entry in the list and the number of its payloads are as before, and beacons with the payload go on",
+    stimulus="a client repeats a payload; then the event {variant}, of this or another client",
+    expect="the list entry and the number of payloads as before; beacons with the payload continue",
     window=8,
     variants={
         name: Variant(act, requirements=f"BP-REG-06 BP-QM-05 {requirements}", needs=needs)
@@ -126,30 +126,30 @@ def kept(bench: Bench, act: Callable[[Bench, BPClient], object]) -> None:
         before, number = client.fields(), client.number()
         act(bench, client)
         after, now = client.fields(), client.number()
-        bench.check(
-            after == before, f"the entry is {before} as before", f"it is {after}", *own, "BP-REG-06", shown=True
-        )
-        bench.check(now == number, f"{number} payload as before", f"{now}", *own, "BP-QM-05", shown=True)
+        bench.check(after == before, f"the list entry {before}, as before", f"{after}", *own, "BP-REG-06", shown=True)
+        bench.check(now == number, f"{number} buffered payloads, as before", f"{now}", *own, "BP-QM-05", shown=True)
         start = bench.mark()
         found = client.until_sent()
-        bench.check(found, "beacons with the payload go on", "there are none in time", *own, "BP-QM-05")
+        bench.check(found, "further beacons with the payload", "none in time", *own, "BP-QM-05")
         strange = [each for each in client.sent(start) if each != payload]
-        bench.check(not strange, "the payload as it was", f"{strange}", *own, "BP-QM-05", shown=True)
+        bench.check(not strange, "the payload unchanged", f"{strange}", *own, "BP-QM-05", shown=True)
 
 
 @case(
     "TC_BP_LST_BV_02",
-    "Each field of each registered client is its own, and stays",
+    "The list reports the registered values of each client, and they do not change",
     requirements="BP-LST-01 BP-LST-03 BP-REG-06",
-    stimulus="three registrations that differ in every parameter, half a beacon period apart; "
-    "BP-ListRegisteredProtocols at once and after payloads were sent",
-    expect="each entry with the values and the time of its registration; the same again",
+    stimulus=(
+        "three registrations that differ in every parameter, half a beacon period apart; "
+        "BP-ListRegisteredProtocols at once and again after payloads were sent"
+    ),
+    expect="for each client the registered values and the time of registration, both times",
     needs=Needs(entities=(), ut=(*CLIENT, LIST)),
 )
 def own_fields(bench: Bench) -> None:
     both = bench.features.allow_multiple_payloads
     queue = DROPTAIL if both else QueueingMode.QUEUE
-    # Times are told in the resolution of the implementation's own.
+    # The resolution of registration times is up to the implementation.
     pause = max(bench.period // 2, 50 * MS)
     clients = [
         BPClient(bench, ONCE, size=11, entries=2, name="one"),
@@ -172,14 +172,14 @@ def own_fields(bench: Bench) -> None:
         named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *_fields(bench, client))}
         same = all((is_now or {}).get(name) == value for name, value in named.items())
         said = f"{is_now}"
-        bench.check(same, f"{named} as before", said, "BP-LST-01", "BP-LST-03", shown=True)
+        bench.check(same, f"{named}, as before", said, "BP-LST-01", "BP-LST-03", shown=True)
 
 
 def _fields(bench: Bench, client: BPClient) -> dict[str, Any]:
-    """What the list must say of a client, by the names that it has there."""
+    """Return the fields that the list must have for a client, by their names in the list."""
     names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
     if bench.features.allow_multiple_payloads and QueueingMode(client.registration["queueingMode"]).is_queue:
-        # For the other modes both are irrelevant.
+        # Both fields are irrelevant for the other modes.
         names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
     return {listed: client.registration[given] for listed, given in names.items()}
 
@@ -192,9 +192,17 @@ def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict
         for name, right in _fields(bench, client).items():
             said = entry.get(name)
             bench.check(said == right, f"{name} {right!r}", f"{said!r}", "BP-LST-01", "BP-LST-03", shown=True)
-    # A clock may be set meanwhile, so that only their being different can be judged.
+    # The clock may be set in between, so only the difference of the times is checked.
     good = None not in stamps and len(set(stamps)) == len(clients)
-    bench.check(good, "a time of its own for each", f"{stamps}", "BP-REG-06", "BP-LST-01", "BP-LST-03", shown=True)
+    bench.check(
+        good,
+        "a different registration time for each client",
+        f"{stamps}",
+        "BP-REG-06",
+        "BP-LST-01",
+        "BP-LST-03",
+        shown=True,
+    )
 
 
 # -- queues of one place, several payloads at once ---------------------------------------------------------------------
@@ -202,10 +210,10 @@ def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict
 
 @case(
     "TC_BP_QM_BV_14",
-    "A queue of one place keeps one payload, the one that its mode says ({variant})",
+    "A queue of one entry keeps the payload that its mode determines ({variant})",
     requirements="BP-QM-01",
-    stimulus="a client with mode {variant} and maxEntries 1 submits A and B between two beacons; later C",
-    expect="A (DROPTAIL) or B (DROPHEAD), then C, each once; one payload is counted each time",
+    stimulus="between two beacons, a client with mode {variant} and maxEntries 1 submits A and B; later C",
+    expect="A (DROPTAIL) or B (DROPHEAD), then C, each once; one buffered payload after each submission",
     window=8,
     variants={
         "droptail": Variant(DROPTAIL, requirements="BP-QM-01 BP-QRY-02 BP-QM-03"),
@@ -225,8 +233,10 @@ def one_place(bench: Bench, mode: QueueingMode) -> None:
             return payloads, numbers
 
         start = bench.mark()
-        payloads, numbers = between_beacons(bench, "two payloads are submitted", act, client.in_frame)
-        bench.check(numbers == [1, 1], "one payload each time", f"{numbers}", "BP-QRY-02", shown=True)
+        payloads, numbers = between_beacons(bench, "submission of two payloads", act, client.in_frame)
+        bench.check(
+            numbers == [1, 1], "one buffered payload after each submission", f"{numbers}", "BP-QRY-02", shown=True
+        )
         bench.until_quiet(client.in_frame, since=start)
         client.transmit(payloads[2], must=False)
         client.until_sent(payloads[2])
@@ -240,16 +250,16 @@ def one_place(bench: Bench, mode: QueueingMode) -> None:
 
 @case(
     "TC_BP_PTI_BV_03",
-    "A client with several payloads in a beacon is told of them",
+    "A client with several payloads in a beacon gets indications for them",
     requirements="BP-PTI-01",
-    stimulus="a client that allows several payloads in a beacon submits four between two beacons",
+    stimulus="between two beacons, a client that allows several payloads in a beacon submits four",
     expect="an indication for each payload, or for each beacon with payloads of the client (X44)",
     window=8,
     needs=Needs(V1_1, entities=(), ut=CLIENT, when=no_indication),
 )
 def told_of_several(bench: Bench) -> None:
     with BPClient(bench, DROPTAIL, entries=4, several=True) as client:
-        # What an attempt that a beacon came into has brought does not count.
+        # Indications from an attempt that a beacon interrupted do not count.
         start = told = 0
 
         def act() -> None:
@@ -258,7 +268,7 @@ def told_of_several(bench: Bench) -> None:
             for _ in range(4):
                 client.transmit(client.payload())
 
-        between_beacons(bench, "four payloads are submitted", act, client.in_frame)
+        between_beacons(bench, "submission of four payloads", act, client.in_frame)
         bench.until_quiet(client.in_frame, since=start)
         bench.wait(0.3)
         frames, payloads = client.frames(start), len(client.sent(start))
@@ -276,22 +286,24 @@ def told_of_several(bench: Bench) -> None:
 
 @case(
     "TC_BP_REG_BI_06",
-    "A registration that is refused tells the node's own identifier as well",
+    "The confirm of a rejected registration also contains the node's own identifier",
     requirements="BP-REG-13",
     stimulus="BP-RegisterProtocol twice with the same identifier, and once with maxPayloadSize 0",
-    expect="ownNodeIdentifier is the same in all three confirms",
+    expect="the same ownNodeIdentifier in all three confirms",
     needs=Needs(V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
 )
 def identifier_of_refused(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
         told = client.answer.result.get("ownNodeIdentifier")
         if told is None:
-            bench.inconclusive("the confirm of a registration with the identifier", "it has none (BP-REG-07)")
+            bench.inconclusive(
+                "a confirm of BP-RegisterProtocol with ownNodeIdentifier", "the confirm has none (BP-REG-07)"
+            )
         other = BPClient(bench, ONCE)
         for answer in (client.register(), other.register(maxPayloadSize=0)):
-            bench.require_asked(answer, "BP-RegisterProtocol is confirmed")
+            bench.require_asked(answer, "a confirm of BP-RegisterProtocol")
             if answer.ok:
-                bench.inconclusive("a registration that is refused", f"{answer}")
+                bench.inconclusive("a rejected registration", f"{answer}")
             said = answer.result.get("ownNodeIdentifier")
             bench.check(said == told, f"ownNodeIdentifier {told}", f"{said} with {answer}", shown=True)
 
@@ -306,10 +318,10 @@ _IMMEDIATE: dict[str, tuple[str, str, SpecVersion]] = {
 
 @case(
     "TC_BP_GEN_TI_01",
-    "Confirms are immediate, they wait for no beacon ({variant})",
+    "Confirms are immediate and do not wait for a beacon ({variant})",
     requirements="BP-DRG-06",
-    stimulus="seven requests of the service for a client, each beside another registration",
-    expect="most confirms come within less than half a beacon period",
+    stimulus="seven requests of the service for a client, each timed along with a registration",
+    expect="a median time to the confirm of less than half a beacon period",
     variants={
         name: Variant(
             method,
@@ -331,16 +343,18 @@ def immediate(bench: Bench, method: str) -> None:
         others.append(bench.now() - start)
         try:
             start = bench.now()
-            # What is refused may be refused before it is processed.
+            # A rejected request might be confirmed without being processed.
             bench.must(method, **params)
             delays.append(bench.now() - start)
         finally:
             if method != DEREGISTER:
                 bench.call(DEREGISTER, protId=client.prot_id)
     median = sorted(delays)[len(delays) // 2]
-    # An upper tester takes its time for each request, whatever BP does: about as long for another one.
+    # Each request to the upper tester takes time, which the time of another request estimates.
     limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
-    bench.check(median <= limit, f"confirms within {limit / MS:.0f} ms", f"the median is {median / MS:.0f} ms")
+    bench.check(
+        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
+    )
 
 
 # -- activation --------------------------------------------------------------------------------------------------------
@@ -348,10 +362,10 @@ def immediate(bench: Bench, method: str) -> None:
 
 @case(
     "TC_BP_MGT_TI_01",
-    "After an activation beacons come as often as ever, not those of the inactive time",
+    "Beacons omitted while BP is inactive are not sent after activation",
     requirements="BP-MGT-05 BP-TX-01",
-    stimulus="a client repeats a payload for eight periods; BP is inactive for ten, then active for eight",
-    expect="not many more beacons in the last eight periods than in the first: twice as many, and four, at most",
+    stimulus="a client repeats a payload for eight periods; BP is inactive for ten periods, then active for eight",
+    expect="in the last eight periods at most four beacons more than twice the number in the first eight",
     window=28,
     needs=Needs(V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE)),
 )
@@ -365,15 +379,20 @@ def no_arrears(bench: Bench) -> None:
             start = bench.mark()
         bench.wait(8)
         count, most = len(bench.heard) - start, 2 * before + 4
-        bench.check(count <= most, f"{most} beacons at most after {before} before", f"{count}", shown=True)
+        bench.check(
+            count <= most,
+            f"at most {most} beacons in 8 periods ({before} before the inactive time)",
+            f"{count}",
+            shown=True,
+        )
 
 
 @case(
     "TC_BP_MGT_BV_14",
-    "A queue is as it was after BP was deactivated and activated",
+    "Deactivation and activation of BP do not change a queue",
     requirements="BP-MGT-04 BP-MGT-05 BP-QM-03",
-    stimulus="while BP is inactive a client submits A, B, C; BP-MGMT-Activate",
-    expect="three payloads are counted before and after activation; then A, B, C, each once",
+    stimulus="while BP is inactive, a client submits A, B, C; BP-MGMT-Activate",
+    expect="three buffered payloads before activation; afterwards A, B, C, each once",
     window=10,
     needs=Needs(V1_2, entities=(), ut=(*CLIENT, QUERY, ACTIVATE, DEACTIVATE)),
 )
@@ -387,10 +406,12 @@ def queue_across_activation(bench: Bench) -> None:
                 client.transmit(payload)
             number = client.number()
             early = len(indications(bench, TRANSMITTED, client.prot_id))
-            bench.check(number == 3, "three payloads are buffered", f"{number}", "BP-MGT-04", shown=True)
-            bench.check(early == 0, "no indication of a transmission", f"{early}", "BP-MGT-04", shown=True)
+            bench.check(number == 3, "three buffered payloads", f"{number}", "BP-MGT-04", shown=True)
+            bench.check(
+                early == 0, "no indication of a transmission while BP is inactive", f"{early}", "BP-MGT-04", shown=True
+            )
         bench.until_quiet(client.in_frame, since=start)
         sent = [each for each in client.sent(start) if each in payloads]
         said = listed(sent, payloads)
         lost = part_of(sent, payloads)
-        bench.check(sent == payloads, "A, B, C", said, "BP-MGT-05", "BP-QM-03", shown=not lost)
+        bench.check(sent == payloads, "payloads A, B, C", said, "BP-MGT-05", "BP-QM-03", shown=not lost)

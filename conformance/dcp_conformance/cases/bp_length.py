@@ -1,6 +1,6 @@
 """dcp-bp.md: Receive Path, the length field of the header.
 
-Where a beacon ends: bearers pad short frames, and senders may say what is not true.
+How a receiver finds the end of a beacon: bearers pad short frames, and senders may send a wrong length.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from dcp_conformance.clients import block_header_octets
 
 
 def _noise(count: int) -> bytes:
-    """Octets without a pattern, the same every time."""
+    """Return octets without a pattern, the same every time."""
     return bytes((167 * index + 91) * (index + 3) // 7 % 256 for index in range(count))
 
 
 @case(
     "TC_BP_RX_BV_06",
-    "Padding behind the end of a beacon is ignored ({variant})",
+    "Padding after the end of a beacon is ignored ({variant})",
     requirements="BP-RX-14",
     stimulus="a beacon with the summary of an unknown variable, followed by octets that length does not count",
-    expect="a request for the variable, and for the one of the next beacon",
+    expect="requests for this variable and for that of the next beacon",
     needs=lengths(),
     variants={f"{count}-zeros": bytes(count) for count in (1, 3, 4, 5, 18, 46)}
     | {f"{count}-random": _noise(count) for count in (1, 4, 7, 46)},
@@ -32,25 +32,25 @@ def padding(bench: Bench, octets: bytes) -> None:
     peer, (first, second), start = bench.peer(), bench.unknown_ids(2), bench.mark()
     peer.send(peer.summary(first, 1), padding=octets)
     peer.send(peer.summary(second, 1))
-    check_processed(bench, [first, second], start, "a beacon with padding, and the one behind it,")
+    check_processed(bench, [first, second], start, "a beacon with padding and the next beacon")
 
 
 @case(
     "TC_BP_RX_BV_07",
-    "A block behind the end that length gives is padding",
+    "A block after the end given by length is padding",
     requirements="BP-RX-14",
-    stimulus="a beacon with a VarDis block, and behind its end another one that neither length nor numPayloads counts",
+    stimulus="a beacon with a VarDis block, followed by another block that neither length nor numPayloads counts",
     expect="a request for the variable of the first block; whether the second is parsed is a reading (X02)",
     needs=lengths(),
 )
 def block_in_padding(bench: Bench) -> None:
     peer, (inside, outside), start = bench.peer(), bench.unknown_ids(2), bench.mark()
     whole = peer.beacon(summary_block(bench, peer, inside), summary_block(bench, peer, outside))
-    # The second block of the one is cut off and put behind the other, whose length knows nothing of it.
+    # Append the second block to a beacon whose length counts only the first.
     head = peer.beacon(summary_block(bench, peer, inside))
     peer.send_octets(head + whole[len(head) :])
-    check_processed(bench, [inside], start, "the block in front of the end")
-    bench.require_alive("a block behind the end of its beacon")
+    check_processed(bench, [inside], start, "the block before the end")
+    bench.require_alive("a block after the end of its beacon")
     parsed = bench.instructions(ICType.REQUEST_VARCREATES, outside, since=start)
     if parsed or bench.instructions(ICType.REQUEST_VARCREATES, inside, since=start):
         bench.reading("X02", "frame-size" if parsed else "length-field")
@@ -58,11 +58,13 @@ def block_in_padding(bench: Bench) -> None:
 
 @case(
     "TC_BP_RX_BI_13",
-    "A length that reaches {variant} beyond the frame is survived",
+    "A receiver survives a length that reaches past the end of the frame ({variant})",
     requirements="BP-RX-15",
-    stimulus="a beacon with the summary of an unknown variable whose length reaches {variant} beyond the frame; then "
-    "an honest one",
-    expect="no request for the first variable, unless the end of the frame counts (X02); a request for the second",
+    stimulus=(
+        "a beacon with the summary of an unknown variable, its length beyond the end of the frame ({variant}); "
+        "then a valid beacon"
+    ),
+    expect="no request for the first variable, unless the end of the frame decides (X02); a request for the second",
     needs=lengths(),
     variants={"1-octet": 1, "4-octets": 4, "1000-octets": 1000, "as-far-as-possible": None},
     destructive=True,
@@ -72,6 +74,6 @@ def length_beyond_frame(bench: Bench, more: int | None) -> None:
     block = summary_block(bench, peer, var_id)
     length = 0xFFFF if more is None else block_header_octets(bench) + len(block.octets) + more
     peer.send(block, lies={"bp.length": length})
-    bench.require_alive("a length beyond the frame")
+    bench.require_alive("a length past the end of the frame")
     found = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since=start)
     bench.reading("X02", "frame-size" if found else "length-field")

@@ -37,7 +37,7 @@ _SWITCHES = Needs(since=V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE))
 
 @case(
     "TC_BP_MGT_BV_01",
-    "A deactivated BP sends nothing, and goes on when it is activated",
+    "Deactivated BP sends nothing, and continues when it is activated",
     requirements="BP-MGT-01 BP-MGT-02 BP-MGT-05 BP-TX-07",
     stimulus="a client repeats a payload; BP-MGMT-Deactivate; five periods later BP-MGMT-Activate",
     expect="BP-STATUS-OK both times; silence, then beacons with the same payload",
@@ -49,9 +49,9 @@ def switched_off(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         payload = client.payload()
         client.transmit(payload)
-        needed(bench, client.until_sent(), "beacons before")
+        needed(bench, client.until_sent(), "beacons before the deactivation")
         bench.expect_status(OK, DEACTIVATE, "BP-MGT-01")
-        # What has left the node already may still be on its way to the tester.
+        # A beacon sent before the deactivation may still be in transit to the tester.
         quiet_from = bench.now() + bench.period // 5
         try:
             bench.wait(5)
@@ -61,15 +61,17 @@ def switched_off(bench: Bench) -> None:
             )
         finally:
             bench.expect_status(OK, ACTIVATE, "BP-MGT-05")
-        bench.check(client.until_sent(payload), "beacons again", "there are none in time", "BP-MGT-05")
+        bench.check(
+            client.until_sent(payload), "beacons with the payload after activation", "none in time", "BP-MGT-05"
+        )
 
 
 @case(
     "TC_BP_MGT_BV_02",
-    "What a deactivated BP receives is discarded for good",
+    "Beacons received while BP is inactive are discarded",
     requirements="BP-MGT-03 BP-RX-13",
-    stimulus="while BP is inactive: a block for a client and the summary of an unknown variable; then BP-MGMT-Activate",
-    expect="no indication and no request, also not after activation; what comes then is processed",
+    stimulus="while BP is inactive, a block for a client and the summary of an unknown variable; then BP-MGMT-Activate",
+    expect="no indication and no request, not even after activation; beacons received after activation are processed",
     needs=Needs(since=V1_2, ut=(REGISTER, DEREGISTER, ACTIVATE, DEACTIVATE)),
     window=10,
 )
@@ -81,15 +83,22 @@ def deaf(bench: Bench) -> None:
             bench.wait(1.5)
         peer.send(Block(client.prot_id, late))
         until(bench, lambda: late in client.received())
-        bench.require_alive("an inactive time", "BP-MGT-05")
+        bench.require_alive("a time of inactivity", "BP-MGT-05")
         received = client.received()
-        bench.check(late in received, "what comes after activation is indicated", "it is not", "BP-MGT-05")
-        bench.check(early not in received, "nothing of what came before is indicated", "it is", shown=True)
+        bench.check(
+            late in received, "an indication of the payload received after activation", "no indication", "BP-MGT-05"
+        )
+        bench.check(
+            early not in received,
+            "no indication of the payload received while BP was inactive",
+            "an indication of it",
+            shown=True,
+        )
         asked = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
         bench.check(
             not asked,
-            "nothing of what came before reaches VarDis",
-            "its variable is requested",
+            "no request for the variable received while BP was inactive",
+            "a request for it",
             frames=asked,
             shown=True,
         )
@@ -97,10 +106,10 @@ def deaf(bench: Bench) -> None:
 
 @case(
     "TC_BP_MGT_BO_01",
-    "A deactivated BP still serves its clients",
+    "Deactivated BP still serves its clients",
     requirements="BP-MGT-04 BP-TXP-09",
-    stimulus="while BP is inactive: register, list, submit, query, clear, deregister; requests that must be refused",
-    expect="the same answers as ever; what was submitted is sent after activation",
+    stimulus="while BP is inactive: register, list, submit, query, clear, deregister; requests that must be rejected",
+    expect="the same answers as while BP is active; the submitted payload is sent after activation",
     needs=Needs(since=V1_2, entities=(), ut=(*CLIENT, LIST, QUERY, CLEAR, ACTIVATE, DEACTIVATE)),
     window=8,
 )
@@ -110,7 +119,7 @@ def serves_while_inactive(bench: Bench) -> None:
     with bench.deactivated("BP"):
         bench.expect_status(UNKNOWN_PROTOCOL, QUERY, "BP-MGT-04", protId=prot_id)
         bench.expect_status(OK, REGISTER, "BP-MGT-04", **client.registration)
-        bench.check(prot_id in registered(bench), "the client is listed", "it is not", "BP-MGT-04", shown=True)
+        bench.check(prot_id in registered(bench), "the client in the list", "not in the list", "BP-MGT-04", shown=True)
         if bench.pics.transmit_payload_confirm is not False:
             bench.expect_status(EMPTY, TRANSMIT, "BP-MGT-04", protId=prot_id, payload="")
         for number, method, params in (
@@ -123,21 +132,28 @@ def serves_while_inactive(bench: Bench) -> None:
             else:
                 bench.call(method, protId=prot_id, **params)
             said = client.number()
-            bench.check(said == number, f"{number} payloads after {method}", f"{said}", "BP-MGT-04", shown=True)
+            bench.check(
+                said == number, f"{number} buffered payloads after {method}", f"{said}", "BP-MGT-04", shown=True
+            )
         bench.wait(2)
         bench.check(
-            not client.sent(), "nothing is sent meanwhile", "the payload is", "BP-MGT-02", "BP-TXP-09", shown=True
+            not client.sent(),
+            "no payload sent while BP is inactive",
+            "the payload was sent",
+            "BP-MGT-02",
+            "BP-TXP-09",
+            shown=True,
         )
-    bench.check(client.until_sent(payload), "the payload is sent after activation", "it is not", "BP-MGT-04")
+    bench.check(client.until_sent(payload), "the payload is sent after activation", "not sent in time", "BP-MGT-04")
     bench.expect_status(OK, DEREGISTER, "BP-MGT-04", protId=prot_id)
 
 
 @case(
     "TC_BP_MGT_BO_02",
-    "Switching to what BP is already changes nothing",
+    "Activating active BP and deactivating inactive BP have no effect",
     requirements="BP-MGT-01 BP-MGT-05",
-    stimulus="BP-MGMT-Activate while active; BP-MGMT-Deactivate twice; BP-MGMT-Activate once",
-    expect="BP-STATUS-OK each time; BP is active afterwards",
+    stimulus="BP-MGMT-Activate while BP is active; BP-MGMT-Deactivate twice; BP-MGMT-Activate once",
+    expect="BP-STATUS-OK each time; BP is active at the end",
     needs=_SWITCHES,
 )
 def switched_twice(bench: Bench) -> None:
@@ -149,15 +165,17 @@ def switched_twice(bench: Bench) -> None:
         bench.expect_status(OK, ACTIVATE, "BP-MGT-05")
     with BPClient(bench, ONCE) as client:
         client.transmit(client.payload())
-        bench.check(client.until_sent(), "BP is active", "a payload is not sent", "BP-MGT-05")
+        bench.check(
+            client.until_sent(), "BP is active and sends a payload", "a payload is not sent in time", "BP-MGT-05"
+        )
 
 
 @case(
     "TC_BP_MGT_BO_04",
-    "Activating an active BP again and again does not hold its beacons back",
+    "Repeated activation of active BP does not delay its beacons",
     requirements="BP-MGT-05 BP-TX-01",
-    stimulus="a client repeats a payload; BP-MGMT-Activate five times in each of eight periods",
-    expect="beacons with the payload as ever",
+    stimulus="a client repeats a payload; BP-MGMT-Activate five times per period for eight periods",
+    expect="beacons with the payload continue",
     needs=_SWITCHES,
     window=12,
 )
@@ -165,9 +183,9 @@ def activated_again_and_again(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         payload = client.payload()
         client.transmit(payload)
-        needed(bench, client.until_sent(), "beacons before")
+        needed(bench, client.until_sent(), "beacons before the first activation")
         since = bench.now()
-        # A slow upper tester asks less often, which leaves the beacons more time.
+        # A slow upper tester calls less often, which only makes the test easier.
         while bench.now() < since + 8 * bench.period:
             bench.must(ACTIVATE)
             bench.wait(0.2)
@@ -179,15 +197,15 @@ def activated_again_and_again(bench: Bench) -> None:
     "TC_BP_MGT_BV_04",
     "BP serves its other clients while VarDis is inactive",
     requirements="BP-TX-01 BP-RX-08",
-    stimulus="a client repeats a payload; VD-MGMT-Deactivate; five periods later a beacon with a block for the client",
-    expect="beacons with the payload all the time, and an indication of the block",
+    stimulus="a client repeats a payload; VD-MGMT-Deactivate; six periods later a beacon with a block for the client",
+    expect="beacons with the payload while VarDis is inactive, and an indication of the block",
     needs=Needs(since=V1_2, ut=(*CLIENT, "VD-MGMT-Activate", "VD-MGMT-Deactivate")),
     window=12,
 )
 def without_vardis(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
-        needed(bench, client.until_sent(), "beacons before")
+        needed(bench, client.until_sent(), "beacons before the deactivation")
         with bench.deactivated("VD"):
             since = bench.now()
             bench.wait(6)
@@ -195,7 +213,7 @@ def without_vardis(bench: Bench) -> None:
             bench.check(count >= 3, "at least 3 beacons in 6 periods", f"{count}", "BP-TX-01")
             octets = bytes(range(9))
             bench.peer().send(Block(client.prot_id, octets))
-            bench.check(octets in client.until_received(), "an indication", "there is none in time", "BP-RX-08")
+            bench.check(octets in client.until_received(), "an indication of the block", "none in time", "BP-RX-08")
 
 
 # -- initialization ----------------------------------------------------------------------------------------------------
@@ -203,10 +221,10 @@ def without_vardis(bench: Bench) -> None:
 
 @case(
     "TC_BP_INI_BV_03",
-    "After its start BP has no clients but those that belong to the node",
+    "After its start BP has no clients other than SRP and VarDis",
     requirements="BP-INI-01",
     stimulus="a client registers; UT-Reset; BP-ListRegisteredProtocols",
-    expect="no registered protocols but SRP and VarDis",
+    expect="no registered protocols other than SRP and VarDis",
     needs=Needs(entities=(), ut=(REGISTER, LIST, "UT-Reset")),
 )
 def no_clients(bench: Bench) -> None:
@@ -214,12 +232,12 @@ def no_clients(bench: Bench) -> None:
     bench.must(REGISTER, **client.registration)
     bench.must("UT-Reset")
     ids = set(registered(bench)) - {BP_PROTID_SRP, BP_PROTID_VARDIS}
-    bench.check(not ids, "SRP and VarDis at most", f"also {sorted(ids)}", shown=True)
+    bench.check(not ids, "no protocols other than SRP and VarDis", f"protocols {sorted(ids)} in addition", shown=True)
 
 
 @case(
     "TC_BP_INI_BV_04",
-    "After its start BP is active",
+    "BP is active after its start",
     requirements="BP-INI-03",
     stimulus="BP-MGMT-Deactivate, UT-Reset; a client submits a payload",
     expect="a beacon with the payload, without BP-MGMT-Activate",
@@ -230,4 +248,4 @@ def active_after_start(bench: Bench) -> None:
     bench.must("UT-Reset")
     with BPClient(bench, ONCE) as client:
         client.transmit(client.payload())
-        bench.check(client.until_sent(), "a beacon with the payload", "there is none in time")
+        bench.check(client.until_sent(), "a beacon with the payload", "none in time")

@@ -37,18 +37,18 @@ _PARAMETERS = Needs(since=V1_1, entities=(), ut=(GET, SET))
 
 
 def values(bench: Bench) -> dict[str, Any]:
-    """BP-GetParameters."""
+    """Return the parameters in the answer to BP-GetParameters, by name; fails and stops the case without them."""
     answer = bench.call(GET)
-    bench.require_asked(answer, f"{GET} is answered")
-    bench.require(answer.ok, f"{GET} is answered", str(answer), "BP-PAR-01")
+    bench.require_asked(answer, f"an answer to {GET}")
+    bench.require(answer.ok, f"a positive answer to {GET}", str(answer), "BP-PAR-01")
     found = answer.result.get("parameters")
     if not isinstance(found, dict):
-        bench.fail(f"{GET} returns parameters", f"parameters: {found!r}", "BP-PAR-01", shown=True)
+        bench.fail(f"parameters in the answer to {GET}", f"parameters: {found!r}", "BP-PAR-01", shown=True)
     return found
 
 
 def changed(bench: Bench, name: str) -> int:
-    """A valid value for a parameter that it does not have yet."""
+    """Return a valid value for a parameter that differs from the current one."""
     old = bench.parameter(name)
     return {PERIOD: 2 * old, SIZE: old - 7, NETWORK: old ^ 0x0102}[name]
 
@@ -66,32 +66,34 @@ _EACH = {
 
 @case(
     "TC_BP_PAR_BV_01",
-    "A parameter can be asked for and set ({variant})",
+    "A parameter can be read and set ({variant})",
     requirements="BP-PAR-01",
-    stimulus="BP-SetParameter with another valid value for the {variant}, BP-GetParameters before and afterwards",
-    expect="the value that was set, and the other parameters as before",
+    stimulus="BP-SetParameter with another valid value ({variant}), BP-GetParameters before and after",
+    expect="the value that was set; the other parameters as before",
     needs=_PARAMETERS,
     variants=_EACH,
 )
 def set_and_get(bench: Bench, name: str) -> None:
     before = values(bench)
-    bench.require(name in before, f"{GET} tells {name}", f"it tells {', '.join(before)}", "BP-PAR-01", shown=True)
+    bench.require(
+        name in before, f"{name} in the answer to {GET}", f"only {', '.join(before)}", "BP-PAR-01", shown=True
+    )
     new = changed(bench, name)
     answer = bench.call(SET, name=name, value=new)
     try:
-        bench.check(answer.ok, f"{name} can be set to {new}", str(answer), shown=True)
+        bench.check(answer.ok, f"a positive answer when {name} is set to {new}", str(answer), shown=True)
         after = values(bench)
     finally:
         bench.call(SET, name=name, value=before[name])
     said = after.get(name)
-    # The resolution of times is the implementation's own.
+    # The resolution of times is up to the implementation.
     near = name == PERIOD and isinstance(said, int | float) and abs(said - new) < abs(before[name] - new) / 2
     bench.check(said == new or near, f"{name} is {new}", f"{said}", shown=True)
-    # Others may be told beside these, and depend on what was set.
+    # The answer may also have other fields, which may depend on the changed parameter.
     others = [
         each for each in (PERIOD, SIZE, NETWORK, UWB_SIZE) if each != name and after.get(each) != before.get(each)
     ]
-    bench.check(not others, "the other parameters are as before", f"{others} are not", shown=True)
+    bench.check(not others, "the other parameters as before", f"{others} changed", shown=True)
 
 
 _WRONG: dict[str, tuple[str, Callable[[Bench], int]]] = {
@@ -108,10 +110,13 @@ _RULES = {PERIOD: "BP-PAR-03", SIZE: "BP-PAR-04 BP-PAR-13", NETWORK: "BP-PAR-05"
 
 @case(
     "TC_BP_PAR_BI_01",
-    "A value that is not valid is rejected, and the old one kept ({variant})",
+    "An invalid value is rejected and the old one kept ({variant})",
     requirements="BP-PAR-06",
-    stimulus="BP-SetParameter with a value that is not valid: {variant}; a client repeats a payload",
-    expect="BP-GetParameters tells the same as before; beacons go on; whether there is feedback is reported",
+    stimulus="BP-SetParameter with an invalid value ({variant}) while a client repeats a payload",
+    expect=(
+        "BP-GetParameters returns the old value; beacons continue; the case reports whether the confirm shows the "
+        "rejection"
+    ),
     needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, GET, SET)),
     variants={
         name: Variant(
@@ -133,7 +138,8 @@ def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> N
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
         first, value = values(bench), value_of(bench)
-        # Another value than at the start: what is kept must be the old one, not the default.
+        # Set to a value other than the default first: the implementation must keep the old value, not restore the
+        # default.
         bench.must(SET, name=name, value=changed(bench, name))
         before = values(bench)
         try:
@@ -143,49 +149,57 @@ def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> N
             bench.call(SET, name=name, value=first[name])
         bench.check(
             after.get(name) == before.get(name),
-            f"{name} stays {before.get(name)}",
-            f"it is {after.get(name)}",
+            f"{name} {before.get(name)}, as before",
+            f"{after.get(name)}",
             shown=True,
         )
         frames = [bench.until(client.in_frame) for _ in range(3)]
-        bench.check(all(frames), "beacons go on", "there are none any more", "BP-PAR-06")
-        bench.info("Is the rejection of a parameter told?", "no" if answer.ok else str(answer), "BP-PAR-07")
+        bench.check(all(frames), "beacons continue", "no further beacons in time", "BP-PAR-06")
+        bench.info(
+            "Does the confirm report the rejection of a parameter value?",
+            "no" if answer.ok else str(answer),
+            "BP-PAR-07",
+        )
 
 
 @case(
     "TC_BP_PAR_BV_02",
-    "BPPAR_MAXIMUM_PACKET_SIZE may be anything from both headers to what the bearer carries",
+    "BPPAR_MAXIMUM_PACKET_SIZE may have any value from the size of both headers to the bearer's maximum",
     requirements="BP-PAR-04 BP-PAR-14",
-    stimulus="BP-SetParameter with the largest value, and with the sizes of both headers",
-    expect="both are accepted, or the smallest is refused because nothing fits (X05)",
+    stimulus="BP-SetParameter with the largest value, and with the size of both headers",
+    expect="both accepted; the smallest may be rejected because no payload fits (X05)",
     needs=_PARAMETERS,
 )
 def size_bounds(bench: Bench) -> None:
     known = values(bench)
     if UWB_SIZE in known:
         answer = bench.call(SET, name=SIZE, value=known[UWB_SIZE])
-        bench.check(answer.ok, f"{SIZE} can be {UWB_SIZE}, {known[UWB_SIZE]}", str(answer), "BP-PAR-04", shown=True)
+        bench.check(
+            answer.ok, f"{SIZE} can be set to {UWB_SIZE}, {known[UWB_SIZE]}", str(answer), "BP-PAR-04", shown=True
+        )
         if known.get(SIZE) == known[UWB_SIZE]:
-            bench.check(True, f"{SIZE} starts with what the bearer carries", "", "BP-PAR-14")
+            bench.check(True, f"the bearer's maximum as initial value of {SIZE}", "", "BP-PAR-14")
         else:
-            bench.info(f"Does {SIZE} start with what the bearer carries?", f"it is {known.get(SIZE)}", "BP-PAR-14")
+            bench.info(
+                f"Is the initial value of {SIZE} the bearer's maximum?", f"no, it is {known.get(SIZE)}", "BP-PAR-14"
+            )
     least = header_octets(bench) + block_header_octets(bench)
     answer = bench.call(SET, name=SIZE, value=least)
     if answer.ok:
         bench.reading("X05", "literal-minimum")
     else:
         answer = bench.call(SET, name=SIZE, value=least + 1)
-        if bench.check(answer.ok, f"{SIZE} can be {least} or {least + 1}", str(answer), "BP-PAR-04", shown=True):
+        if bench.check(answer.ok, f"{SIZE} can be set to {least} or {least + 1}", str(answer), "BP-PAR-04", shown=True):
             bench.reading("X05", "usable-minimum")
     bench.call(SET, name=SIZE, value=known.get(SIZE))
 
 
 @case(
     "TC_BP_PAR_BV_03",
-    "Another BPPAR_MAXIMUM_PACKET_SIZE holds for the next beacon and registration",
+    "A new BPPAR_MAXIMUM_PACKET_SIZE applies to the next beacon and registration",
     requirements="BP-PAR-02 BP-PAR-11",
-    stimulus="two clients repeat payloads; the size is lowered so that a beacon has room for one of them",
-    expect="no larger beacon from then on; a registration is bounded by the new size",
+    stimulus="two clients repeat payloads; the size is reduced so that only one of them fits into a beacon",
+    expect="no larger beacon from then on; the new size limits registrations",
     needs=Needs(entities=(), ut=(*CLIENT, SET), when=areas_of_fixed_size),
     window=8,
 )
@@ -193,7 +207,7 @@ def smaller_beacons(bench: Bench) -> None:
     with BPClient(bench, REPEAT, size=60) as one, BPClient(bench, REPEAT, size=60) as two:
         for client in (one, two):
             client.transmit(client.payload(60))
-        needed(bench, bench.until(one.in_frame), "beacons before")
+        needed(bench, bench.until(one.in_frame), "beacons before the change")
         size = header_octets(bench) + 60 + block_header_octets(bench) + 20
         with parameters_set(bench, "BP", **{SIZE: size}):
             from_now = bench.now() + bench.period // 5
@@ -202,10 +216,10 @@ def smaller_beacons(bench: Bench) -> None:
             if large and max(len(each.octets) for each in large) <= size + header_octets(bench):
                 bench.reading("X04", "blocks-only")
                 large = []
-            bench.require(heard, "beacons afterwards", "there are none in time", "BP-PAR-02")
-            said = f"{len(large)} of {len(heard)} are larger"
+            bench.require(heard, "beacons after the change", "none in time", "BP-PAR-02")
+            said = f"{len(large)} of {len(heard)} beacons are larger"
             bench.check(not large, f"beacons of at most {size} octets", said, "BP-PAR-02", frames=large, shown=True)
-            # In 1.0 the bound takes another size for the header.
+            # In 1.0, the limit assumes another header size.
             counted = header_octets(bench) if bench.features.registration_counts_bp_header else 4
             third = BPClient(bench, ONCE, size=size - counted - block_header_octets(bench) + 1)
             answer = bench.expect_status(ILLEGAL_SIZE, REGISTER, "BP-PAR-11", **third.registration)
@@ -215,10 +229,10 @@ def smaller_beacons(bench: Bench) -> None:
 
 @case(
     "TC_BP_PAR_BV_04",
-    "Another BPPAR_NETWORK_ID holds for the next beacon and for reception",
+    "A new BPPAR_NETWORK_ID applies to the next beacon and to reception",
     requirements="BP-PAR-05 BP-PAR-02 BP-HDR-04 BP-HDR-05 BP-RX-05",
-    stimulus="BPPAR_NETWORK_ID is set to a value of two different octets; beacons of the old and of the new network",
-    expect="beacons with the new value; the beacon of the old network is dropped, that of the new one processed",
+    stimulus="BPPAR_NETWORK_ID is set to a value with two different octets; beacons of the old and of the new network",
+    expect="beacons with the new networkId; the beacon of the old network is dropped, that of the new one is processed",
     needs=Needs(since=V2_0, ut=(GET, SET), header=("networkId",)),
     window=8,
 )
@@ -232,16 +246,16 @@ def other_network(bench: Bench) -> None:
             stranger, friend = bench.unknown_ids(2)
             peer.send(peer.summary(stranger, 1), network_id=old)
             peer.send(peer.summary(friend, 1), network_id=new)
-            # The client of the tester may have every second beacon for itself: how many share one is free.
+            # The tester's client may fill every other beacon: the number of blocks in a beacon is free.
             asked = bench.until_instruction(ICType.REQUEST_VARCREATES, friend, 2 * bench.reaction)
-            bench.check(asked, "a beacon of the new network is processed", "it is not", "BP-PAR-05", "BP-RX-05")
+            bench.check(asked, "a beacon of the new network is processed", "not processed", "BP-PAR-05", "BP-RX-05")
             heard = [each for each in (*bench.heard, *bench.beacons(3)) if each.time >= from_now]
             numbers = {
                 each.beacon.bp.network_id
                 for each in heard
                 if each.beacon is not None and each.beacon.bp is not None and each.salvaged.clear
             }
-            said = f"networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
+            said = f"beacons of networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
             bench.check(
                 numbers == {new},
                 f"beacons of network {new:#x}",
@@ -253,15 +267,15 @@ def other_network(bench: Bench) -> None:
             )
             found = bench.instructions(ICType.REQUEST_VARCREATES, stranger)
             expected = "a beacon of the old network is dropped"
-            bench.check(not found, expected, "it is processed", "BP-RX-05", "BP-PAR-05", frames=found, shown=True)
+            bench.check(not found, expected, "processed", "BP-RX-05", "BP-PAR-05", frames=found, shown=True)
 
 
 @case(
     "TC_BP_PAR_BV_05",
-    "The beacon period is about 100 ms unless it is set",
+    "The beacon period is about 100 ms by default",
     requirements="BP-PAR-15",
-    stimulus="BP-GetParameters after a reset; without it, something to send in every period",
-    expect="80 to 120 ms; a period that was configured, as the PIXIT says, is reported",
+    stimulus="BP-GetParameters after a reset; without it, payloads to send in every period",
+    expect="80 ms to 120 ms; a configured period, given in the PIXIT, is reported",
     window=16,
     needs=Needs(since=V1_1, entities=()),
 )
@@ -271,35 +285,37 @@ def default_period(bench: Bench) -> None:
         period = values(bench).get(PERIOD)
         near = isinstance(period, int | float) and 80 <= period <= 120
         if not near and period == configured:
-            bench.info(f"Is {PERIOD} about 100 ms unless it is set?", f"it was configured to {period}")
+            bench.info(f"Is the default {PERIOD} about 100 ms?", f"unknown: it was configured to {period} ms")
         else:
-            bench.check(near, f"{PERIOD} is about 100 ms", f"it is {period}", shown=True)
+            bench.check(near, f"{PERIOD} of about 100 ms", f"{period} ms", shown=True)
         return
     with talking(bench):
         found = estimate(some_beacons(bench, 12))
     mean = found.mean / MS
     if not 80 <= mean <= 120 and abs(mean - configured) <= configured / 5:
-        bench.info(f"Is {PERIOD} about 100 ms unless it is set?", f"it was configured to {configured:g}: {found}")
+        bench.info(
+            f"Is the default {PERIOD} about 100 ms?", f"unknown: it was configured to {configured:g} ms: {found}"
+        )
     else:
         bench.check(80 <= mean <= 120, "a mean interval of about 100 ms", f"{found}")
 
 
 @case(
     "TC_BP_PAR_BI_02",
-    "What is determined at the start cannot be set",
+    "Values determined at the start cannot be set",
     requirements="BP-PAR-08 BP-PAR-09",
-    stimulus="BP-SetParameter for UWB-MaxPacketSize and ownNodeIdentifier, as far as BP-GetParameters tells them",
-    expect="BP-GetParameters tells the same as before",
+    stimulus="BP-SetParameter for UWB-MaxPacketSize and ownNodeIdentifier, if BP-GetParameters returns them",
+    expect="BP-GetParameters returns the same values as before",
     needs=_PARAMETERS,
 )
 def fixed_values(bench: Bench) -> None:
     before = values(bench)
     told = [name for name in (UWB_SIZE, "ownNodeIdentifier") if name in before]
     if not told:
-        bench.info("Can what is determined at the start be set?", f"{GET} tells none of it", "BP-PAR-08")
+        bench.info("Can values determined at the start be set?", f"unknown: {GET} returns none of them", "BP-PAR-08")
     for name in told:
         value = before[name]
         other: Any = value - 1 if isinstance(value, int) else "02:00:00:00:00:77"
         bench.call(SET, name=name, value=other)
         after = values(bench).get(name)
-        bench.check(after == value, f"{name} stays {value}", f"it is {after}", "BP-PAR-08", "BP-PAR-09", shown=True)
+        bench.check(after == value, f"{name} {value}, as before", f"{after}", "BP-PAR-08", "BP-PAR-09", shown=True)

@@ -1,6 +1,6 @@
 """dcp-bp.md: Data Types, queueing modes; Transmit Path.
 
-Payloads are submitted between two beacons; what is on the air afterwards shows what the queue or buffer has done.
+Payloads are submitted between two beacons; the beacons sent afterwards show what the queue or buffer kept.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _QUEUES = {"droptail": DROPTAIL, "drophead": DROPHEAD}
 
 
 def until_done(client: BPClient, since: int) -> list[bytes]:
-    """Wait until nothing of a client is sent any more; what was sent from a mark on."""
+    """Wait until no more payloads of a client are sent; return those sent since a mark."""
     client.bench.until_quiet(client.in_frame, since=since)
     return client.sent(since)
 
@@ -42,10 +42,10 @@ def until_done(client: BPClient, since: int) -> list[bytes]:
 
 @case(
     "TC_BP_QM_BV_01",
-    "A full queue of mode DROPTAIL discards the new payload, and the status is OK",
+    "A full queue of mode DROPTAIL discards the new payload, and the status is BP-STATUS-OK",
     requirements="BP-QM-01 BP-TXP-04 BP-TXP-09",
-    stimulus="a client with maxEntries 2 submits A, B, C between two beacons",
-    expect="BP-STATUS-OK each time; A, then B on the air, and no C",
+    stimulus="between two beacons, a client with maxEntries 2 submits A, B, C",
+    expect="BP-STATUS-OK each time; A is sent, then B, and never C",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
     smoke=True,
 )
@@ -55,10 +55,10 @@ def droptail(bench: Bench) -> None:
 
 @case(
     "TC_BP_QM_BV_02",
-    "A full queue of mode DROPHEAD drops its oldest payload for the new one, and the status is OK",
+    "A full queue of mode DROPHEAD drops its oldest payload for the new one, and the status is BP-STATUS-OK",
     requirements="BP-QM-02 BP-TXP-05",
-    stimulus="a client with maxEntries 2 submits A, B, C between two beacons",
-    expect="BP-STATUS-OK each time; B, then C on the air, and no A",
+    stimulus="between two beacons, a client with maxEntries 2 submits A, B, C",
+    expect="BP-STATUS-OK each time; B is sent, then C, and never A",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
 )
 def drophead(bench: Bench) -> None:
@@ -66,7 +66,7 @@ def drophead(bench: Bench) -> None:
 
 
 def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requirements: str) -> None:
-    """Submit one payload too many; those at the places ``kept`` must be sent, in order."""
+    """Submit one payload more than the queue holds; the payloads with the indices ``kept`` must be sent, in order."""
     with BPClient(bench, mode, entries=2) as client:
         start = bench.mark()
         events = len(bench.traffic.events)
@@ -74,10 +74,10 @@ def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requiremen
         said = [each.text for each in bench.traffic.events[events:] if each.direction == "answer"]
         refused = [text for text in said if not text.endswith(("STATUS-OK", "STATUS_OK"))]
         if no_confirm(bench) is None:
-            bench.check(not refused, "each submission is answered with OK", f"{refused}", *requirements[1:], shown=True)
+            bench.check(not refused, "BP-STATUS-OK for each submission", f"{refused}", *requirements[1:], shown=True)
         sent = [each for each in until_done(client, start) if each in payloads]
         right = [payloads[place] for place in kept]
-        expected = f"payloads {listed(right, payloads)} on the air"
+        expected = f"payloads {listed(right, payloads)} in the beacons"
         bench.check(
             sent == right,
             expected,
@@ -92,8 +92,8 @@ def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requiremen
     "TC_BP_QM_BV_03",
     "A queue sends each payload once, in the order of submission ({variant})",
     requirements="BP-QM-03",
-    stimulus="a client with mode {variant} and maxEntries 5 submits five payloads between two beacons",
-    expect="each of them in one beacon, in order",
+    stimulus="between two beacons, a client with mode {variant} and maxEntries 5 submits five payloads",
+    expect="one beacon with each of them, in order",
     variants={name: each for name, each in each_mode(*CLIENT).items() if each.value.is_queue},
     window=8,
 )
@@ -114,7 +114,7 @@ def fifo(bench: Bench, mode: QueueingMode) -> None:
 
 @case(
     "TC_BP_QM_BV_04",
-    "A queue is as long as it was registered to be, and BP says how long it is ({variant})",
+    "A queue holds maxEntries payloads, and BP reports its length ({variant})",
     requirements="BP-QRY-02 BP-REG-06",
     stimulus="a client with mode {variant} and maxEntries 3 submits four payloads one by one",
     expect="BP-QueryNumberBufferedPayloads answers 0, then 1, 2, 3, 3",
@@ -131,20 +131,24 @@ def queue_length(bench: Bench, mode: QueueingMode) -> None:
                 found.append(client.number())
             return found
 
-        # A beacon in between would take one out.
-        numbers = between_beacons(bench, "four payloads are submitted", act, client.in_frame)
+        # A beacon in between would take a payload from the queue.
+        numbers = between_beacons(bench, "submission of four payloads", act, client.in_frame)
         bench.check(
-            numbers[0] == 0, "a new queue is empty", f"{numbers[0]} payloads are in it", "BP-REG-06", shown=True
+            numbers[0] == 0,
+            "an empty queue after registration",
+            f"{numbers[0]} payloads in it",
+            "BP-REG-06",
+            shown=True,
         )
         bench.check(numbers[1:] == [1, 2, 3, 3], "lengths 1, 2, 3, 3", f"{numbers[1:]}", "BP-QRY-02", shown=True)
 
 
 @case(
     "TC_BP_QM_BV_05",
-    "With allowMultiplePayloads false there is one payload of a client per beacon ({variant})",
+    "With allowMultiplePayloads false a beacon has at most one payload of a client ({variant})",
     requirements="BP-QM-07",
-    stimulus="a client with mode {variant} submits four small payloads between two beacons",
-    expect="four beacons with one each",
+    stimulus="between two beacons, a client with mode {variant} submits four small payloads",
+    expect="four beacons with one payload each",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
     variants=_QUEUES,
     window=8,
@@ -157,15 +161,17 @@ def one_per_beacon(bench: Bench, mode: QueueingMode) -> None:
         frames = client.frames(start)
         needed(bench, frames, "beacons with the payloads")
         counts = [len(client.in_frame(each)) for each in frames]
-        bench.check(max(counts) == 1, "one payload per beacon", f"{counts}", frames=frames, shown=True)
+        bench.check(
+            max(counts) == 1, "at most one payload of the client in each beacon", f"{counts}", frames=frames, shown=True
+        )
 
 
 @case(
     "TC_BP_QM_BV_06",
     "With allowMultiplePayloads true several payloads of a client may share a beacon",
     requirements="BP-QM-08 BP-TX-03",
-    stimulus="a client that allows it submits four small payloads between two beacons",
-    expect="each payload once and in order; how many of them share a beacon is reported",
+    stimulus="between two beacons, a client with allowMultiplePayloads true submits four small payloads",
+    expect="each payload once and in order; the case reports how many share a beacon",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
     window=8,
 )
@@ -176,16 +182,16 @@ def several_per_beacon(bench: Bench) -> None:
         sent = [each for each in until_done(client, start) if each in payloads]
         bench.check(
             sent == payloads,
-            "all of them once, in order",
+            "each payload once, in order",
             listed(sent, payloads),
             "BP-QM-03",
             shown=not part_of(sent, payloads),
         )
         counts = [len(client.in_frame(each)) for each in client.frames(start)]
-        bench.info("How many payloads of one client share a beacon?", ", ".join(map(str, counts)))
+        bench.info("How many payloads of one client are in each beacon?", ", ".join(map(str, counts)))
         if bench.pics.multiple_payloads:
             bench.check(
-                max(counts, default=0) > 1, "several share a beacon, as the PICS claims", f"{counts}", "BP-QM-08"
+                max(counts, default=0) > 1, "several payloads in a beacon, as the PICS claims", f"{counts}", "BP-QM-08"
             )
 
 
@@ -194,10 +200,10 @@ def several_per_beacon(bench: Bench) -> None:
 
 @case(
     "TC_BP_QM_BV_07",
-    "Mode ONCE sends the newest payload, once",
+    "Mode ONCE sends only the newest payload, once",
     requirements="BP-QM-04 BP-TXP-06",
-    stimulus="a client with mode ONCE submits A and B between two beacons",
-    expect="B in one beacon, and no A",
+    stimulus="between two beacons, a client with mode ONCE submits A and B",
+    expect="B in one beacon; A in none",
     needs=_SENDER,
 )
 def once(bench: Bench) -> None:
@@ -207,7 +213,7 @@ def once(bench: Bench) -> None:
         sent = [each for each in until_done(client, start) if each in payloads]
         bench.check(
             sent == payloads[1:],
-            "payload B once",
+            "payload B, once",
             listed(sent, payloads),
             frames=client.frames(start),
             shown=not part_of(sent, payloads[1:]),
@@ -216,10 +222,10 @@ def once(bench: Bench) -> None:
 
 @case(
     "TC_BP_QM_BV_08",
-    "Mode REPEAT keeps a payload until the next one",
+    "Mode REPEAT repeats a payload until the next one is submitted",
     requirements="BP-QM-05 BP-TXP-06",
-    stimulus="a client with mode REPEAT submits A; five beacons later B",
-    expect="A in each beacon of the client, then B in each, and A no more",
+    stimulus="a client with mode REPEAT submits A; after five beacons it submits B",
+    expect="A in each beacon of the client, then B in each, without A",
     needs=_SENDER,
     window=12,
 )
@@ -230,28 +236,34 @@ def repeat(bench: Bench) -> None:
         for _ in range(5):
             client.until_sent()
         repeated = client.sent()
-        bench.check(len(repeated) >= 5, "A in five beacons", f"in {len(repeated)}", "BP-QM-05", frames=client.frames())
+        bench.check(
+            len(repeated) >= 5,
+            "A in at least five beacons",
+            f"A in {len(repeated)} beacons",
+            "BP-QM-05",
+            frames=client.frames(),
+        )
         start = bench.mark()
         client.transmit(new)
         submitted = bench.now()
         for _ in range(3):
             client.until_sent(new)
         sent = client.sent(start)
-        # A beacon that was being prepared when B came may have A still.
+        # A beacon that was in preparation when B was submitted may still contain A.
         late = [heard for heard in client.frames(start, after=submitted) if old in client.in_frame(heard)]
         again = new in sent and old in sent[sent.index(new) :]
         right = sent.count(new) >= 3 and not again and len(late) <= 1
         bench.check(
-            right, "B only", listed(sent, [old, new]), frames=client.frames(start), shown=again or len(late) > 1
+            right, "payload B only", listed(sent, [old, new]), frames=client.frames(start), shown=again or len(late) > 1
         )
 
 
 @case(
     "TC_BP_QM_BV_09",
-    "A payload of mode REPEAT is transmitted repeatedly",
+    "Mode REPEAT sends its payload repeatedly",
     requirements="BP-QM-05 BP-TX-05",
-    stimulus="a client with mode REPEAT and small payload; six beacons",
-    expect="the payload in them; other protocols may keep it back",
+    stimulus="a client with mode REPEAT and a small payload; six beacons",
+    expect="the payload in these beacons; other protocols may delay it",
     needs=_SENDER,
     window=8,
 )
@@ -261,23 +273,23 @@ def repeat_in_every_beacon(bench: Bench) -> None:
         needed(bench, client.until_sent(), "a beacon with the payload")
         frames = bench.beacons(6)
         bare = [heard for heard in frames if not client.in_frame(heard)]
-        bench.check(len(frames) == 6, "six beacons", f"{len(frames)} in {2 * 6 + bench.reaction:g} periods")
+        bench.check(len(frames) == 6, "six beacons", f"{len(frames)} beacons in {2 * 6 + bench.reaction:g} periods")
         if len(bare) == len(frames):
-            bench.inconclusive("beacons with the payload again", "all have blocks of other protocols only")
+            bench.inconclusive("further beacons with the payload", "all beacons have only blocks of other protocols")
         if bare:
-            # How many payloads a beacon has and which is free, and a beacon without any is another case's matter.
+            # The number and choice of payloads in a beacon is free; another case checks beacons without payloads.
             bench.info(
-                "Does a payload of another protocol keep back one of mode REPEAT?", f"in {len(bare)} of 6 beacons"
+                "Does a payload of another protocol delay one of mode REPEAT?", f"yes, in {len(bare)} of 6 beacons"
             )
-        bench.check(True, "the payload is transmitted repeatedly")
+        bench.check(True, "further beacons with the payload")
 
 
 @case(
     "TC_BP_QM_BV_10",
-    "A buffer counts as one payload or none ({variant})",
+    "A buffer holds at most one payload, and its count is 0 or 1 ({variant})",
     requirements="BP-QRY-03 BP-TX-05 BP-TXP-06",
-    stimulus="a client with mode {variant} submits two payloads; one is sent",
-    expect="BP-QueryNumberBufferedPayloads answers 0, 1, 1; after transmission 0 (ONCE) or 1 (REPEAT)",
+    stimulus="a client with mode {variant} submits two payloads; one of them is sent",
+    expect="BP-QueryNumberBufferedPayloads answers 0, 1, 1; after the transmission 0 (ONCE) or 1 (REPEAT)",
     needs=Needs(entities=(), ut=(*CLIENT, QUERY)),
     variants={"once": ONCE, "repeat": REPEAT},
 )
@@ -287,7 +299,7 @@ def buffer_count(bench: Bench, mode: QueueingMode) -> None:
 
         def act() -> list[int | None]:
             nonlocal start
-            # A payload of an earlier attempt has left already.
+            # The payload of an earlier attempt has already been sent.
             start = bench.mark()
             found = [client.number()]
             for _ in range(2):
@@ -295,24 +307,38 @@ def buffer_count(bench: Bench, mode: QueueingMode) -> None:
                 found.append(client.number())
             return found
 
-        # With REPEAT it stays in the buffer.
+        # With REPEAT the payload stays in the buffer, so a beacon in between makes no difference.
         numbers = (
-            act() if mode is REPEAT else between_beacons(bench, "two payloads are submitted", act, client.in_frame)
+            act() if mode is REPEAT else between_beacons(bench, "submission of two payloads", act, client.in_frame)
         )
-        bench.check(numbers == [0, 1, 1], "0, then 1, then 1", f"{numbers}", "BP-QRY-03", "BP-TXP-06", shown=True)
+        bench.check(
+            numbers == [0, 1, 1],
+            "0, then 1, then 1 buffered payloads",
+            f"{numbers}",
+            "BP-QRY-03",
+            "BP-TXP-06",
+            shown=True,
+        )
         if not client.frames(start):
             client.until_sent()
         needed(bench, client.frames(start), "a beacon with the payload")
         right, number = 1 if mode is REPEAT else 0, client.number()
-        bench.check(number == right, f"{right} after transmission", f"{number}", "BP-QRY-03", "BP-TX-05", shown=True)
+        bench.check(
+            number == right,
+            f"{right} buffered payloads after the transmission",
+            f"{number}",
+            "BP-QRY-03",
+            "BP-TX-05",
+            shown=True,
+        )
 
 
 @case(
     "TC_BP_QM_BV_11",
-    "A cleared payload of mode REPEAT disappears from the beacons",
+    "A cleared payload of mode REPEAT is no longer sent",
     requirements="BP-QM-05 BP-CLR-03",
-    stimulus="a client with mode REPEAT clears its buffer when its payload is on the air",
-    expect="no further beacon with it",
+    stimulus="a client with mode REPEAT clears its buffer after its payload was sent",
+    expect="no further beacon with the payload",
     needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, CLEAR)),
 )
 def clear_repeated(bench: Bench) -> None:
@@ -323,4 +349,10 @@ def clear_repeated(bench: Bench) -> None:
         quiet_from = bench.now() + bench.period // 5
         bench.wait(4)
         frames = client.frames(after=quiet_from)
-        bench.check(not frames, "no beacon with it", f"{len(frames)} beacons", frames=frames, shown=True)
+        bench.check(
+            not frames,
+            "no further beacon with the payload",
+            f"{len(frames)} beacons with it",
+            frames=frames,
+            shown=True,
+        )

@@ -22,15 +22,15 @@ from dcp_conformance.gaps import between_beacons
 V1_1 = SpecVersion.V1_1
 _MANY = 64
 _BEYOND = 2
-"""Payloads more than a full queue holds."""
+"""Number of payloads submitted in excess of the length of the queue."""
 
 
 @case(
     "TC_BP_QM_BV_12",
-    "A queue of 64 entries keeps 64 payloads in their order, and of more those that its mode keeps ({variant})",
+    "A queue of 64 entries keeps 64 payloads in order; its mode determines which of more payloads it keeps ({variant})",
     requirements="BP-QM-03",
-    stimulus="a client with mode {variant} and maxEntries 64 submits 66 payloads between two beacons",
-    expect="64 payloads on the air, each once and in order: the first (DROPTAIL) or the last (DROPHEAD) of them",
+    stimulus="between two beacons, a client with mode {variant} and maxEntries 64 submits 66 payloads",
+    expect="64 payloads, each sent once and in order: the first 64 (DROPTAIL) or the last 64 (DROPHEAD)",
     window=80,
     variants={
         name: Variant(mode, requirements=f"BP-QM-03 {own}", needs=Needs(since=V1_1, entities=(), ut=CLIENT))
@@ -44,34 +44,38 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
         def act() -> tuple[list[bytes], int | None]:
             payloads = [client.payload() for _ in range(_MANY + _BEYOND)]
             for payload in payloads:
-                # Whatever a full queue is answered with is looked at elsewhere (BP-TXP-04, BP-TXP-05).
+                # Other cases check the status for a full queue (BP-TXP-04, BP-TXP-05).
                 client.transmit(payload, must=False)
             return payloads, client.number() if QUERY in bench.ut.methods else None
 
         start = bench.mark()
-        what = f"{_MANY + _BEYOND} payloads are submitted"
+        what = f"submission of {_MANY + _BEYOND} payloads"
         payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * _MANY)
         if number is not None:
-            bench.check(number == _MANY, f"{_MANY} payloads are buffered", f"{number} are", dropping, shown=True)
+            bench.check(
+                number == _MANY, f"{_MANY} buffered payloads", f"{number} buffered payloads", dropping, shown=True
+            )
         bench.until_quiet(client.in_frame, 2 * _MANY, start)
         sent = [each for each in client.sent(start) if each in payloads]
         kept = payloads[:_MANY] if mode is DROPTAIL else payloads[_BEYOND:]
         places = [payloads.index(each) for each in sent]
         ordered = places == sorted(set(places))
         said = f"payloads {places}"
-        bench.check(ordered, "each once, in the order of submission", said, "BP-QM-03", shown=True)
+        bench.check(ordered, "each payload at most once, in the order of submission", said, "BP-QM-03", shown=True)
         wrong = sorted(places[index] for index, each in enumerate(sent) if each not in kept)
-        bench.check(not wrong, "none of those that a full queue drops", f"payloads {wrong}", dropping, shown=True)
+        bench.check(
+            not wrong, "none of the payloads that a full queue drops", f"payloads {wrong}", dropping, shown=True
+        )
         missing = [payloads.index(each) for each in kept if each not in sent]
-        bench.check(not missing, f"all {_MANY} that the queue keeps", f"not payloads {missing}", dropping)
+        bench.check(not missing, f"all {_MANY} payloads that the queue keeps", f"payloads {missing} not sent", dropping)
 
 
 @case(
     "TC_BP_QM_BV_15",
-    "A queue of 1.0 has no bound: it keeps 66 payloads in their order, and BP says how many",
+    "A queue of 1.0 has no maximum length: it keeps 66 payloads in order, and BP reports their number",
     requirements="BP-QM-03 BP-QM-10 BP-QRY-02",
-    stimulus="a client with mode BP_QMODE_QUEUE submits 66 payloads between two beacons",
-    expect="BP-QueryNumberBufferedPayloads answers 66; each payload on the air, once and in order",
+    stimulus="between two beacons, a client with mode BP_QMODE_QUEUE submits 66 payloads",
+    expect="BP-QueryNumberBufferedPayloads answers 66; each payload is sent once and in order",
     window=80,
     needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY)),
 )
@@ -86,21 +90,25 @@ def unbounded(bench: Bench) -> None:
             return payloads, client.number()
 
         start = bench.mark()
-        what = f"{count} payloads are submitted"
+        what = f"submission of {count} payloads"
         payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * count)
-        bench.check(number == count, f"{count} payloads are buffered", f"{number} are", "BP-QRY-02", shown=True)
+        bench.check(
+            number == count, f"{count} buffered payloads", f"{number} buffered payloads", "BP-QRY-02", shown=True
+        )
         bench.until_quiet(client.in_frame, 2 * count, start)
         places = [payloads.index(each) for each in client.sent(start) if each in payloads]
         ordered = places == list(range(count))
-        bench.check(ordered, "each once, in the order of submission", f"payloads {places}", "BP-QM-03", shown=True)
+        bench.check(
+            ordered, "each payload once, in the order of submission", f"payloads {places}", "BP-QM-03", shown=True
+        )
 
 
 @case(
     "TC_BP_REG_BV_05",
-    "A queue may have 1 and 64 entries; how many more it may have is reported",
+    "maxEntries 1 and 64 are accepted; the case reports which larger values are",
     requirements="BP-REG-05 BP-QM-09",
     stimulus="BP-RegisterProtocol with maxEntries 1, 64, 255, 256, 65535 and 4294967295",
-    expect="BP-STATUS-OK for 1 and 64; the specification gives no upper bound",
+    expect="BP-STATUS-OK for 1 and 64; the specification has no upper limit",
     needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
 )
 def bounds_of_entries(bench: Bench) -> None:
@@ -114,4 +122,4 @@ def bounds_of_entries(bench: Bench) -> None:
         if client.register().ok:
             accepted.append(entries)
             bench.must(DEREGISTER, protId=client.prot_id)
-    bench.info("Which larger maxEntries are accepted?", ", ".join(map(str, accepted)) or "none", "BP-REG-01")
+    bench.info("Which larger values of maxEntries are accepted?", ", ".join(map(str, accepted)) or "none", "BP-REG-01")

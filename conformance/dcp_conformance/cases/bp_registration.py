@@ -1,6 +1,7 @@
 """dcp-bp.md: Registration and De-Registration of Client Protocols.
 
-How a client comes to be one. Statuses are those of the steps, in their order.
+Registration of client protocols. The expected status is that of the first check that fails, in the order of the
+specification.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ V1_0, V1_1 = SpecVersion.V1_0, SpecVersion.V1_1
 
 
 def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, **changes: Any) -> None:
-    """Check the status of a registration with some parameters of a client changed; one that succeeds is undone."""
+    """Check the status of a registration with changed parameters, and undo a registration that succeeds."""
     answer = bench.expect_status(status, REGISTER, *requirements, **{**client.registration, **changes})
     if answer.ok:
         bench.call(DEREGISTER, protId=client.prot_id)
@@ -51,10 +52,10 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
 
 @case(
     "TC_BP_REG_BV_01",
-    "A client registers with mode {variant}, and is listed as it registered",
+    "A client registers with mode {variant}, and the list has the registered values",
     requirements="BP-REG-01 BP-REG-06 BP-REG-12 BP-LST-01 BP-LST-03",
     stimulus="BP-RegisterProtocol with mode {variant}, then BP-ListRegisteredProtocols",
-    expect="BP-STATUS-OK; an entry with the same values, and with the time of the registration",
+    expect="BP-STATUS-OK; an entry with the same values and the time of the registration",
     variants=each_mode(*CLIENT, LIST),
 )
 def register(bench: Bench, mode: QueueingMode) -> None:
@@ -67,20 +68,20 @@ def register(bench: Bench, mode: QueueingMode) -> None:
     entry = client.entry()
     bench.call(DEREGISTER, protId=client.prot_id)
     if (
-        not bench.check(entry is not None, "the client is listed", "it is not", "BP-REG-06", shown=True)
+        not bench.check(entry is not None, "the client in the list", "not in the list", "BP-REG-06", shown=True)
         or entry is None
     ):
         return
     names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
     if bench.features.allow_multiple_payloads and mode.is_queue:
-        # For the other modes both are irrelevant.
+        # Both fields are irrelevant for the other modes.
         names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
     for listed, given in names.items():
         right, said = client.registration[given], entry.get(listed)
         bench.check(
             said == right,
-            f"{listed} is {right!r} as registered",
-            f"it is {said!r}",
+            f"{listed} {right!r}, as registered",
+            f"{said!r}",
             "BP-LST-01",
             "BP-LST-03",
             "BP-REG-01",
@@ -91,8 +92,8 @@ def register(bench: Bench, mode: QueueingMode) -> None:
     near = isinstance(stamp, int) and before - margin <= stamp <= after + margin
     bench.check(
         near,
-        "timeStampRegistration is the time of the request",
-        f"it is {stamp!r}",
+        "the time of the request in timeStampRegistration",
+        f"{stamp!r}",
         "BP-REG-06",
         "BP-LST-01",
         "BP-LST-03",
@@ -102,10 +103,10 @@ def register(bench: Bench, mode: QueueingMode) -> None:
 
 @case(
     "TC_BP_REG_BV_02",
-    "The confirm of a registration tells the node's own identifier",
+    "The confirm of a registration contains the node's own identifier",
     requirements="BP-REG-07",
-    stimulus="BP-RegisterProtocol; a payload is submitted",
-    expect="ownNodeIdentifier is the senderId of the beacon with the payload",
+    stimulus="BP-RegisterProtocol; the client submits a payload",
+    expect="the senderId of the beacon with the payload as ownNodeIdentifier",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT, header=("senderId",)),
 )
 def own_identifier(bench: Bench) -> None:
@@ -114,12 +115,12 @@ def own_identifier(bench: Bench) -> None:
         client.transmit(client.payload())
         heard = client.until_sent()
         if heard is None or heard.sender is None:
-            bench.inconclusive("a beacon with the payload", "there is none in time")
+            bench.inconclusive("a beacon with the payload", "none in time")
         same = told.replace(":", "").lower() == heard.sender.hex()
         bench.check(
             same,
-            f"ownNodeIdentifier is {heard.sender.hex(':')}, as on the air",
-            f"it is {told}",
+            f"ownNodeIdentifier {heard.sender.hex(':')}, as in senderId",
+            f"{told}",
             frames=[heard],
             shown=True,
         )
@@ -127,10 +128,10 @@ def own_identifier(bench: Bench) -> None:
 
 @case(
     "TC_BP_REG_TI_01",
-    "Confirms of registrations are immediate, they wait for no beacon",
+    "Confirms of registrations are immediate and do not wait for a beacon",
     requirements="BP-REG-08",
     stimulus="ten registrations and deregistrations",
-    expect="most confirms come within less than half a beacon period",
+    expect="a median time to the confirm of less than half a beacon period",
     needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
 )
 def immediate_confirm(bench: Bench) -> None:
@@ -144,14 +145,16 @@ def immediate_confirm(bench: Bench) -> None:
         bench.must(DEREGISTER, protId=client.prot_id)
         others.append(bench.now() - start)
     median = sorted(delays)[len(delays) // 2]
-    # An upper tester takes its time for each request, whatever BP does: about as long for another one.
+    # Each request to the upper tester takes time, which the time of another request estimates.
     limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
-    bench.check(median <= limit, f"confirms within {limit / MS:.0f} ms", f"the median is {median / MS:.0f} ms")
+    bench.check(
+        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
+    )
 
 
 @case(
     "TC_BP_REG_BV_03",
-    "maxPayloadSize may be as large as a beacon has room for",
+    "maxPayloadSize may be as large as the room in a beacon",
     requirements="BP-REG-04 BP-REG-11",
     stimulus="BP-RegisterProtocol with the largest maxPayloadSize, and with 1",
     expect="BP-STATUS-OK",
@@ -164,7 +167,7 @@ def largest_size(bench: Bench) -> None:
 
 @case(
     "TC_BP_REG_BV_04",
-    "Modes without a queue do not look at maxEntries ({variant})",
+    "Modes without a queue ignore maxEntries ({variant})",
     requirements="BP-QM-09",
     stimulus="BP-RegisterProtocol with mode {variant} and maxEntries 0",
     expect="BP-STATUS-OK",
@@ -177,10 +180,10 @@ def entries_of_buffers(bench: Bench, mode: QueueingMode) -> None:
 
 @case(
     "TC_BP_REG_BV_06",
-    "In 1.0 a client that only receives may register with maxPayloadSize 0",
+    "In 1.0, a client that only receives may register with maxPayloadSize 0",
     requirements="BP-REG-06",
     stimulus="BP-RegisterProtocol with maxPayloadSize 0",
-    expect="BP-STATUS-OK: 1.0 has an upper bound only",
+    expect="BP-STATUS-OK: 1.0 has an upper limit only",
     needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(REGISTER, DEREGISTER)),
 )
 def size_zero_in_1_0(bench: Bench) -> None:
@@ -189,10 +192,10 @@ def size_zero_in_1_0(bench: Bench) -> None:
 
 @case(
     "TC_BP_REG_BV_07",
-    "Every protocol identifier can be registered: {variant}",
+    "Every protocol identifier can be registered ({variant})",
     requirements="BP-REG-01",
-    stimulus="BP-RegisterProtocol with protId {variant}; a payload is submitted; a beacon with a block of it",
-    expect="BP-STATUS-OK, a beacon with the payload, and an indication",
+    stimulus="BP-RegisterProtocol with protId {variant}; the client submits a payload; a beacon with a block for it",
+    expect="BP-STATUS-OK, a beacon with the payload, and an indication of the block",
     needs=Needs(entities=(), ut=CLIENT),
     variants={"0": 0, "255": 0xFF, "256": 0x100, "the-largest": None},
 )
@@ -200,23 +203,23 @@ def any_identifier(bench: Bench, prot_id: int | None) -> None:
     largest = (1 << 8 * bench.profile.types.protocol_id.width) - 1
     client = BPClient(bench, ONCE, prot_id=largest if prot_id is None else min(prot_id, largest))
     answer = client.register()
-    bench.require_asked(answer, "the registration succeeds")
+    bench.require_asked(answer, "BP-STATUS-OK for the registration")
     if answer.is_status(ALREADY_REGISTERED):
-        bench.inconclusive("an identifier that nobody has registered", f"{client.prot_id} is registered")
-    bench.require(answer.is_status(OK), "the registration succeeds", str(answer), shown=True)
+        bench.inconclusive("an unregistered protocol identifier", f"{client.prot_id} is already registered")
+    bench.require(answer.is_status(OK), "BP-STATUS-OK for the registration", str(answer), shown=True)
     try:
         client.transmit(client.payload())
-        bench.check(client.until_sent(), "a beacon with the payload", "there is none in time")
+        bench.check(client.until_sent(), "a beacon with the payload", "none in time")
         octets = bytes(range(7))
         bench.peer().send(Block(client.prot_id, octets))
-        bench.check(octets in client.until_received(), "an indication", "there is none in time")
+        bench.check(octets in client.until_received(), "an indication of the block", "none in time")
     finally:
         bench.call(DEREGISTER, protId=client.prot_id)
 
 
 @case(
     "TC_BP_REG_BI_01",
-    "A maxPayloadSize of 0 is refused",
+    "A maxPayloadSize of 0 is rejected",
     requirements="BP-REG-03",
     stimulus="BP-RegisterProtocol with maxPayloadSize 0",
     expect="BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
@@ -228,9 +231,9 @@ def size_zero(bench: Bench) -> None:
 
 @case(
     "TC_BP_REG_BI_02",
-    "A maxPayloadSize that no beacon has room for is refused ({variant})",
+    "A maxPayloadSize larger than the room in a beacon is rejected ({variant})",
     requirements="BP-REG-04 BP-REG-11",
-    stimulus="BP-RegisterProtocol with a maxPayloadSize that is too large: {variant}",
+    stimulus="BP-RegisterProtocol with too large a maxPayloadSize ({variant})",
     expect="BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE",
     needs=Needs(entities=(), ut=(REGISTER, DEREGISTER), when=areas_of_fixed_size),
     variants={"by-one": 1, "maximum-packet-size": None, "65535": 0xFFFF},
@@ -243,7 +246,7 @@ def size_too_large(bench: Bench, what: int | None) -> None:
 
 @case(
     "TC_BP_REG_BI_03",
-    "A queue of no entries is refused ({variant})",
+    "A queue of no entries is rejected ({variant})",
     requirements="BP-REG-05 BP-QM-09",
     stimulus="BP-RegisterProtocol with mode {variant} and maxEntries 0; then with 1",
     expect="BP-STATUS-ILLEGAL-DROPPING-QUEUE-SIZE; then BP-STATUS-OK",
@@ -258,10 +261,10 @@ def no_entries(bench: Bench, mode: QueueingMode) -> None:
 
 @case(
     "TC_BP_REG_BO_01",
-    "A second registration of an identifier is refused and changes nothing",
+    "A second registration of an identifier is rejected and changes nothing",
     requirements="BP-REG-02",
-    stimulus="BP-RegisterProtocol twice, the second time with other parameters; a payload waits meanwhile",
-    expect="BP-STATUS-PROTOCOL-ALREADY-REGISTERED; the entry is as before, and so is what waits",
+    stimulus="BP-RegisterProtocol twice, the second time with other parameters, while a payload is buffered",
+    expect="BP-STATUS-PROTOCOL-ALREADY-REGISTERED; the list entry and the buffered payload as before",
     needs=Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
 )
 def already_registered(bench: Bench) -> None:
@@ -272,13 +275,13 @@ def already_registered(bench: Bench) -> None:
         changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
         bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
         after = client.fields()
-        bench.check(after == before, "the registration is unchanged", f"it was {before}, and is {after}", shown=True)
+        bench.check(after == before, f"the registration unchanged: {before}", f"{after}", shown=True)
         number = client.number()
-        bench.check(number == 1, "the payload still waits", f"{number} payloads do", shown=True)
+        bench.check(number == 1, "one buffered payload, as before", f"{number} buffered payloads", shown=True)
         start = bench.mark()
         client.until_sent()
         bench.beacons(1)
-        bench.check(len(client.frames(start)) >= 1, "the payload is on the air", "it is not")
+        bench.check(len(client.frames(start)) >= 1, "further beacons with the payload", "none in time")
 
 
 _DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
@@ -302,14 +305,14 @@ _DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
 
 @case(
     "TC_BP_REG_BI_04",
-    "The first failing check of a registration decides: {variant}",
+    "The first failing check of a registration determines the status ({variant})",
     requirements="BP-REG-09 DATA-11",
     stimulus="BP-RegisterProtocol with two faults: {variant}",
-    expect="the status of the check that stands first",
+    expect="the status of the first failing check",
     variants={
         name: Variant(
             fault,
-            # 1.0 has two checks only.
+            # 1.0 has only two of these checks.
             needs=Needs(
                 since=V1_0 if name == "duplicate-and-too-large" else V1_1,
                 entities=(),
@@ -332,10 +335,13 @@ def two_faults(bench: Bench, fault: tuple[str, Callable[[Bench], dict[str, Any]]
 
 @case(
     "TC_BP_REG_BI_05",
-    "A queueing mode that does not exist is refused, at the latest by BP-ClearBuffer ({variant})",
+    "An unknown queueing mode is rejected, at the latest by BP-ClearBuffer ({variant})",
     requirements="BP-QM-06 BP-CLR-04",
     stimulus="BP-RegisterProtocol with mode {variant}; if it succeeds, BP-ClearBuffer",
-    expect="a status other than OK, or an error; if registration succeeds BP-STATUS-UNKNOWN-QUEUEING-MODE then (X06)",
+    expect=(
+        "a status other than BP-STATUS-OK, or an error; if the registration succeeds, "
+        "BP-STATUS-UNKNOWN-QUEUEING-MODE for BP-ClearBuffer (X06)"
+    ),
     needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER, CLEAR)),
     variants={"BP_QMODE_LIFO": "BP_QMODE_LIFO", "BP_QMODE_QUEUE": str(QueueingMode.QUEUE)},
 )
@@ -343,11 +349,11 @@ def unknown_mode(bench: Bench, mode: str) -> None:
     client = BPClient(bench, mode)
     answer = client.register()
     if not answer.asked:
-        bench.info("a queueing mode that the upper tester cannot ask for", str(answer))
+        bench.info("Does the upper tester accept an unknown queueing mode?", str(answer))
         return
     if not answer.ok:
-        # A mistake of the implementation is no refusal.
-        if bench.check(answer.code != INTERNAL_ERROR, "the registration is refused", str(answer), "BP-QM-06"):
+        # An internal error of the implementation is not a rejection.
+        if bench.check(answer.code != INTERNAL_ERROR, "a rejection of the registration", str(answer), "BP-QM-06"):
             bench.reading("X06", "refuse-at-registration")
         return
     cleared = bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06", "BP-CLR-04", protId=client.prot_id)

@@ -1,6 +1,6 @@
-"""dcp-bp.md: Receive Path, octets that are no beacon.
+"""dcp-bp.md: Receive Path, octets that are not a beacon.
 
-Whatever arrives, the entity goes on; frames of other versions of the specification are among what arrives.
+The implementation must survive any received octets, including beacons of other versions of the specification.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dcp_conformance.case import Needs, case
 from dcp_conformance.clients import block_header_octets, header_octets, unused_protocol_id
 from dcp_conformance.forge import Block, Forge
 
-#: The layouts that versions of the specification have given to the header.
+#: The header layouts of the versions of the specification.
 _LAYOUTS = {"1.0": "dcp-1.0", "1.1": "dcp-1.1", "1.2-and-1.3": "dcp-1.3", "2.0": "dcp-2.0"}
 
 _CHECKED = {
@@ -33,7 +33,9 @@ _CHECKED = {
 
 
 def broken_rule(bench: Bench, octets: bytes) -> str:
-    """The requirement by which these octets have to be dropped for their header; empty if there is none."""
+    """Return the requirement for which a receiver must drop these octets because of their header; empty if there is
+    none.
+    """
     root = bench.codec.dissect(octets).root
     network = bench.parameter("BPPAR_NETWORK_ID")
     says = {
@@ -52,7 +54,9 @@ def broken_rule(bench: Bench, octets: bytes) -> str:
 
 @cache
 def _layout_of(name: str, node_id: NodeIdType, var_id: IntType) -> Codec:
-    """The layout of a version with the identifiers of the implementation, which it leaves to implementers."""
+    """Return the layout of a version, with the identifier types of the implementation: the specification leaves them
+    open.
+    """
     other = load_profile(name)
     types = msgspec.structs.replace(other.types, node_id=node_id, var_id=var_id)
     return Codec(msgspec.structs.replace(other, types=types))
@@ -63,14 +67,14 @@ def _other_layout(name: str) -> Needs:
         if not bench.profile.bp.header:
             return f"the profile {bench.profile.name} has no beacon header"
         if load_profile(name).bp.header == bench.profile.bp.header:
-            return "that is the layout of the profile itself"
+            return "this is the layout of the profile itself"
         return None
 
     return Needs(when=when)
 
 
 def foreign_layout(bench: Bench, name: str) -> None:
-    """Send beacons of another version's layout, short and long; they must be dropped where the header says so."""
+    """Send a short and a long beacon in another version's layout; each must be dropped if its header breaks a rule."""
     types = bench.profile.types
     codec, peer = _layout_of(name, types.node_id, types.var_id), bench.peer()
     forge = Forge(codec)
@@ -82,23 +86,23 @@ def foreign_layout(bench: Bench, name: str) -> None:
         octets = forge.beacon(peer.node_id, 258 + number, blocks, network_id=network)
         peer.send_octets(octets)
         sent.append((var_id, octets, f"a beacon of {len(octets)} octets in the layout of {codec.profile.spec_version}"))
-    bench.require_alive("beacons in another layout")
+    bench.require_alive("beacons in the layout of another version")
     for var_id, octets, what in sent:
         found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
         if rule := broken_rule(bench, octets):
             bench.check(
-                not found, f"{what} is dropped ({rule})", "its variable is requested", rule, frames=found, shown=True
+                not found, f"{what} is dropped ({rule})", "a request for its variable", rule, frames=found, shown=True
             )
         else:
-            bench.info(f"What becomes of {what}?", "processed" if found else "not processed")
+            bench.info(f"Is {what} processed?", "yes" if found else "no")
 
 
 @case(
     "TC_BP_RX_BI_20",
-    "Beacons in the layout of version 1.0 are survived, and dropped if the header says so",
+    "A receiver survives beacons in the layout of version 1.0, and drops them if their header breaks a rule",
     requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 1.0 with summaries of unknown variables; then an honest one",
-    expect="a request for the variable of the honest one only",
+    stimulus="two beacons in the layout of 1.0 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
     needs=_other_layout("dcp-1.0"),
 )
 def layout_of_1_0(bench: Bench) -> None:
@@ -107,10 +111,10 @@ def layout_of_1_0(bench: Bench) -> None:
 
 @case(
     "TC_BP_RX_BI_21",
-    "Beacons in the layout of version 1.1 are survived, and dropped if the header says so",
+    "A receiver survives beacons in the layout of version 1.1, and drops them if their header breaks a rule",
     requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 1.1 with summaries of unknown variables; then an honest one",
-    expect="a request for the variable of the honest one only",
+    stimulus="two beacons in the layout of 1.1 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
     needs=_other_layout("dcp-1.1"),
 )
 def layout_of_1_1(bench: Bench) -> None:
@@ -119,10 +123,10 @@ def layout_of_1_1(bench: Bench) -> None:
 
 @case(
     "TC_BP_RX_BI_22",
-    "Beacons in the layout of versions 1.2 and 1.3 are survived, and dropped if the header says so",
+    "A receiver survives beacons in the layout of versions 1.2 and 1.3, and drops them if their header breaks a rule",
     requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 1.2 with summaries of unknown variables; then an honest one",
-    expect="a request for the variable of the honest one only",
+    stimulus="two beacons in the layout of 1.2 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
     needs=_other_layout("dcp-1.3"),
 )
 def layout_of_1_2(bench: Bench) -> None:
@@ -131,12 +135,12 @@ def layout_of_1_2(bench: Bench) -> None:
 
 @case(
     "TC_BP_RX_BI_23",
-    "Beacons in the layout of version 2.0 are survived, and dropped if the header says so",
+    "A receiver survives beacons in the layout of version 2.0, and drops them if their header breaks a rule",
     requirements="BP-RX-16",
-    stimulus="two beacons in the layout of 2.0 with summaries of unknown variables; then an honest one",
-    expect="a request for the variable of the honest one only",
+    stimulus="two beacons in the layout of 2.0 with summaries of unknown variables; then a valid beacon",
+    expect="a request for the variable of the valid beacon; none for variables of beacons with an invalid header",
     needs=_other_layout("dcp-2.0"),
-    # A length of 4369 octets where the frame has fewer: what X02 is about.
+    # In other layouts the header has a length of 4369 octets, more than the frame (X02).
     destructive=True,
 )
 def layout_of_2_0(bench: Bench) -> None:
@@ -145,10 +149,13 @@ def layout_of_2_0(bench: Bench) -> None:
 
 @case(
     "TC_BP_RX_BI_24",
-    "Beacons that end within their header are survived",
+    "A receiver survives beacons that end within their header",
     requirements="BP-RX-16",
-    stimulus="an honest beacon cut off behind each octet of its header and of its first payload header, from none on",
-    expect="none of them is processed; a request for the variable of an honest beacon",
+    stimulus=(
+        "a valid beacon truncated after each octet of its header and its first payload header, from 0 octets on; "
+        "then a valid beacon"
+    ),
+    expect="no truncated beacon is processed; a request for the variable of the valid beacon",
     needs=Needs(header=("senderId",)),
     destructive=True,
 )
@@ -156,17 +163,19 @@ def cut_headers(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
     for octets in range(header_octets(bench) + block_header_octets(bench) + 1):
         peer.send(peer.summary(var_id, 1), cut=octets)
-    bench.require_alive("beacons that are cut off within their headers")
+    bench.require_alive("beacons truncated within their headers")
     found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
-    bench.check(not found, "nothing of them is processed", "a variable is requested", frames=found, shown=True)
+    bench.check(
+        not found, "no request for the variable of the truncated beacons", "a request for it", frames=found, shown=True
+    )
 
 
 @case(
     "TC_BP_RX_BI_25",
-    "Beacons that end within a block are survived",
+    "A receiver survives beacons that end within a block",
     requirements="BP-RX-16",
-    stimulus="a beacon with two VarDis blocks cut off behind each octet of its blocks; then an honest one",
-    expect="a request for the variable of the honest one",
+    stimulus="a beacon with two VarDis blocks truncated after each octet of its blocks; then a valid beacon",
+    expect="a request for the variable of the valid beacon",
     destructive=True,
     robustness=True,
 )
@@ -175,10 +184,10 @@ def cut_blocks(bench: Bench) -> None:
     blocks = [bench.forge.vardis(peer.summary(each, 1)) for each in (first, second)]
     whole = peer.beacon(*blocks)
     begin, area = header_octets(bench), bench.profile.bp.payload_area
-    # Where blocks are of fixed size most of their octets mean nothing.
+    # In blocks of fixed size most octets carry no meaning.
     for octets in range(begin, len(whole), 97 if area else 1):
         peer.send_octets(whole[:octets])
-    bench.require_alive("beacons that are cut off within their blocks")
+    bench.require_alive("beacons truncated within their blocks")
 
 
 def _arbitrary(seed: int) -> Iterator[bytes]:
@@ -189,10 +198,10 @@ def _arbitrary(seed: int) -> Iterator[bytes]:
 
 @case(
     "TC_BP_RX_BI_26",
-    "Arbitrary octets are survived (series {variant})",
+    "A receiver survives random octets (series {variant})",
     requirements="BP-RX-16",
-    stimulus="40 frames of arbitrary octets, 0 to 500 of them; then an honest beacon",
-    expect="a request for the variable of the honest beacon",
+    stimulus="40 frames of 0 to 500 random octets; then a valid beacon",
+    expect="a request for the variable of the valid beacon",
     variants={"1": 1, "2": 2},
     destructive=True,
 )
@@ -200,16 +209,18 @@ def arbitrary_octets(bench: Bench, seed: int) -> None:
     peer = bench.peer()
     for octets in _arbitrary(seed):
         peer.send_octets(octets)
-    bench.require_alive("frames of arbitrary octets")
+    bench.require_alive("frames of random octets")
 
 
 @case(
     "TC_BP_RX_BI_27",
-    "Arbitrary octets behind a good header are survived (series {variant})",
+    "A receiver survives random octets after a valid header (series {variant})",
     requirements="BP-RX-16",
-    stimulus="40 beacons whose header is right but for length and numPayloads, followed by arbitrary octets; then an "
-    "honest one",
-    expect="a request for the variable of the honest beacon",
+    stimulus=(
+        "40 beacons with a header that is valid except for length and numPayloads, followed by random octets; then "
+        "a valid beacon"
+    ),
+    expect="a request for the variable of the valid beacon",
     needs=Needs(header=("numPayloads",)),
     variants={"1": 1, "2": 2},
     destructive=True,
@@ -220,19 +231,19 @@ def arbitrary_blocks(bench: Bench, seed: int) -> None:
     for octets in _arbitrary(seed):
         lies: dict[str, int | bytes] = {"bp.numPayloads": rng.randint(1, 255)}
         if bench.profile.has_header_field("length"):
-            # Mostly what fits, so that the blocks are looked at.
+            # Mostly the true length, so that the blocks are parsed.
             lies["bp.length"] = max(1, len(octets) + rng.choice((0, 0, 0, -1, 1, 5000)))
         header = peer.beacon(Block(unused_protocol_id(bench), b""), lies=lies)[: header_octets(bench)]
         peer.send_octets(header + octets)
-    bench.require_alive("beacons of arbitrary octets")
+    bench.require_alive("beacons of random octets")
 
 
 @case(
     "TC_BP_RX_BI_28",
-    "Every possible length of a single block is survived around its true one",
+    "A receiver survives every wrong length of a single block up to its true length plus 8",
     requirements="BP-RX-16",
-    stimulus="beacons with a VarDis block whose length field says 0, 1, ... up to eight more than the truth",
-    expect="a request for the variable of an honest beacon",
+    stimulus="beacons with a VarDis block whose length field has the values 0, 1, ... up to the true length plus 8",
+    expect="a request for the variable of a valid beacon",
     needs=Needs(header=("numPayloads",)),
     destructive=True,
     robustness=True,
@@ -242,4 +253,4 @@ def block_lengths(bench: Bench) -> None:
     block = bench.forge.vardis(peer.summary(var_id, 1), peer.update(var_id, 2))
     for length in range(len(block.octets) + 9):
         peer.send(block, lies={"payloads[0].length": length})
-    bench.require_alive("beacons with wrong lengths of blocks")
+    bench.require_alive("beacons with wrong block lengths")

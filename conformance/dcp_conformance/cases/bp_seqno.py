@@ -1,6 +1,6 @@
 """dcp-bp.md: Transmit Path; Initialization, Runtime and Shutdown.
 
-The sequence numbers of beacons.
+Beacon sequence numbers.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from dcp_conformance.heard import Heard
 
 @case(
     "TC_BP_HDR_BV_08",
-    "seqno grows by one with every beacon",
+    "seqno increases by one with every beacon",
     requirements="BP-HDR-08",
-    stimulus="something to send in every period",
-    expect="consecutive numbers modulo 2^32 in ten beacons",
+    stimulus="payloads to send in every period",
+    expect="consecutive sequence numbers modulo 2^32 in ten beacons",
     window=12,
     needs=Needs(entities=(), header=("seqno",)),
 )
@@ -30,17 +30,21 @@ def consecutive(bench: Bench) -> None:
         frames = some_beacons(bench, 10)
     for before, after in itertools.pairwise(frames):
         if before.seqno is None or after.seqno is None:
-            bench.inconclusive("beacons that can be read", f"{before.problem or after.problem}")
+            bench.inconclusive("decodable beacons", f"{before.problem or after.problem}")
         if (after.seqno - before.seqno) % BP_SEQNO_MODULUS != 1:
-            expected, said = f"{(before.seqno + 1) % BP_SEQNO_MODULUS} follows {before.seqno}", f"{after.seqno} does"
+            expected, said = f"{(before.seqno + 1) % BP_SEQNO_MODULUS} after {before.seqno}", f"{after.seqno}"
             bench.fail(expected, said, frames=[before, after], numbers=True)
-    bench.check(True, "consecutive numbers")
+    bench.check(True, "consecutive sequence numbers")
 
 
 def first_number(bench: Bench, old: Sequence[Heard], new: Sequence[Heard]) -> Heard:
-    """The first beacon after a restart: where the numbers go down, if the first new ones are of the time before it."""
+    """Return the first beacon sent after a restart.
+
+    Frames sent before the restart may be heard after it: if the sequence numbers decrease, the first beacon is the one
+    where they do.
+    """
     if not new:
-        bench.inconclusive("a beacon after the restart", "there is none")
+        bench.inconclusive("a beacon after the restart", "none in time")
     for before, after in itertools.pairwise([*old[-1:], *new]):
         if before.seqno is not None and after.seqno is not None and after.seqno < before.seqno:
             return after
@@ -48,19 +52,17 @@ def first_number(bench: Bench, old: Sequence[Heard], new: Sequence[Heard]) -> He
 
 
 def check_first_number(bench: Bench, heard: Heard) -> None:
-    """Check the number of the very first beacon; which one it is in 1.1 and later is a reading."""
+    """Check the sequence number of the first beacon; from 1.1 on, whether it is 0 or 1 is a reading (X03)."""
     first = heard.seqno
     if first is None:
-        bench.inconclusive("a first beacon that can be read", f"{heard.problem}")
+        bench.inconclusive("a decodable first beacon", f"{heard.problem}")
     if bench.features.first_beacon_seqno == 1:
-        bench.check(
-            first == 1, "the first beacon has seqno 1", f"it has {first}", "BP-INI-02", "BP-HDR-13", frames=[heard]
-        )
+        bench.check(first == 1, "seqno 1 in the first beacon", f"{first}", "BP-INI-02", "BP-HDR-13", frames=[heard])
         return
     bench.check(
         first in (0, 1),
-        "the first beacon has seqno 0, or 1 (X03)",
-        f"it has {first}",
+        "seqno 0 in the first beacon, or 1 (X03)",
+        f"{first}",
         "BP-INI-02",
         "BP-HDR-12",
         frames=[heard],
@@ -71,10 +73,10 @@ def check_first_number(bench: Bench, heard: Heard) -> None:
 
 @case(
     "TC_BP_INI_BV_01",
-    "After a reset sequence numbers start again",
+    "Sequence numbers start over after a reset",
     requirements="BP-INI-02 BP-HDR-12 BP-HDR-13",
-    stimulus="some beacons, UT-Reset, a request for a beacon",
-    expect="the first beacon has seqno 0 (1 in version 1.0; X03)",
+    stimulus="some beacons, UT-Reset, a summary that causes a request",
+    expect="seqno 0 in the first beacon (1 in version 1.0; X03)",
     window=8,
     needs=Needs(ut=("UT-Reset",), header=("seqno",)),
 )
@@ -82,7 +84,7 @@ def numbers_after_reset(bench: Bench) -> None:
     bench.probe()
     bench.probe()
     bench.must("UT-Reset")
-    # Some of the time before may be on its way to the tester still.
+    # Beacons sent before the reset may still be in transit to the tester.
     from_now = bench.now() + bench.period // 50
     bench.probe()
     check_first_number(bench, first_number(bench, (), [heard for heard in bench.heard if heard.time >= from_now]))
@@ -90,9 +92,9 @@ def numbers_after_reset(bench: Bench) -> None:
 
 @case(
     "TC_BP_INI_BV_02",
-    "After a restart sequence numbers start again",
+    "Sequence numbers start over after a restart of the implementation",
     requirements="BP-INI-02 BP-HDR-12 BP-HDR-13 BP-INI-03",
-    stimulus="some beacons, a restart of the implementation, a request for a beacon",
+    stimulus="some beacons, a restart of the implementation, a summary that causes a request",
     expect="a beacon without any activation, with seqno 0 (1 in version 1.0; X03)",
     window=8,
     needs=Needs(header=("seqno",), restart=True),
@@ -108,26 +110,26 @@ def numbers_after_restart(bench: Bench) -> None:
 
 @case(
     "TC_BP_HDR_BV_09",
-    "No number is used up while there is nothing to send",
+    "No sequence number is used while there is nothing to send",
     requirements="BP-HDR-09",
-    stimulus="a beacon is provoked, then nothing for six periods, then another one",
-    expect="the number after the pause is the next one",
+    stimulus="a stimulus for a beacon, six periods without any, another stimulus",
+    expect="consecutive sequence numbers before and after the pause",
     window=12,
     needs=Needs(header=("seqno",)),
 )
 def idle_gap(bench: Bench) -> None:
     needed(bench, bench.probe() or bench.probe(), "a beacon with the answer to a probe")
-    # What the answer has set off may take another beacon or two.
+    # The answer may be followed by one or two further beacons.
     bench.until_quiet(lambda heard: heard, 6)
     last = bench.heard[-1]
     pause = bench.wait(6)
     needed(bench, bench.probe() or bench.probe(), "a beacon with the answer to a probe")
     following = bench.heard[bench.heard.index(last) + 1]
     if last.seqno is None or following.seqno is None:
-        bench.inconclusive("beacons that can be read", f"{last.problem or following.problem}")
+        bench.inconclusive("decodable beacons", f"{last.problem or following.problem}")
     if (following.seqno - last.seqno) % BP_SEQNO_MODULUS != 1:
         said = f"{following.seqno}"
-        bench.fail(f"{last.seqno + 1} follows {last.seqno} after a pause", said, frames=[last, following], numbers=True)
+        bench.fail(f"{last.seqno + 1} after {last.seqno} and a pause", said, frames=[last, following], numbers=True)
     if pause:
-        bench.inconclusive("a pause in which it has nothing to send", f"{len(pause)} beacons came")
-    bench.check(True, "consecutive numbers")
+        bench.inconclusive("no beacon during the pause", f"{len(pause)} beacons")
+    bench.check(True, "consecutive sequence numbers")

@@ -1,6 +1,6 @@
 """dcp-bp.md: Payload Exchange and Buffer Management.
 
-What requests are answered; what queues and buffers do on the air is elsewhere.
+Statuses and confirms of the services; other modules test what queues and buffers send.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ _TRANSMIT = Needs(entities=(), ut=CLIENT, when=no_confirm)
 
 @case(
     "TC_BP_TXP_BO_01",
-    "Nothing can be submitted for an identifier that is not registered ({variant})",
+    "A payload for an unregistered identifier is rejected ({variant})",
     requirements="BP-TXP-01 BP-REG-10",
     stimulus="BP-TransmitPayload {variant}",
-    expect="BP-STATUS-UNKNOWN-PROTOCOL, and nothing on the air",
+    expect="BP-STATUS-UNKNOWN-PROTOCOL, and no beacon with the payload",
     needs=_TRANSMIT,
     variants={"before-registration": False, "after-deregistration": True},
 )
@@ -63,38 +63,43 @@ def transmit_unregistered(bench: Bench, registered_before: bool) -> None:
     with client:
         bench.wait(2)
     bench.check(
-        not client.sent(), "the payload is not sent, not after a registration either", "it is", "BP-REG-10", shown=True
+        not client.sent(),
+        "the payload is not sent, not even after a registration",
+        "the payload was sent",
+        "BP-REG-10",
+        shown=True,
     )
 
 
 @case(
     "TC_BP_TXP_BV_01",
-    "A payload of exactly maxPayloadSize octets is taken and sent unchanged ({variant})",
+    "A payload of exactly maxPayloadSize octets is accepted and sent unchanged ({variant})",
     requirements="BP-TXP-02 BP-FMT-01",
-    stimulus="BP-TransmitPayload with as many octets as registered: {variant}",
+    stimulus="BP-TransmitPayload with exactly maxPayloadSize octets: {variant}",
     expect="BP-STATUS-OK and a beacon with exactly these octets",
     needs=_TRANSMIT,
     variants={"1": 1, "64": 64, "255": 255, "256": 256, "the-largest": None},
 )
 def full_size(bench: Bench, size: int | None) -> None:
     if size is None:
-        # Before 1.1 the bound of registrations leaves out the BP header; what is larger is never sent.
+        # Before 1.1, the limit for registrations ignores the BP header, so a client may register payloads too large to
+        # be sent.
         fits = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
         size = min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
     with BPClient(bench, ONCE, size=size) as client:
         payload = client.payload(size)
         bench.expect_status(OK, TRANSMIT, "BP-TXP-02", protId=client.prot_id, payload=payload.hex())
         heard = client.until_sent()
-        bench.require(heard, "a beacon with the payload", "there is none in time", "BP-TXP-02")
-        bench.check(client.sent() == [payload], "the payload unchanged", "it is another", "BP-FMT-01", shown=True)
+        bench.require(heard, "a beacon with the payload", "none in time", "BP-TXP-02")
+        bench.check(client.sent() == [payload], "the payload unchanged", "another payload", "BP-FMT-01", shown=True)
 
 
 @case(
     "TC_BP_TXP_BI_01",
-    "A payload of more than maxPayloadSize octets is refused ({variant})",
+    "A payload of more than maxPayloadSize octets is rejected (excess octets: {variant})",
     requirements="BP-TXP-02",
-    stimulus="BP-TransmitPayload with {variant} octets more than registered",
-    expect="BP-STATUS-PAYLOAD-TOO-LARGE; nothing on the air, nothing buffered",
+    stimulus="BP-TransmitPayload with more than maxPayloadSize octets (excess octets: {variant})",
+    expect="BP-STATUS-PAYLOAD-TOO-LARGE; the payload is neither buffered nor sent",
     needs=Needs(entities=(), ut=(*CLIENT, QUERY)),
     variants={"1": 1, "100": 100},
 )
@@ -105,17 +110,23 @@ def too_large(bench: Bench, more: int) -> None:
         if no_confirm(bench) is None:
             bench.check_status(answer, (TOO_LARGE,), TRANSMIT)
         number = client.number()
-        bench.check(number == 0, "nothing is buffered", f"{number} payloads are", shown=True)
+        bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
         bench.wait(2)
-        bench.check(not client.sent(), "nothing is sent", "something is", frames=client.frames(), shown=True)
+        bench.check(
+            not client.sent(),
+            "no beacon with a payload of the client",
+            "at least one such beacon",
+            frames=client.frames(),
+            shown=True,
+        )
 
 
 @case(
     "TC_BP_TXP_BI_02",
-    "An empty payload is refused and changes nothing ({variant})",
+    "An empty payload is rejected and changes nothing ({variant})",
     requirements="BP-TXP-03",
-    stimulus="a client with mode {variant} and a payload that waits submits one of no octets",
-    expect="BP-STATUS-EMPTY-PAYLOAD if the service is confirmed, and the number of buffered payloads is as before",
+    stimulus="a client with mode {variant} and buffered payloads submits an empty payload",
+    expect="BP-STATUS-EMPTY-PAYLOAD if the service is confirmed; the number of buffered payloads as before",
     variants=each_mode(*CLIENT, QUERY, since=V1_1),
 )
 def empty_payload(bench: Bench, mode: QueueingMode) -> None:
@@ -126,24 +137,29 @@ def empty_payload(bench: Bench, mode: QueueingMode) -> None:
                 client.transmit(client.payload())
             return client.number(), bench.call(TRANSMIT, protId=client.prot_id, payload=""), client.number()
 
-        # Unless it is repeated, a beacon in between takes a payload out.
-        what = "payloads are submitted and counted"
+        # Except with mode REPEAT, a beacon in between would take a payload from the buffer.
+        what = "submission and counting of payloads"
         result = act() if mode is REPEAT else between_beacons(bench, what, act, client.in_frame)
         before, answer, after = result
         if no_confirm(bench) is None:
             bench.check_status(answer, (EMPTY,), TRANSMIT)
-        bench.check(after == before, f"{before} payloads are buffered as before", f"{after} are", shown=True)
+        bench.check(after == before, f"{before} buffered payloads, as before", f"{after} buffered payloads", shown=True)
         if mode is REPEAT:
             start = bench.mark()
-            bench.check(client.until_sent(), "the payload is still repeated", "it is not", frames=bench.heard[start:])
+            bench.check(
+                client.until_sent(),
+                "the payload is still repeated",
+                "no further beacon with it in time",
+                frames=bench.heard[start:],
+            )
 
 
 @case(
     "TC_BP_TXP_BV_02",
-    "In 1.0 an empty payload clears the buffer ({variant})",
+    "In 1.0, an empty payload clears the buffer ({variant})",
     requirements="BP-TXP-13",
-    stimulus="a client with mode {variant} and a payload in its buffer submits one of no octets",
-    expect="BP-STATUS-OK, and the buffer is empty",
+    stimulus="a client with mode {variant} and a buffered payload submits an empty payload",
+    expect="BP-STATUS-OK, and no buffered payload",
     needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY)),
     variants={"once": ONCE, "repeat": REPEAT},
 )
@@ -152,15 +168,15 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
         client.transmit(client.payload())
         bench.expect_status(OK, TRANSMIT, protId=client.prot_id, payload="")
         number = client.number()
-        bench.check(number == 0, "the buffer is empty", f"{number} payloads are in it", shown=True)
+        bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
 
 
 @case(
     "TC_BP_TXP_BI_04",
-    "In 1.0 an empty payload for a queue is refused and does not empty the queue",
+    "In 1.0, an empty payload for a queue is rejected and does not clear the queue",
     requirements="BP-QM-03",
-    stimulus="a client with mode QUEUE submits four payloads, then one of no octets",
-    expect="BP-STATUS-EMPTY-PAYLOAD, and all four payloads are sent",
+    stimulus="a client with mode QUEUE submits four payloads, then an empty one",
+    expect="BP-STATUS-EMPTY-PAYLOAD; all four payloads are sent",
     needs=Needs(until=SpecVersion.V1_0, entities=(), ut=CLIENT, when=no_confirm),
     window=12,
 )
@@ -172,15 +188,15 @@ def empty_payload_for_queue(bench: Bench) -> None:
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)
         missing = [payload.hex() for payload in payloads if payload not in sent]
-        bench.check(not missing, "all four payloads are sent", f"{len(missing)} are not")
+        bench.check(not missing, "all four payloads are sent", f"{len(missing)} of them not sent")
 
 
 @case(
     "TC_BP_QM_BV_20",
-    "In 1.0 a queue has no bound",
+    "In 1.0, a queue has no maximum length",
     requirements="BP-QM-03",
-    stimulus="a client with mode QUEUE, and maxEntries 1 where its upper tester has that, submits eight payloads",
-    expect="BP-STATUS-OK each time, and all are sent, in order",
+    stimulus="a client with mode QUEUE, and maxEntries 1 if the upper tester takes it, submits eight payloads",
+    expect="BP-STATUS-OK each time; all payloads are sent, in order",
     needs=Needs(until=SpecVersion.V1_0, entities=(), ut=CLIENT, when=no_confirm),
     window=20,
 )
@@ -200,7 +216,7 @@ def unbounded_queue(bench: Bench) -> None:
 
 @case(
     "TC_BP_TXP_BI_03",
-    "The first failing check of a submission decides: {variant}",
+    "The first failing check of a submission determines the status ({variant})",
     requirements="BP-TXP-10 DATA-11",
     stimulus="BP-TransmitPayload with two faults: {variant}",
     expect="BP-STATUS-UNKNOWN-PROTOCOL",
@@ -218,9 +234,9 @@ def submission_with_two_faults(bench: Bench, size: int) -> None:
 
 @case(
     "TC_BP_CLR_BO_01",
-    "The buffer of an identifier that is not registered cannot be cleared",
+    "BP-ClearBuffer rejects an identifier that is not registered",
     requirements="BP-CLR-01",
-    stimulus="BP-ClearBuffer of an identifier that nobody has registered",
+    stimulus="BP-ClearBuffer for an unregistered identifier",
     expect="BP-STATUS-UNKNOWN-PROTOCOL",
     needs=Needs(since=V1_1, entities=(), ut=(CLEAR,)),
 )
@@ -230,10 +246,12 @@ def clear_unknown(bench: Bench) -> None:
 
 @case(
     "TC_BP_CLR_BV_01",
-    "A cleared buffer is empty until something is submitted again ({variant})",
+    "A cleared buffer is empty until the next submission ({variant})",
     requirements="BP-CLR-02",
-    stimulus="a client with mode {variant} submits payloads, clears, waits, and submits another one",
-    expect="BP-STATUS-OK; nothing is buffered, and nothing sent but the last payload",
+    stimulus=(
+        "a client with mode {variant} submits payloads, clears its buffer, waits 3 periods, and submits another payload"
+    ),
+    expect="BP-STATUS-OK; no buffered payload, and only the last payload is sent",
     variants={
         name: Variant(
             each.value,
@@ -250,24 +268,28 @@ def clear(bench: Bench, mode: QueueingMode) -> None:
         bench.expect_status(OK, CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
         number = client.number()
-        bench.check(number == 0, "nothing is buffered", f"{number} payloads are", shown=True)
+        bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
         bench.wait(3)
         frames = client.frames(after=quiet_from)
         bench.check(
-            not frames, "nothing is sent", f"{len(frames)} beacons have payloads", frames=frames[:8], shown=True
+            not frames,
+            "no beacon with a payload of the client",
+            f"{len(frames)} beacons with its payloads",
+            frames=frames[:8],
+            shown=True,
         )
         payload, start = client.payload(), bench.mark()
         client.transmit(payload)
-        bench.check(client.until_sent(payload), "a payload submitted afterwards is sent", "it is not")
+        bench.check(client.until_sent(payload), "a payload submitted afterwards is sent", "not sent in time")
         others = [each for each in client.sent(start) if each != payload]
-        bench.check(not others, "and nothing else is", f"{len(others)} older payloads are", shown=True)
+        bench.check(not others, "no other payload is sent", f"{len(others)} older payloads sent", shown=True)
 
 
 @case(
     "TC_BP_QRY_BO_01",
-    "The payloads of an identifier that is not registered cannot be counted",
+    "BP-QueryNumberBufferedPayloads rejects an identifier that is not registered",
     requirements="BP-QRY-01",
-    stimulus="BP-QueryNumberBufferedPayloads of an identifier that nobody has registered",
+    stimulus="BP-QueryNumberBufferedPayloads for an unregistered identifier",
     expect="BP-STATUS-UNKNOWN-PROTOCOL",
     needs=Needs(entities=(), ut=(QUERY,)),
 )
@@ -279,8 +301,8 @@ def query_unknown(bench: Bench) -> None:
     "TC_BP_GEN_BV_01",
     "Every service of BP confirms each request with a status",
     requirements="DATA-10 BP-TXP-11",
-    stimulus="each service that the upper tester offers, for a client of the tester's",
-    expect="one confirm for each, with a status",
+    stimulus="each BP service that the upper tester offers, for a client of the tester",
+    expect="one confirm for each request, with a status",
     needs=Needs(entities=(), ut=(REGISTER, DEREGISTER)),
 )
 def confirms(bench: Bench) -> None:
@@ -304,6 +326,6 @@ def confirms(bench: Bench) -> None:
             )
             extras[method] = set(answer.result) - {"status", "number", "protocols"}
     told = "; ".join(f"{method}: {', '.join(sorted(names))}" for method, names in extras.items() if names)
-    bench.info("Do confirms of BP carry further parameters?", told or "no", "BP-GEN-01")
+    bench.info("Do confirms of BP have additional parameters?", told or "no", "BP-GEN-01")
     if TRANSMIT in extras:
         bench.info("Is BP-TransmitPayload confirmed?", "yes", "BP-TXP-08")

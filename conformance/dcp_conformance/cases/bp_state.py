@@ -1,6 +1,6 @@
 """dcp-bp.md: Other BP Management Services; Transmit Path.
 
-What stays as it is when BP is switched while it works, and much at once.
+State that activation and deactivation of BP must not change, and queues larger than a beacon.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
 
 @case(
     "TC_BP_TX_BV_06",
-    "With allowMultiplePayloads true, payloads that do not fit into one beacon together go into several",
+    "With allowMultiplePayloads true, payloads that together do not fit into one beacon are sent in several",
     requirements="BP-FMT-02 BP-TX-04 BP-QM-03",
-    stimulus="a client that allows it submits five payloads, of which two fit into a beacon",
-    expect="each payload once and in order, in beacons that are not larger than BPPAR_MAXIMUM_PACKET_SIZE",
+    stimulus="a client with allowMultiplePayloads true submits five payloads; a beacon has room for two",
+    expect="each payload once and in order, in beacons not larger than BPPAR_MAXIMUM_PACKET_SIZE",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=areas_of_fixed_size),
     window=10,
 )
@@ -47,42 +47,42 @@ def several_that_do_not_fit(bench: Bench) -> None:
         bench.until(lambda _: payloads[-1] in client.sent(start), 5 * bench.reaction)
         check_sizes(bench, start)
         sent = [each for each in client.sent(start) if each in payloads]
-        bench.check(sent == payloads, "all of them once, in order", listed(sent, payloads), "BP-TX-04", "BP-QM-03")
+        bench.check(sent == payloads, "each payload once, in order", listed(sent, payloads), "BP-TX-04", "BP-QM-03")
 
 
 @case(
     "TC_BP_MGT_BV_03",
-    "Sequence numbers go on where they were when BP is deactivated and activated",
+    "Sequence numbers continue when BP is deactivated and activated",
     requirements="BP-HDR-08 BP-MGT-05",
     stimulus="a client repeats a payload; BP-MGMT-Deactivate, BP-MGMT-Activate",
-    expect="the first beacon after activation has the number behind that of the last one before",
+    expect="the next sequence number in the first beacon after activation",
     needs=Needs(since=V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE), header=("seqno",)),
     window=10,
 )
 def numbers_go_on(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
-        needed(bench, len(bench.beacons(3)) == 3, "beacons before")
+        needed(bench, len(bench.beacons(3)) == 3, "beacons before the deactivation")
         with bench.deactivated("BP"):
-            # What has left the node already may still be on its way to the tester.
+            # A beacon sent before the deactivation may still be in transit to the tester.
             bench.wait(1)
             last = bench.heard[-1]
         found = bench.beacons(1)
         needed(bench, found, "a beacon after activation")
         first = bench.heard[bench.heard.index(last) + 1]
         if last.seqno is None or first.seqno is None:
-            bench.inconclusive("beacons that can be read", f"{last.problem or first.problem}")
+            bench.inconclusive("decodable beacons", f"{last.problem or first.problem}")
         right = (last.seqno + 1) % BP_SEQNO_MODULUS
-        said = f"{first.seqno} follows {last.seqno}"
-        bench.check(first.seqno == right, f"number {right}", said, "BP-HDR-08", frames=[last, first], numbers=True)
+        said = f"{first.seqno} after {last.seqno}"
+        bench.check(first.seqno == right, f"seqno {right}", said, "BP-HDR-08", frames=[last, first], numbers=True)
 
 
 @case(
     "TC_BP_MGT_BO_03",
-    "BP-MGMT-Activate while BP is active leaves what is buffered",
+    "BP-MGMT-Activate while BP is active does not change buffered payloads",
     requirements="BP-MGT-05",
-    stimulus="a client repeats a payload; BP-MGMT-Activate; BP-QueryNumberBufferedPayloads before and afterwards",
-    expect="BP-STATUS-OK; one payload both times, and beacons with it go on",
+    stimulus="a client repeats a payload; BP-MGMT-Activate; BP-QueryNumberBufferedPayloads before and after it",
+    expect="BP-STATUS-OK; one payload both times; beacons with it continue",
     needs=Needs(since=V1_2, entities=(), ut=(*CLIENT, QUERY, ACTIVATE)),
     window=8,
 )
@@ -94,5 +94,5 @@ def activated_twice(bench: Bench) -> None:
         before = client.number()
         bench.expect_status(OK, ACTIVATE)
         after = client.number()
-        bench.check(after == before, f"{before} payloads as before", f"{after}", shown=True)
-        bench.check(client.until_sent(payload), "beacons with the payload go on", "there are none in time")
+        bench.check(after == before, f"{before} buffered payloads, as before", f"{after}", shown=True)
+        bench.check(client.until_sent(payload), "further beacons with the payload", "none in time")

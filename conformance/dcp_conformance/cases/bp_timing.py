@@ -1,7 +1,7 @@
 """dcp-bp.md: Transmit Path, timing of beacons.
 
-The specification says what the number of beacons tends to, not when a single one is due. The verdict is therefore
-statistical: it needs an interval of confidence, and one that cannot be told yet is no failure.
+The specification gives the long-term rate of beacons, not the time of each one. The verdict is therefore statistical:
+it needs a confidence interval, and a result that is not significant is not a failure.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from dcp_conformance.lower import OnThisMachine
 from dcp_conformance.services import parameters_set
 
 PERIOD = "BPPAR_BEACON_PERIOD"
-#: Of a normal distribution: 99 % of it lie within so many standard deviations. The means of samples are normal enough.
+#: 99 % quantile (two-sided) of the normal distribution, in standard deviations; it approximates that of sample means.
 QUANTILE = 2.576
 CONFIDENCE = "99 %"
-#: Fewer intervals say too little about how much they vary.
+#: Fewer intervals do not show their variance well enough.
 LEAST = 25
 MOST = 300
-#: A gap in the numbers is believed up to this many beacons for each usual interval that passed.
+#: A gap in the sequence numbers counts as missed beacons up to this number of beacons per typical interval elapsed.
 _MOST_MISSED = 2
 
 
 class Estimate(NamedTuple):
-    """The mean interval between beacons with its interval of confidence, in ns."""
+    """The mean interval between beacons and the half-width of its confidence interval, in ns."""
 
     mean: float
     margin: float
@@ -58,10 +58,10 @@ class Estimate(NamedTuple):
 
 
 def estimate(frames: Sequence[Heard]) -> Estimate:
-    """The mean interval between these beacons, at least three of them.
+    """Estimate the mean interval between beacons (at least three).
 
-    Sequence numbers say how many beacons lie between two that were heard, so that a beacon that the tester has missed
-    does not make the mean larger. A gap for which there was no time is a fault of the numbers, which other cases judge.
+    Sequence numbers count the beacons between two that were heard, so that beacons missed by the tester do not increase
+    the mean. A gap larger than the elapsed time allows is a fault of the sequence numbers, which other cases check.
     """
     usual = statistics.median(after.time - before.time for before, after in itertools.pairwise(frames))
     intervals, beacons = [], 0
@@ -78,9 +78,9 @@ def estimate(frames: Sequence[Heard]) -> Estimate:
 
 
 def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST) -> Estimate | None:
-    """Listen until the mean can be said to be the period within the tolerance, or not to be; None if nothing comes.
+    """Listen until the mean interval is known to be within the tolerance of the period or outside of it.
 
-    After ``most`` intervals the estimate is returned as it is then.
+    Returns None if too few beacons arrive. After ``most`` intervals, returns the estimate reached so far.
     """
     tolerance = bench.pixit.period_tolerance * period
     start = bench.mark()
@@ -96,36 +96,38 @@ def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST
 
 
 def check_mean(bench: Bench, found: Estimate | None, period: float, *requirements: str, sure: bool = True) -> None:
-    """Check a mean. Only one that lies outside of the tolerance for certain is a failure.
+    """Check a mean interval: only one that is significantly outside of the tolerance is a failure.
 
-    ``sure``: whether there was always something to send; else too few beacons are none.
+    ``sure``: whether the implementation had payloads to send all the time; if not, too few beacons are not a failure.
     """
     if found is None:
-        bench.inconclusive("enough beacons for a mean", "there are too few", *requirements)
+        bench.inconclusive("enough beacons to estimate their mean interval", "too few beacons", *requirements)
     tolerance = bench.pixit.period_tolerance * period
     low, high = found.mean - found.margin, found.mean + found.margin
     expected = f"a mean interval of {period / MS:g} ms \u00b1 {bench.pixit.period_tolerance:.0%}"
     if low > period + tolerance and not sure:
-        said = f"{found}; but it may have had nothing to send (with an upper tester this can be decided)"
+        said = f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
         bench.inconclusive(expected, said, *requirements)
     if low > period + tolerance and isinstance(bench.lower, OnThisMachine) and (why := bench.lower.overload()):
-        # An implementation on this machine waits for its turn in every period.
+        # An implementation on this machine has to wait for the processor in every period.
         bench.inconclusive(expected, f"{found}; but {why}", *requirements)
     if low > period + tolerance or high < period - tolerance:
         bench.check(False, expected, str(found), *requirements)
     elif low < period - tolerance or high > period + tolerance:
-        bench.inconclusive(expected, f"{found}: the sample is too small for how much they vary", *requirements)
+        bench.inconclusive(expected, f"{found}: too few beacons for their variance", *requirements)
     else:
         bench.check(True, f"{expected}; measured: {found}", "", *requirements)
 
 
 @case(
     "TC_BP_TX_TI_01",
-    "In the long run there is one beacon per period",
+    "The mean interval between beacons is one beacon period",
     requirements="BP-TX-01 BP-TX-02",
-    stimulus="something to send all the time; at least 25 intervals between beacons, more until the verdict is certain",
-    expect="the mean interval is BPPAR_BEACON_PERIOD within the tolerance (PIXIT), with 99 % confidence; jitter is "
-    "reported",
+    stimulus="payloads to send all the time, for at least 25 intervals and until the result is significant",
+    expect=(
+        "a mean interval of BPPAR_BEACON_PERIOD within the tolerance (PIXIT), with 99 % confidence; the case "
+        "reports the jitter"
+    ),
     window=300,
     needs=Needs(entities=()),
 )
@@ -137,7 +139,7 @@ def mean_period(bench: Bench) -> None:
     if found is not None and found.mean > 0:
         spread = statistics.stdev(found.intervals) / found.mean
         least, most = min(found.intervals) / MS, max(found.intervals) / MS
-        said = f"{least:.1f} to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
+        said = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
         bench.info("How much do the intervals between beacons vary?", said, "BP-TX-02")
         if bench.pics.jitter:
             bench.check(spread > 0.002, "intervals that vary, as the PICS claims", said, "BP-TX-02")
@@ -146,10 +148,10 @@ def mean_period(bench: Bench) -> None:
 
 @case(
     "TC_BP_TX_TI_02",
-    "Another beacon period takes effect ({variant})",
+    "A new beacon period takes effect (factor {variant})",
     requirements="BP-PAR-02 BP-PAR-12",
     stimulus="BPPAR_BEACON_PERIOD is multiplied by {variant} while a client repeats a payload",
-    expect="the mean interval follows, with 99 % confidence",
+    expect="a mean interval of the new period, with 99 % confidence",
     window=60,
     needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter")),
     variants={"0.5": 0.5, "2": 2.0},
@@ -157,16 +159,16 @@ def mean_period(bench: Bench) -> None:
 def other_period(bench: Bench, factor: float) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
-        needed(bench, client.until_sent(), "beacons before")
+        needed(bench, client.until_sent(), "beacons before the change")
         wanted = round(bench.parameter(PERIOD) * factor)
         with parameters_set(bench, "BP", **{PERIOD: wanted}):
             value: float = wanted
             if bench.session.upper is not None and "BP-GetParameters" in bench.session.upper.methods:
-                # The resolution of times is the implementation's own.
+                # The resolution of times is up to the implementation.
                 said = (bench.must("BP-GetParameters").result.get("parameters") or {}).get(PERIOD)
                 if isinstance(said, int | float) and abs(said - value) < abs(value - value / factor) / 2:
                     value = said
-            # The beacon that was due already comes when it was due, the next one is the first of the new period.
+            # The beacon already scheduled is sent as scheduled; the new period begins after it.
             bench.beacons(1)
             found = measure(bench, round(value * MS), least=15)
             check_mean(bench, found, round(value * MS))
@@ -174,10 +176,10 @@ def other_period(bench: Bench, factor: float) -> None:
 
 @case(
     "TC_BP_TX_TI_03",
-    "What a new payload does to the time of the next beacon",
+    "Reports the time from the submission of a payload to its beacon",
     requirements="BP-TXP-07 BP-TX-02",
-    stimulus="a client submits a payload five times, in different phases of the period, when nothing else is sent",
-    expect="a beacon with it each time; the delays are reported",
+    stimulus="a client submits five payloads at different phases of the beacon period, without other traffic",
+    expect="a beacon with each payload; the case reports the delays",
     window=20,
     needs=Needs(entities=(), ut=CLIENT),
 )
@@ -190,21 +192,23 @@ def delay_of_payloads(bench: Bench) -> None:
             client.transmit(payload)
             heard = client.until_sent(payload)
             if heard is None:
-                bench.inconclusive("a beacon with each payload", f"{number} of 5 came in time")
+                bench.inconclusive("a beacon with each payload", f"{number} of 5 in time")
             delays.append(max(0, heard.time - start) / MS)
             bench.wait(0.3 + 0.2 * number)
-    said = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms at a period of {bench.parameter(PERIOD)} ms"
-    bench.info("How long does a payload wait for its beacon?", said)
+    said = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms, with a period of {bench.parameter(PERIOD)} ms"
+    bench.info("How long after its submission is a payload sent?", said)
     triggered = statistics.median(delays) < bench.parameter(PERIOD) / 10
-    bench.info("Does a new payload bring the next beacon forward?", "it seems so" if triggered else "no", "BP-TXP-07")
+    bench.info("Does a new payload trigger an early beacon?", "probably" if triggered else "no", "BP-TXP-07")
 
 
 @case(
     "TC_BP_PTI_TI_01",
-    "nextBeaconGenerationEpoch is when the next beacon is prepared",
+    "nextBeaconGenerationEpoch is the time at which the next beacon is prepared",
     requirements="BP-PTI-02",
-    stimulus="a client repeats a payload; ten indications and the beacons that follow them",
-    expect="most epochs are nearer to the beacon that follows than to any other, by the implementation's own clock",
+    stimulus="a client repeats a payload; ten indications and the beacons after them",
+    expect=(
+        "a median difference between epoch and next beacon of less than half a period, on the implementation's clock"
+    ),
     window=14,
     needs=Needs(entities=(), ut=(*CLIENT, "BP-ListRegisteredProtocols"), when=no_indication),
 )
@@ -217,24 +221,30 @@ def epoch_of_next_beacon(bench: Bench) -> None:
         bench.wait(0.3)
         frames = client.frames()
         told = indications(bench, TRANSMITTED, client.prot_id)
-        bench.require(told, "indications", "there are none", "BP-PTI-01")
+        bench.require(told, "indications", "none in time", "BP-PTI-01")
         epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
         numbers = [each - offset for each in epochs if isinstance(each, int)]
         bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}", shown=True)
-        # The next beacon, whoever has a payload in it.
+        # The next beacon, of whichever client.
         following = [bench.heard[place + 1 :][:1] for place in map(bench.heard.index, frames)]
         pairs = [(number, each[0].wall) for number, each in zip(numbers, following, strict=False) if each]
         if len(pairs) < 8 or abs(len(told) - len(frames)) > 1:
-            bench.inconclusive("an indication for each of ten beacons", f"{len(told)} for {len(frames)} beacons")
+            bench.inconclusive(
+                "an indication for each of ten beacons", f"{len(told)} indications for {len(frames)} beacons"
+            )
         errors = [(epoch - wall) / MS for epoch, wall in pairs]
         middle, limit = statistics.median(errors), bench.parameter(PERIOD) / 2
-        said = f"{middle:.1f} ms from it (median of {len(errors)}), {min(errors):.1f} to {max(errors):.1f} ms"
-        bench.check(abs(middle) < limit, f"epochs within {limit:g} ms of the next beacon", said, frames=frames[:8])
-        bench.info("How exact is nextBeaconGenerationEpoch?", said)
+        said = f"{middle:.1f} ms off (median of {len(errors)}), {min(errors):.1f} ms to {max(errors):.1f} ms"
+        bench.check(
+            abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", said, frames=frames[:8]
+        )
+        bench.info("How precise is nextBeaconGenerationEpoch?", said)
 
 
 def clock_offset(bench: Bench, client: BPClient) -> int:
-    """How far the implementation's clock is ahead of the tester's in ns, by the time stamp of a registration."""
+    """Estimate the offset of the implementation's clock from the tester's in ns (positive if ahead), from the time
+    stamps of registrations.
+    """
     stamps = []
     for _ in range(5):
         bench.call("BP-DeregisterProtocol", protId=client.prot_id)
@@ -245,17 +255,20 @@ def clock_offset(bench: Bench, client: BPClient) -> int:
         if isinstance(stamp, int):
             stamps.append((after - before, stamp - (before + after) // 2))
     if not stamps:
-        bench.inconclusive("the time of a registration", "BP-ListRegisteredProtocols does not tell it")
-    # The shortest call is the most exact one.
+        bench.inconclusive("the time of a registration", "not in BP-ListRegisteredProtocols")
+    # The shortest call gives the most precise estimate.
     return min(stamps)[1]
 
 
 @case(
     "TC_BP_HDR_BV_10",
-    "seqno counts beyond what one octet holds",
+    "seqno does not wrap around at one octet",
     requirements="BP-HDR-08",
-    stimulus="a client repeats a payload with a quarter of the beacon period, until more than 256 beacons were sent",
-    expect="a number above 255, and none that starts again",
+    stimulus=(
+        "a client repeats a payload at a quarter of the beacon period until the implementation has sent more than "
+        "256 beacons"
+    ),
+    expect="a sequence number above 255, and no restart",
     window=150,
     needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter", "UT-Reset"), header=("seqno",)),
 )
@@ -271,18 +284,18 @@ def beyond_an_octet(bench: Bench) -> None:
 def _check_beyond_an_octet(bench: Bench, frames: Sequence[Heard]) -> None:
     numbers = [each.seqno for each in frames if each.seqno is not None]
     if len(numbers) < 258:
-        bench.inconclusive("258 beacons that can be read", f"there are {len(numbers)}")
+        bench.inconclusive("258 decodable beacons", f"{len(numbers)}")
     back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
-    said = f"{max(numbers)} is the greatest of {len(numbers)}"
-    bench.check(max(numbers) > 255 and not back, "numbers that go on above 255", said, frames=back[:2])
+    said = f"a maximum of {max(numbers)} in {len(numbers)} beacons"
+    bench.check(max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", said, frames=back[:2])
 
 
 @case(
     "TC_BP_HDR_BV_11",
-    "seqno counts beyond what one octet holds, at the beacon period as it is",
+    "seqno does not wrap around at one octet, at the configured beacon period",
     requirements="BP-HDR-08",
-    stimulus="something to send in every period, until more than 256 beacons were sent",
-    expect="a number above 255, and none that starts again",
+    stimulus="payloads to send in every period until the implementation has sent more than 256 beacons",
+    expect="a sequence number above 255, and no restart",
     window=600,
     needs=Needs(entities=(), header=("seqno",)),
     long=True,
@@ -293,26 +306,26 @@ def beyond_an_octet_by_waiting(bench: Bench) -> None:
     _check_beyond_an_octet(bench, frames)
 
 
-#: Intervals that are compared after each start, at least.
+#: Minimum number of intervals that are compared after each start.
 _COMPARED = 24
 
 
 @case(
     "TC_BP_TX_TI_04",
-    "Whether the jitter of the beacons is the same after each start",
+    "Reports whether the jitter of the beacons is the same after each start",
     requirements="BP-TX-02",
-    stimulus="two restarts; something to send in every period",
-    expect="nothing in particular; nodes that are started together stay in step if it is the same",
+    stimulus="two restarts; payloads to send in every period",
+    expect="any result; if the jitter is the same, nodes that are started together keep sending at the same times",
     window=60,
     needs=Needs(entities=(), restart=True),
 )
 def jitter_after_starts(bench: Bench) -> None:
     first, second = _after_start(bench), _after_start(bench)
     said = {
-        "strict": "beacons are strictly periodic",
-        "same": "yes: nodes that are started together stay in step",
+        "strict": "the beacons are strictly periodic",
+        "same": "yes: nodes that are started together keep sending at the same times",
         "different": "no",
-        "coarse": "it cannot be told: there are too few different intervals",
+        "coarse": "unknown: too few different intervals",
     }
     bench.info("Is the jitter the same after each start?", said[compare(first, second, bench.period)])
 

@@ -1,4 +1,4 @@
-"""Networks: many neighbours, storms of requests, beacons twice or out of order."""
+"""Networks: many neighbours, many simultaneous requests, duplicated and reordered beacons."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _CREATE, _UPDATE, _DELETE, _SUMMARY = (
     ICType.DELETE_VARIABLES,
     ICType.SUMMARIES,
 )
-#: Beacons in a beacon period that every receiver has room for.
+#: Number of beacons in a beacon period that every receiver has buffers for.
 _FEW = 4
 
 
 @case(
     "TC_NET_CROWD_BV_01",
-    "Thirty neighbours with three variables each: every variable is passed on, and all are summarised",
+    "Ninety variables of thirty neighbours are all forwarded and summarised",
     requirements="VD-PC-09 VD-CMP-03 VD-SCP-02",
     stimulus="30 peers create three variables each, and summarise them, within one beacon period",
-    expect="a VarCreate of each of the 90 in exactly one beacon; every one of them in the summaries in turn",
+    expect="each of the 90 VarCreates in exactly one beacon; each variable in the summaries eventually",
     window=30,
     needs=Needs(when=lambda bench: bench.lacks_room(90) or None),
 )
@@ -60,13 +60,24 @@ def many_variables(bench: Bench) -> None:
         bench.until_quiet(lambda heard: heard.instructions(_CREATE), since=mark)
         _tell_overload(bench, len(lost) - len(missing()), "VarCreates", "VD-PC-09")
     left = missing()
-    bench.check(not left, f"all {len(everything)} variables are passed on", f"not {left[:8]}", "VD-PC-09")
+    bench.check(not left, f"VarCreates of all {len(everything)} variables", f"none of variables {left[:8]}", "VD-PC-09")
     passed = [each.var_id for each in found()]
     twice = sorted({each for each in passed if passed.count(each) > 1})
-    bench.check(not twice, "each in exactly one beacon", f"more of {twice[:8]}", "VD-SCP-02", shown=True)
+    bench.check(
+        not twice,
+        "each VarCreate in exactly one beacon",
+        f"more than one of variables {twice[:8]}",
+        "VD-SCP-02",
+        shown=True,
+    )
     wrong = [each for each in found() if each.record.upd.value != bench.value(b"%d" % each.var_id)]
     bench.check(
-        not wrong, "each with its own value", f"{len(wrong)} with another", "VD-PC-09", frames=wrong[:4], shown=True
+        not wrong,
+        "each variable with its own value",
+        f"{len(wrong)} with another value",
+        "VD-PC-09",
+        frames=wrong[:4],
+        shown=True,
     )
     if summarises(bench):
         return
@@ -78,15 +89,15 @@ def many_variables(bench: Bench) -> None:
 
     bench.until(complete, 4 + 2 * len(everything) / most)
     left = sorted(everything.difference(each.var_id for each in bench.instructions(_SUMMARY, since=start)))
-    bench.check(not left, "all of them are summarised in turn", f"not {left[:8]}", "VD-CMP-03")
+    bench.check(not left, f"summaries of all {len(everything)} variables", f"none of variables {left[:8]}", "VD-CMP-03")
 
 
 @case(
     "TC_NET_CROWD_BV_02",
-    "Thirty neighbours that update their variables in every period are kept up with",
+    "The updates of thirty neighbours in every beacon period are forwarded",
     requirements="VD-PU-07 VD-SCP-02",
-    stimulus="30 peers with a variable each send a VarUpdate in each of five beacon periods",
-    expect="the last number of each variable is passed on, numbers never go back, and no VarUpdate 5 is missing",
+    stimulus="30 peers send a VarUpdate of one variable each in each of five beacon periods",
+    expect="the last VarUpdate of each variable is forwarded; sequence numbers do not decrease",
     window=40,
 )
 def many_updates(bench: Bench) -> None:
@@ -118,9 +129,21 @@ def many_updates(bench: Bench) -> None:
             back.append(name)
         if len(numbers) != len(set(numbers)):
             twice.append(name)
-    bench.check(not behind, "the last VarUpdate of each variable", f"not of {behind[:8]}", "VD-PU-07")
-    bench.check(not back, "numbers that never go back", f"they do for {back[:8]}", "VD-PU-07", shown=True)
-    bench.check(not twice, "each number in one beacon (repCnt 1)", f"more for {twice[:8]}", "VD-SCP-02", shown=True)
+    bench.check(not behind, "the last VarUpdate of each variable", f"not of variables {behind[:8]}", "VD-PU-07")
+    bench.check(
+        not back,
+        "sequence numbers that do not decrease",
+        f"decreasing ones of variables {back[:8]}",
+        "VD-PU-07",
+        shown=True,
+    )
+    bench.check(
+        not twice,
+        "each VarUpdate in one beacon (repCnt 1)",
+        f"in more beacons for variables {twice[:8]}",
+        "VD-SCP-02",
+        shown=True,
+    )
 
 
 def _slowly(bench: Bench, peers: Sequence[Peer], records: Callable[[Peer], Sequence[VardisRecord]]) -> None:
@@ -132,11 +155,13 @@ def _slowly(bench: Bench, peers: Sequence[Peer], records: Callable[[Peer], Seque
 
 
 def _tell_overload(bench: Bench, count: int, what: str, requirement: str) -> None:
-    """Report records that were lost among many and taken when they came slowly: no rule says how many must fit."""
+    """Report records that were lost in a burst but processed when sent slowly: no rule says how many a node must
+    buffer.
+    """
     if count > 0:
         bench.info(
-            "Does it take a beacon from each of thirty neighbours at once?",
-            f"{count} {what} were lost; they were processed when {_FEW} beacons came in a period",
+            "Is a beacon of each of thirty neighbours processed if all arrive at once?",
+            f"{count} {what} were lost; they were processed at a rate of {_FEW} beacons per period",
             requirement,
         )
 
@@ -159,10 +184,10 @@ def _old_update(peer: Peer, name: int) -> VardisRecord:
 
 @case(
     "TC_NET_STORM_BV_01",
-    "The same {variant} from ten neighbours at once is answered repCnt times, not ten times as often",
+    "The same record from ten neighbours is answered repCnt times, not ten times as often ({variant})",
     requirements="VD-RC-03 VD-RU-04 VD-PS-03 VD-PU-06",
-    stimulus="ten peers send the same {variant} within one beacon period",
-    expect="the answer in exactly repCnt beacons; in one more if a payload was composed in the middle of it",
+    stimulus="ten peers send the same record within one beacon period ({variant})",
+    expect="the answer in exactly repCnt beacons, or in one more if a payload was composed before the last of the ten",
     window=24,
     variants={
         "request-for-create": (_ask_create, _CREATE, "VD-RC-03"),
@@ -186,17 +211,20 @@ def storm(bench: Bench, variant: tuple[Callable[[Peer, int], VardisRecord], ICTy
         len(found) >= count and not many, f"{count} answers", f"{len(found)}", rule, frames=found[:16], shown=many
     )
     beacons = {id(each.heard) for each in found}
-    bench.check(len(beacons) == len(found), "each in a beacon of its own", f"{len(beacons)} beacons", rule, shown=True)
+    bench.check(
+        len(beacons) == len(found), "each answer in a different beacon", f"{len(beacons)} beacons", rule, shown=True
+    )
 
 
 def _answers(
     bench: Bench, prepare: Callable[[], tuple[VardisRecord, int]], kind: ICType, most: int
 ) -> list[Instruction]:
-    """Have ten peers send the same record at once; the answers, from the last of up to three attempts.
+    """Send the same record from ten peers at once; return the answers of the last of up to three attempts.
 
-    An attempt in which more than one beacon left meanwhile is not judged: the peers were too slow. An implementation
-    on a busy machine may be, and take some of the ten records after a beacon; so more answers than ``most`` count only
-    if they come every time. ``prepare``: the record and its variable, another one for each attempt.
+    An attempt in which the implementation sent more than one beacon before the last of the ten is not judged: the peers
+    were too slow. An implementation on a busy machine may process some of the records after a beacon, so more than
+    ``most`` answers count only if they occur in every attempt. ``prepare`` returns a record and its variable, a new one
+    for each attempt.
     """
     judged: list[Instruction] | None = None
     for _ in range(3):
@@ -211,13 +239,15 @@ def _answers(
             if len(found) <= most:
                 break
     if judged is None:
-        bench.inconclusive("ten beacons within one beacon period", "two beacons left meanwhile, each time")
+        bench.inconclusive(
+            "ten beacons within one beacon period", "two beacons of the implementation in between, in each attempt"
+        )
     return judged
 
 
 def _send_ten(bench: Bench, record: VardisRecord) -> None:
     if bench.one_by_one:
-        # It may answer each payload before it takes the next: all records in one.
+        # The implementation may answer each payload before it processes the next: send all records in one payload.
         bench.peer().send(*[record] * 10)
         return
     peers = [bench.peer() for _ in range(10)]
@@ -227,10 +257,10 @@ def _send_ten(bench: Bench, record: VardisRecord) -> None:
 
 @case(
     "TC_NET_STORM_BV_02",
-    "Ten neighbours that {variant} cause one request",
+    "The same stimulus from ten neighbours causes one request ({variant})",
     requirements="VD-PS-01 VD-PS-04 VD-PU-01 VD-RC-01",
-    stimulus="ten peers {variant} within one beacon period",
-    expect="one request; a second one only if a payload was composed in the middle of it",
+    stimulus="ten peers send the same record within one beacon period ({variant})",
+    expect="one request, or two if a payload was composed before the last of the ten",
     window=12,
     variants={
         "summarise-an-unknown-variable": ("summary", ICType.REQUEST_VARCREATES, "VD-PS-01"),
@@ -257,7 +287,11 @@ def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
         bench.require_alive("requests for an unknown variable", rule)
         found = bench.instructions(kind, name, mark)
         bench.check(
-            not found, "no request: 1.0 ignores requests for unknown variables", f"{len(found)} came", rule, shown=True
+            not found,
+            "no request: 1.0 ignores requests for unknown variables",
+            f"{len(found)} requests",
+            rule,
+            shown=True,
         )
         return
     found = _answers(bench, prepare, kind, 2)
@@ -267,10 +301,10 @@ def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
 
 @case(
     "TC_NET_STORM_BV_03",
-    "Requests in every period keep the answers going, and these end with them",
+    "Answers continue while requests arrive in every period, and end after them",
     requirements="VD-RC-03",
-    stimulus="for six beacon periods peers request a VarCreate in each; then silence",
-    expect="at most repCnt more answers than beacons passed meanwhile, and then none",
+    stimulus="peers request a VarCreate in each of six beacon periods, and then no more",
+    expect="at most repCnt more answers than beacons sent in this time, and then none",
     window=40,
 )
 def lasting_storm(bench: Bench) -> None:
@@ -281,11 +315,11 @@ def lasting_storm(bench: Bench) -> None:
     for _ in range(6):
         asking.send(asking.request_create(name))
         bench.wait(1)
-    # A slow implementation takes the last request later.
+    # A slow implementation processes the last request later.
     taken = bench.now() + round((bench.reaction - min(bench.reaction, FLOOR)) * bench.period)
     found = bench.repeated(_CREATE, name, mark)
     passed = sum(heard.time <= taken for heard in bench.heard[mark:])
-    # Two for payloads that were composed before the last request and had not left.
+    # Two for payloads that were composed before the last request but not yet sent.
     most = passed + count + 2
     bench.check(
         count <= len(found) <= most,
@@ -298,9 +332,9 @@ def lasting_storm(bench: Bench) -> None:
 
 @case(
     "TC_NET_DUP_BV_01",
-    "Beacons that arrive twice have the effect of one",
+    "Duplicated beacons have the effect of one",
     requirements="VD-SCP-03 VD-SCP-02",
-    stimulus="each of the beacons that create, update and delete a variable is sent three times, octet by octet",
+    stimulus="the beacons that create, update and delete a variable are each sent three times, with identical octets",
     expect="each record in exactly repCnt beacons",
     window=40,
 )
@@ -319,10 +353,10 @@ def duplicates(bench: Bench) -> None:
 
 @case(
     "TC_NET_ORDER_BV_01",
-    "Beacons out of order leave the newest behind ({variant})",
+    "With reordered beacons, the newest value is stored ({variant})",
     requirements="VD-PU-06 VD-PU-07 VD-PU-01",
     stimulus="a creation and VarUpdates 1 and 2 in three beacons that arrive in the order {variant}",
-    expect="number 2 and its value in the end",
+    expect="sequence number 2 and its value in the end",
     window=30,
     variants={"create-2-1": (0, 2, 1), "1-create-2": (1, 0, 2), "create-1-2-1": (0, 1, 2, 1)},
 )
@@ -336,9 +370,11 @@ def out_of_order(bench: Bench, order: tuple[int, ...]) -> None:
         peer.send_octets(beacons[place])
     bench.until_instruction(_UPDATE, name)
     numbers = [each.record.seqno for each in bench.repeated(_UPDATE, name, mark)]
-    bench.check(numbers == sorted(numbers), "numbers that never go back", f"{numbers}", "VD-PU-06")
+    bench.check(numbers == sorted(numbers), "sequence numbers that do not decrease", f"{numbers}", "VD-PU-06")
     record = held(bench, name)
     if record is None and order[0]:
-        bench.fail("the variable is known, although an update came first", "it is not", "VD-PU-01")
+        bench.fail(
+            "the variable is known, although an update arrived first", "no answer to a request for it", "VD-PU-01"
+        )
     state = None if record is None else (record.upd.seqno, record.upd.value)
-    bench.check(state == (2, b"2"), "number 2 with its value", f"{state}", "VD-PU-07")
+    bench.check(state == (2, b"2"), "sequence number 2 with its value", f"{state}", "VD-PU-07")

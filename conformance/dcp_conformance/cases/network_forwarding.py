@@ -1,6 +1,6 @@
 """Networks: several hops, with the implementation in the middle.
 
-One peer speaks, another one only hears what the implementation passes on, or echoes it.
+One peer sends records; another one receives only what the implementation forwards, or echoes it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELE
 
 
 def _check_unchanged(bench: Bench, found: list[Instruction], wanted: VardisRecord, *requirements: str) -> None:
-    """Whether records are, octet by octet, as they were sent."""
+    """Check that records were forwarded unchanged, octet by octet."""
     octets = bench.forge.container(wanted)
     wrong = [each for each in found if bench.forge.container(each.record) != octets]
     text = f"{wrong[0].record}" if wrong else ""
@@ -25,10 +25,10 @@ def _check_unchanged(bench: Bench, found: list[Instruction], wanted: VardisRecor
 
 @case(
     "TC_NET_HOP_BV_01",
-    "A create, an update and a delete pass through unchanged, in as many beacons as the repCnt says ({variant})",
+    "A VarCreate, a VarUpdate and a VarDelete are forwarded unchanged, in repCnt beacons ({variant})",
     requirements="VD-SCP-02 VD-TYP-06 VD-PC-10 VD-PU-07 VD-PD-04",
-    stimulus="a peer creates a variable with repetition count {variant}, updates and deletes it",
-    expect="each of the three in exactly repCnt distinct beacons, octet by octet as it was sent",
+    stimulus="a peer creates a variable with repCnt {variant}, updates and deletes it",
+    expect="each of the three in exactly repCnt distinct beacons, with identical octets",
     window=60,
     variants={"1": 1, "2": 2, "5": 5, "max": 255},
 )
@@ -50,10 +50,10 @@ def passes_through(bench: Bench, wanted: int) -> None:
 
 @case(
     "TC_NET_HOP_BV_02",
-    "What comes back from the next hop is not passed on again",
+    "A record received again from the next hop is not forwarded again",
     requirements="VD-SCP-03",
-    stimulus="a peer creates, updates and deletes a variable; another echoes each record as often as it is passed on",
-    expect="each of the three in exactly repCnt beacons, however often it is echoed",
+    stimulus="a peer creates, updates and deletes a variable; another peer echoes each record when it is forwarded",
+    expect="each of the three in exactly repCnt beacons",
     window=60,
 )
 def no_echo(bench: Bench) -> None:
@@ -77,9 +77,9 @@ def no_echo(bench: Bench) -> None:
 
 @case(
     "TC_NET_HOP_BV_03",
-    "The producer's own repetitions do not restart those of the implementation",
+    "Repetitions of the producer do not restart those of the implementation",
     requirements="VD-SCP-03 VD-SCP-02",
-    stimulus="a peer sends VarCreate and VarUpdate in as many beacons as the repCnt says, one per beacon period",
+    stimulus="a peer sends a VarCreate and a VarUpdate in repCnt beacons each, one per beacon period",
     expect="both in exactly repCnt beacons of the implementation",
     window=40,
 )
@@ -95,10 +95,10 @@ def repetitions_of_the_producer(bench: Bench) -> None:
 
 @case(
     "TC_NET_HOP_BI_01",
-    "Nothing of single-hop scope passes through: a {variant}",
+    "Records of single-hop scope are not forwarded ({variant})",
     requirements="VD-SCP-01",
-    stimulus="a {variant} about a variable that the implementation knows, with the number that it has",
-    expect="no such record in its beacons but what it says on its own account",
+    stimulus="a {variant} about a variable that the implementation knows, with its current sequence number",
+    expect="no such record in its beacons, other than its own",
     window=10,
     variants={
         "summary": ICType.SUMMARIES,
@@ -111,26 +111,26 @@ def single_hop(bench: Bench, kind: ICType) -> None:
     bench.learn(peer, peer.create(name, seqno=4))
     mark = bench.mark()
     if kind is ICType.SUMMARIES:
-        # A summary of its own has number 4, too: one with an older number would be a copy.
+        # A summary of the implementation's own has number 4; with an older number it is a copy.
         peer.send(peer.summary(name, 3))
     elif kind is ICType.REQUEST_VARUPDATES:
         peer.send(peer.request_update(name, 4))
     else:
         peer.send(peer.request_create(name))
-    bench.require_alive("it")
+    bench.require_alive("a record of single-hop scope")
     bench.beacons(3)
     found = bench.instructions(kind, name, mark)
     if kind is ICType.SUMMARIES:
         found = [each for each in found if each.record.seqno != 4]
-    bench.check(not found, "no copy of it", f"{len(found)} came", frames=found[:4], shown=True)
+    bench.check(not found, "no copy of the record", f"{len(found)} copies", frames=found[:4], shown=True)
 
 
 @case(
     "TC_NET_HOP_BV_04",
-    "A chain of updates passes through in order, however they arrive in beacons ({variant})",
+    "Successive updates are forwarded in order, however they are distributed over beacons ({variant})",
     requirements="VD-PU-07 VD-RX-09",
-    stimulus="VarUpdates 1 to 6 of a variable: {variant}",
-    expect="numbers that never go back, and number 6 in exactly repCnt beacons",
+    stimulus="VarUpdates 1 to 6 of a variable ({variant})",
+    expect="sequence numbers that do not decrease, and number 6 in exactly repCnt beacons",
     window=30,
     variants={"one-payload": "one", "six-beacons": "burst", "one-per-period": "paced"},
 )
@@ -147,12 +147,17 @@ def chain(bench: Bench, how: str) -> None:
     found = bench.repeated(_UPDATE, name, mark)
     numbers = [each.record.seqno for each in found]
     bench.check(
-        numbers == sorted(numbers), "numbers that never go back", f"{numbers}", "VD-RX-09", frames=found, shown=True
+        numbers == sorted(numbers),
+        "sequence numbers that do not decrease",
+        f"{numbers}",
+        "VD-RX-09",
+        frames=found,
+        shown=True,
     )
     last = numbers.count(6)
     bench.check(
         last == count,
-        f"number 6 in exactly {count} beacons",
+        f"sequence number 6 in exactly {count} beacons",
         f"{numbers}",
         "VD-PU-07",
         frames=found[-4:],
@@ -160,16 +165,24 @@ def chain(bench: Bench, how: str) -> None:
     )
     wrong = [each for each in found if each.record.value != bytes((each.record.seqno,))]
     bench.check(
-        not wrong, "each number with its own value", f"{len(wrong)} with another", "VD-PU-07", frames=wrong, shown=True
+        not wrong,
+        "each sequence number with its own value",
+        f"{len(wrong)} with another value",
+        "VD-PU-07",
+        frames=wrong,
+        shown=True,
     )
 
 
 @case(
     "TC_NET_HOP_BV_05",
-    "A life of a variable passes through: created, updated, deleted, created again",
+    "Creation, update, deletion and renewed creation of a variable are all forwarded",
     requirements="VD-PC-09 VD-PU-07 VD-PD-04 VD-PC-10",
-    stimulus="a peer creates a variable, updates it, deletes it and creates it anew, each when the step before is done",
-    expect="each of the four in exactly repCnt beacons, unchanged",
+    stimulus=(
+        "a peer creates a variable, updates it, deletes it and creates it again, each step after the one before is "
+        "complete"
+    ),
+    expect="each record in exactly repCnt beacons, unchanged",
     window=60,
     smoke=True,
 )
@@ -179,7 +192,7 @@ def whole_life(bench: Bench) -> None:
         (_CREATE, lambda: peer.create(name, value=b"first", rep_cnt=count), "VD-PC-09"),
         (_UPDATE, lambda: peer.update(name, 1, b"second"), "VD-PU-07"),
         (_DELETE, lambda: peer.delete(name), "VD-PD-04"),
-        # The second life begins with number 0 again.
+        # Sequence numbers restart at 0 after the renewed creation.
         (_CREATE, lambda: peer.create(name, value=b"third", rep_cnt=count), "VD-PC-10"),
         (_UPDATE, lambda: peer.update(name, 1, b"fourth"), "VD-PU-07"),
     )

@@ -1,6 +1,7 @@
 """Networks: hazards of the specification itself.
 
-A node that follows the steps shows them. Checked is what the steps say; what comes of it is reported.
+A node that follows the specification exhibits them. The cases check what the specification requires; the consequences
+are reported.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ _ASK_CREATE = ICType.REQUEST_VARCREATES
 
 @case(
     "TC_NET_HAZARD_BV_01",
-    "Two nodes that lack a variable request it from each other (H1, X29)",
+    "Two nodes that both lack a variable request it from each other (H1, X29)",
     requirements="VD-RC-01",
-    stimulus="a request for an unknown variable; each request of the implementation is answered by the same request",
-    expect="a request for each request (1.0: none); how long that goes on is reported",
+    stimulus=(
+        "a request for an unknown variable; the tester answers each request of the implementation with the same request"
+    ),
+    expect="a request for each request (1.0: none); the case reports for how long this continues",
     window=30,
 )
 def mutual_requests(bench: Bench) -> None:
@@ -32,7 +35,13 @@ def mutual_requests(bench: Bench) -> None:
     if not bench.features.rerequest_unknown:
         bench.require_alive("a request for an unknown variable")
         found = bench.instructions(_ASK_CREATE, name, mark)
-        if bench.check(not found, "no request: 1.0 ignores it", f"{len(found)} came", frames=found[:4], shown=True):
+        if bench.check(
+            not found,
+            "no request: 1.0 ignores requests for unknown variables",
+            f"{len(found)} requests",
+            frames=found[:4],
+            shown=True,
+        ):
             bench.reading("X29", "nothing")
             bench.reading("H1", "does not arise in 1.0")
         return
@@ -40,18 +49,21 @@ def mutual_requests(bench: Bench) -> None:
     while rounds < 6 and bench.until_instruction(_ASK_CREATE, name) is not None:
         rounds += 1
         peer.send(peer.request_create(name))
-    bench.require(rounds, "a request for the variable that it is asked for", "none")
-    bench.reading("X29", "requests it itself")
+    bench.require(rounds, "a request for the variable that the peer requested", "none")
+    bench.reading("X29", "requests the variable itself")
     lasting = "without end" if rounds == 6 else f"for {rounds} rounds"
     bench.reading("H1", f"two nodes request the variable from each other {lasting} (6 were tried)")
 
 
 @case(
     "TC_NET_HAZARD_BO_01",
-    "A producer that has forgotten its variable requests it in vain (H2)",
+    "A producer that has lost its variable requests it without success (H2)",
     requirements="VD-PS-01 VD-PC-03",
-    stimulus="a summary of an unknown variable; its request is answered by a VarCreate with its own identifier; again",
-    expect="a request for each summary, and no VarCreate passed on; what comes of it is reported",
+    stimulus=(
+        "a summary of an unknown variable; the request is answered with a VarCreate with the implementation as "
+        "producer; three times"
+    ),
+    expect="a request for each summary, and no forwarded VarCreate; the case reports the consequences",
     window=30,
 )
 def forgotten_variable(bench: Bench) -> None:
@@ -65,22 +77,26 @@ def forgotten_variable(bench: Bench) -> None:
         rounds += 1
         peer.send(peer.create(name, seqno=7, producer=bench.sut_id))
     bench.check(rounds == 3, "a request for each summary", f"{rounds} of 3", "VD-PS-01")
-    bench.require_alive("a VarCreate with its own identifier", "VD-PC-03")
+    bench.require_alive("a VarCreate with the implementation as producer", "VD-PC-03")
     found = bench.instructions(_CREATE, name, mark)
     bench.check(
-        not found, "a VarCreate with the own identifier is ignored", f"{len(found)} passed on", "VD-PC-03", shown=True
+        not found,
+        "no forwarded VarCreate with the implementation as producer",
+        f"{len(found)} forwarded",
+        "VD-PC-03",
+        shown=True,
     )
     if rounds and not found:
         again = "again with each summary" if rounds == 3 else f"{rounds} times"
-        bench.reading("H2", f"a forgotten variable is requested {again}, and what comes is ignored")
+        bench.reading("H2", f"a lost variable is requested {again}, and the answer is ignored")
 
 
 @case(
     "TC_NET_HAZARD_BO_02",
-    "A deletion by somebody else splits a variable from its producer (H3)",
+    "A deletion by a node other than the producer separates the variable from its producer (H3)",
     requirements="VD-PD-04 VD-PU-02 VD-PS-02 VD-PC-01",
-    stimulus="a peer that is not the producer deletes a variable; the producer goes on updating and summarising it",
-    expect="the variable is deleted, and what the producer says of it is ignored; what can end that is reported",
+    stimulus="a peer that is not the producer deletes a variable; the producer continues to update and summarise it",
+    expect="the variable is deleted and later records of the producer are ignored; the case reports how this ends",
     window=40,
 )
 def split(bench: Bench) -> None:
@@ -93,34 +109,44 @@ def split(bench: Bench) -> None:
     mark = bench.mark()
     source.send(source.update(name, 1))
     if bench.features.removed_after_deletion:
-        # The entry is gone: the producer's next word brings a request, and its VarCreate the variable.
+        # The entry was removed: an update of the producer causes a request, and its VarCreate restores the variable.
         asked = bench.until_instruction(_ASK_CREATE, name)
-        bench.check(asked, "a request: the variable is unknown again", "none", "VD-PD-04")
+        bench.check(asked, "a request for the variable, which is unknown again", "none", "VD-PD-04")
         source.send(source.create(name, seqno=1, rep_cnt=count))
         healed = bench.until_instruction(_CREATE, name)
-        bench.reading("H3", "heals by itself" if healed else "the producer's variable stays away")
+        bench.reading(
+            "H3",
+            "ends with the next VarCreate of the producer"
+            if healed
+            else "the variable of the producer is not restored",
+        )
         return
     bench.require_alive("an update of a deleted variable", "VD-PU-02")
     source.send(source.summary(name, 2))
     bench.require_alive("a summary of a deleted variable", "VD-PS-02")
     trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, name)]
     bench.check(
-        not trace, "no reaction to what the producer says", f"{len(trace)} records", frames=trace[:4], shown=True
+        not trace, "no reaction to records of the producer", f"{len(trace)} records", frames=trace[:4], shown=True
     )
     source.send(create)
     check_deleted(bench, name, "VD-PC-01")
     source.send(source.create(name, rep_cnt=count))
     healed = bench.until_instruction(_CREATE, name)
-    bench.reading("H3", "lasts until it is created anew" if healed else "not even a new creation ends it")
+    bench.reading("H3", "lasts until the variable is created again" if healed else "lasts even after a new creation")
 
 
 @case(
     "TC_NET_HAZARD_BO_03",
-    "A VarCreate of another node takes an own variable over (H4)",
+    "A VarCreate of another node takes over a node's own variable (H4)",
     requirements="VD-PC-01 VD-UPD-03",
-    stimulus="the application creates a variable; a VarCreate with a later creationTime of another producer comes; "
-    "then RTDB-Update and RTDB-Create of the application",
-    expect="the foreign variable replaces the own one: NOT-PRODUCER; what RTDB-Create answers is reported",
+    stimulus=(
+        "the application creates a variable; a VarCreate of another producer with a later creationTime arrives; "
+        "then RTDB-Update and RTDB-Create of the application"
+    ),
+    expect=(
+        "the foreign variable replaces the node's own: VARDIS-STATUS-NOT-PRODUCER; the case reports the answer to "
+        "RTDB-Create"
+    ),
     window=20,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
 )
@@ -129,11 +155,11 @@ def taken_over(bench: Bench) -> None:
     bench.until_instruction(_CREATE, name)
     mine = bench.instructions(_CREATE, name)
     if not mine:
-        bench.inconclusive("the own variable's VarCreate", "none came")
+        bench.inconclusive("a VarCreate of the node's own variable", "none in time")
     stamp, made = bench.profile.types.timestamp, mine[0].record.spec.creation_time
     if stamp.epoch_ns is not None and made - bench.creation_time() > 86_400 * stamp.per_second:
-        # Every later VarCreate of this run would have to be later still.
-        bench.inconclusive("an own creationTime of today, which this case needs", f"{made:#x}")
+        # Otherwise every further VarCreate of this run would need a still later creationTime.
+        bench.inconclusive("a creationTime within a day of now, which this case needs", f"{made:#x}")
     later = max(bench.creation_time(), made + 1)
     bench.session.creation_time = later
     create = peer.create(name, value=b"foreign", creation_time=later)
@@ -141,23 +167,28 @@ def taken_over(bench: Bench) -> None:
     peer.send(create)
     bench.until(lambda heard: heard.about(_CREATE, name) == create, 8)
     passed = any(each.record == create for each in bench.instructions(_CREATE, name, mark))
-    bench.require(passed, "the later creation replaces the own one and is passed on", "it is not", "VD-PC-01")
+    bench.require(
+        passed,
+        "the later VarCreate is forwarded and replaces the node's own variable",
+        "not forwarded in time",
+        "VD-PC-01",
+    )
     update = bench.expect_status("VARDIS-STATUS-NOT-PRODUCER", "RTDB-Update", "VD-UPD-03", varId=name, value="01")
     again = bench.call("RTDB-Create", **create_request(bench, name))
-    bench.reading("H4", f"the application's next update is answered with {update}, creating it anew with {again}")
+    bench.reading("H4", f"the application's next update is answered with {update}, creating it again with {again}")
 
 
 @case(
     "TC_NET_HAZARD_BO_04",
-    "A creationTime in the future keeps later creations out (H5)",
+    "A creationTime in the future prevents later creations (H5)",
     requirements="VD-PC-01",
-    stimulus="a VarCreate with a creationTime one hour ahead; then one with the right time of another producer",
-    expect="the second is ignored: the first stays",
+    stimulus="a VarCreate with a creationTime one hour ahead; then one of another producer with the correct time",
+    expect="the second VarCreate is ignored",
     window=24,
     needs=Needs(since=SpecVersion.V2_0),
 )
 def clock_ahead(bench: Bench) -> None:
-    # The name cannot be used for an hour: one that no other case gets.
+    # The variable identifier cannot be used for an hour, so it must be one that no other case uses.
     wrong, right, name = bench.peer(), bench.peer(), bench.unknown_id()
     ticks = bench.profile.types.timestamp.per_second
     ahead = wrong.create(name, value=b"ahead", creation_time=bench.creation_time() + 3600 * ticks)
@@ -167,19 +198,19 @@ def clock_ahead(bench: Bench) -> None:
     record = held(bench, name)
     state = None if record is None else record.upd.value
     bench.check(
-        record == ahead, "the creation with the time in the future stays", f"{state!r}", shown=record is not None
+        record == ahead, "the variable with the creationTime in the future", f"{state!r}", shown=record is not None
     )
     if record == ahead:
-        bench.reading("H5", "later creations with the right time are ignored")
+        bench.reading("H5", "later creations with the correct time are ignored")
     wrong.send(wrong.delete(name))
 
 
 @case(
     "TC_NET_HAZARD_BO_05",
-    "Before 2.0 a producer that starts again counts as outdated (H6)",
+    "Before 2.0, the values of a restarted producer count as outdated (H6)",
     requirements="VD-PU-06 VD-SCP-03",
-    stimulus="a variable is known with number 50; its producer starts again with a VarCreate and VarUpdates 0 and 1",
-    expect="the VarCreate is ignored, and the stored value with number 50 is sent in answer to the updates",
+    stimulus="a variable is known with sequence number 50; its producer restarts with VarCreate 0 and VarUpdate 1",
+    expect="the VarCreate is ignored; the stored value with sequence number 50 is sent in response to the updates",
     window=24,
     needs=Needs(until=SpecVersion.V1_3),
 )
@@ -190,14 +221,19 @@ def starts_again(bench: Bench) -> None:
     source.send(source.create(name, value=b"again", seqno=0, rep_cnt=count))
     bench.require_alive("a second VarCreate", "VD-SCP-03")
     found = bench.instructions(_CREATE, name, mark)
-    what = "the VarCreate of a known variable is ignored"
-    bench.check(not found, what, f"{len(found)} came", "VD-SCP-03", frames=found, shown=True)
+    what = "no VarCreate of the known variable"
+    bench.check(not found, what, f"{len(found)} VarCreates", "VD-SCP-03", frames=found, shown=True)
     mark = bench.mark()
     source.send(source.update(name, 1, b"again"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-06")
     numbers = {each.record.seqno for each in found}
     bench.check(
-        numbers == {50}, "the stored value with number 50", f"{numbers}", "VD-PU-06", frames=found, shown=numbers - {50}
+        numbers == {50},
+        "the stored value with sequence number 50",
+        f"{numbers}",
+        "VD-PU-06",
+        frames=found,
+        shown=numbers - {50},
     )
     if bench.all_hold():
         bench.reading("H6", "the producer's values are ignored until its number passes 50")
@@ -205,10 +241,13 @@ def starts_again(bench: Bench) -> None:
 
 @case(
     "TC_NET_HAZARD_BO_06",
-    "A re-creation that was missed goes unnoticed (H7)",
+    "A node that misses the renewed creation of a variable does not notice it (H7)",
     requirements="VD-PS-03 VD-PS-02",
-    stimulus="a variable is known with number 3; its re-creation is missed; a peer summarises it with 0, and with 3",
-    expect="the old value in answer to 0, nothing in answer to 3, and no request for a VarCreate",
+    stimulus=(
+        "a variable is known with sequence number 3; the implementation misses its renewed creation; a peer "
+        "summarises it with 0, then with 3"
+    ),
+    expect="the old value in response to 0, no response to 3, and no request for a VarCreate",
     window=24,
     needs=Needs(since=SpecVersion.V2_0),
 )
@@ -220,20 +259,29 @@ def missed_creation(bench: Bench) -> None:
     bench.check_repeated(_UPDATE, name, count, mark, "VD-PS-03")
     quiet = bench.mark()
     other.send(other.summary(name, 3))
-    bench.require_alive("a summary with the number that it has", "VD-PS-02")
+    bench.require_alive("a summary with the stored sequence number", "VD-PS-02")
     found = bench.instructions(_UPDATE, name, quiet)
-    bench.check(not found, "nothing in answer to the number that it has", f"{len(found)} came", "VD-PS-02", shown=True)
+    bench.check(
+        not found,
+        "no VarUpdate in response to the stored sequence number",
+        f"{len(found)} VarUpdates",
+        "VD-PS-02",
+        shown=True,
+    )
     asked = bench.instructions(_ASK_CREATE, name, mark)
     if asked or bench.all_hold():
-        bench.reading("H7", "asks for the VarCreate" if asked else "keeps the first creation and does not ask")
+        bench.reading("H7", "requests the VarCreate" if asked else "keeps the first creation without a request")
 
 
 @case(
     "TC_NET_HAZARD_BO_07",
-    "An update of an earlier creation passes for a newer value (H8)",
+    "An update of an earlier creation is accepted as a newer value (H8)",
     requirements="VD-PC-01 VD-PU-07",
-    stimulus="a variable with number 9 is created anew with number 0; then VarUpdate 10 of the first one arrives",
-    expect="the re-creation is taken, and then the VarUpdate, as its number is newer",
+    stimulus=(
+        "a variable with sequence number 9 is created again with number 0; then VarUpdate 10 of the first creation "
+        "arrives"
+    ),
+    expect="the renewed creation is accepted, and then the VarUpdate, because its sequence number is newer",
     window=24,
     needs=Needs(since=SpecVersion.V2_0),
 )
@@ -250,15 +298,18 @@ def earlier_update(bench: Bench) -> None:
     record = held(bench, name)
     state = "nothing" if record is None else f"{record.upd.value.decode(errors='replace')!r}"
     if bench.all_hold():
-        bench.reading("H8", f"holds {state} behind an update of the first creation")
+        bench.reading("H8", f"holds {state} after an update of the first creation")
 
 
 @case(
     "TC_NET_HAZARD_BO_08",
-    "Who has missed more than half of the numbers takes newer values for older ones (H9)",
+    "A node that missed more than half of the sequence numbers treats newer values as older ones (H9)",
     requirements="VD-PS-03 VD-PU-06",
-    stimulus="a variable is known with number 0; a summary and a VarUpdate are just over half of the numbers ahead",
-    expect="both count as older: the stored value is sent in answer",
+    stimulus=(
+        "a variable is known with sequence number 0; a summary and a VarUpdate are just over half of the number "
+        "space ahead"
+    ),
+    expect="both count as older: the stored value is sent in response",
     window=24,
 )
 def far_behind(bench: Bench) -> None:
@@ -277,4 +328,4 @@ def far_behind(bench: Bench) -> None:
             values == {stored}, "the stored value", f"{values}", requirement, frames=found, shown=values - {stored}
         )
     if bench.all_hold():
-        bench.reading("H9", "sends its stale value and stays behind")
+        bench.reading("H9", "sends its outdated value and keeps it")

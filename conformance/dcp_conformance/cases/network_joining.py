@@ -1,6 +1,6 @@
-"""Networks: joining late, and teaching those who did.
+"""Networks: nodes that join late, and nodes that supply them with variables.
 
-Peers behave as nodes would: they ask for what they hear of and do not know, and answer what they are asked.
+Peers behave like nodes: they request variables that they do not know, and answer requests.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _SUMMARIES = Needs(when=summarises)
 
 @case(
     "TC_NET_JOIN_BV_01",
-    "A late joiner learns of a variable by a {variant}, asks for it, and knows it after the answer",
+    "A late joiner learns of a variable from a {variant}, requests it, and knows it after the answer",
     requirements="VD-PS-01 VD-PU-01 VD-CMP-12 VD-PC-07 VD-PC-09",
-    stimulus="a {variant} of an unknown variable; the request is answered with its VarCreate",
-    expect="one request; then the VarCreate in exactly repCnt beacons, and summaries with the number of the answer",
+    stimulus="a {variant} about an unknown variable; the tester answers the request with its VarCreate",
+    expect="one request; then the VarCreate in exactly repCnt beacons, and summaries with its sequence number",
     window=16,
     variants={"summary": _SUMMARY, "update": _UPDATE},
     smoke=True,
@@ -48,7 +48,7 @@ def learns(bench: Bench, by: ICType) -> None:
 
 def _check_content(bench: Bench, records: list[VarCreate], create: VarCreate) -> None:
     other = next((each for each in records if each != create), None)
-    bench.check(other is None, f"the VarCreate as it was sent: {create}", f"{other}", "VD-PC-07", shown=True)
+    bench.check(other is None, f"the unchanged VarCreate {create}", f"{other}", "VD-PC-07", shown=True)
 
 
 def _check_summarised(bench: Bench, name: int, number: int) -> None:
@@ -57,15 +57,19 @@ def _check_summarised(bench: Bench, name: int, number: int) -> None:
     found = bench.until_instruction(_SUMMARY, name, 12)
     bench.check(found is not None, f"summaries of variable {name}", "none in 12 periods", "VD-PC-09")
     if found is not None:
-        bench.check(found.seqno == number, f"a summary with number {number}", f"{found.seqno}", "VD-PC-07", shown=True)
+        bench.check(
+            found.seqno == number, f"a summary with sequence number {number}", f"{found.seqno}", "VD-PC-07", shown=True
+        )
 
 
 @case(
     "TC_NET_JOIN_BV_02",
-    "Who has missed updates learns of them by a summary, asks with what it has, and catches up",
+    "A node that missed updates learns of them from a summary, requests them, and gets the current value",
     requirements="VD-PS-04 VD-CMP-11 VD-PU-07",
-    stimulus="a variable is known with number 2; a summary says 7; the request is answered with VarUpdate 7",
-    expect="one request with number 2, then VarUpdate 7 in exactly repCnt beacons",
+    stimulus=(
+        "a variable is known with sequence number 2; a summary has 7; the tester answers the request with VarUpdate 7"
+    ),
+    expect="one request with sequence number 2, then VarUpdate 7 in exactly repCnt beacons",
     window=16,
 )
 def catches_up(bench: Bench) -> None:
@@ -76,21 +80,23 @@ def catches_up(bench: Bench) -> None:
     asked = bench.until_instruction(_ASK_UPDATE, name)
     if asked is None:
         bench.fail("a request for the newer value", "none", "VD-PS-04")
-    bench.check(asked.seqno == 2, "the number that it has, 2", f"{asked.seqno}", "VD-CMP-11", shown=True)
+    bench.check(
+        asked.seqno == 2, "its own sequence number, 2, in the request", f"{asked.seqno}", "VD-CMP-11", shown=True
+    )
     peer.send(peer.update(name, 7, b"seven"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
     wrong = [each for each in found if each.record != VarUpdate(name, 7, bench.value(b"seven"))]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the VarUpdate as it was sent", text, "VD-PU-07", frames=wrong, shown=True)
+    bench.check(not wrong, "the VarUpdate unchanged", text, "VD-PU-07", frames=wrong, shown=True)
     bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
 
 
 @case(
     "TC_NET_JOIN_BV_03",
-    "A late joiner that asks for a variable is taught, by a consumer too",
+    "A consumer also answers a late joiner's request for a VarCreate",
     requirements="VD-RC-03 VD-CMP-07",
     stimulus="a variable is learnt from its producer and updated; another peer requests its VarCreate",
-    expect="the VarCreate with current value and number in exactly repCnt beacons",
+    expect="the VarCreate with the current value and sequence number in exactly repCnt beacons",
     window=20,
     smoke=True,
 )
@@ -113,9 +119,9 @@ def teaches_create(bench: Bench) -> None:
 
 @case(
     "TC_NET_JOIN_BV_04",
-    "Who asks for a newer value gets it, from a consumer too",
+    "A consumer also answers a request for a newer value",
     requirements="VD-RU-04",
-    stimulus="a variable is learnt with number 5; a peer requests an update and says it has 4",
+    stimulus="a variable is learnt with sequence number 5; a peer requests an update and gives 4 as its own number",
     expect="VarUpdate 5 in exactly repCnt beacons",
     window=12,
 )
@@ -128,15 +134,15 @@ def teaches_update(bench: Bench) -> None:
     found = bench.check_repeated(_UPDATE, name, count, mark)
     wrong = [each for each in found if each.record != VarUpdate(name, 5, bench.value(b"five"))]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the value that it has, with number 5", text, frames=wrong, shown=True)
+    bench.check(not wrong, "the stored value with sequence number 5", text, frames=wrong, shown=True)
 
 
 @case(
     "TC_NET_JOIN_BV_05",
-    "A stale peer is taught when it shows itself by a {variant}",
+    "A peer with an outdated value gets the current one after it sends a {variant}",
     requirements="VD-PS-03 VD-PU-06",
-    stimulus="a variable is learnt with number 9; another peer sends a {variant} with number 8, then a summary with 9",
-    expect="VarUpdate 9 in exactly repCnt beacons, and nothing more once the peer has caught up",
+    stimulus="a variable is known with sequence number 9; another peer sends a {variant} with 8, then a summary with 9",
+    expect="VarUpdate 9 in exactly repCnt beacons; none after the summary with 9",
     window=20,
     variants={"summary": _SUMMARY, "update": _UPDATE},
 )
@@ -150,18 +156,23 @@ def teaches_stale(bench: Bench, by: ICType) -> None:
     found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
     wrong = [each for each in found if each.record != VarUpdate(name, 9, bench.value(b"nine"))]
     text = f"{wrong[0].record}" if wrong else ""
-    bench.check(not wrong, "the newer value with number 9", text, requirement, frames=wrong, shown=True)
+    bench.check(not wrong, "the stored value with sequence number 9", text, requirement, frames=wrong, shown=True)
     mark = bench.mark()
     stale.send(stale.summary(name, 9))
-    bench.require_alive("a summary with the stored number", requirement)
+    bench.require_alive("a summary with the stored sequence number", requirement)
     late = bench.instructions(_UPDATE, name, mark)
     bench.check(
-        not late, "silence once the peer has caught up", f"{len(late)} VarUpdates", requirement, frames=late, shown=True
+        not late,
+        "no VarUpdate after a summary with the current sequence number",
+        f"{len(late)} VarUpdates",
+        requirement,
+        frames=late,
+        shown=True,
     )
 
 
 class _Joiner:
-    """A station that knows nothing and asks for what it hears of, as a node would."""
+    """A node that knows no variables and requests those it hears of."""
 
     def __init__(self, peer: Peer, names: list[int]) -> None:
         self.peer = peer
@@ -169,7 +180,7 @@ class _Joiner:
         self.values: dict[int, tuple[int, bytes]] = {}
 
     def react(self, heard: Heard) -> None:
-        """Take in what a beacon says, and ask for what is missing."""
+        """Store the records of a beacon, and request what is missing."""
         for each in heard.instructions(_CREATE):
             if each.var_id in self.names:
                 self.values[each.var_id] = (each.record.upd.seqno, each.record.upd.value)
@@ -187,11 +198,13 @@ class _Joiner:
 
 @case(
     "TC_NET_JOIN_BV_06",
-    "A late joiner that follows the protocol ends up with all variables and their current values",
+    "A late joiner that follows the protocol gets all variables and their current values",
     requirements="VD-RC-03 VD-RU-04 VD-CMP-03 VD-CMP-04",
-    stimulus="eight variables, some updated, are known; then a peer joins that asks for what the summaries name;"
-    " later some are updated again while it does not listen",
-    expect="the joiner has all eight with current values; after the second round of updates again",
+    stimulus=(
+        "eight variables, some of them updated, are known; a peer joins and requests what the summaries contain; "
+        "later some variables are updated again while it does not listen"
+    ),
+    expect="the joiner has all eight variables with their current values, also after the second round of updates",
     window=60,
     needs=_SUMMARIES,
 )
@@ -213,15 +226,19 @@ def converges(bench: Bench) -> None:
         bench.repeated(_UPDATE, names[turn], mark)
         converged = bench.until(caught_up, 60)
         wrong = sorted(each for each in names if joiner.values.get(each) != truth[each])
-        bench.require(converged, "the joiner knows all that the node knows", f"after 60 periods not {wrong}")
+        bench.require(
+            converged,
+            "the joiner has the current values of all variables",
+            f"after 60 periods, variables {wrong} missing or outdated",
+        )
 
 
 @case(
     "TC_NET_JOIN_BO_01",
-    "An unanswered request is made again when the variable is named again ({variant})",
+    "An unanswered request is repeated when another summary arrives ({variant})",
     requirements="VD-PS-01 VD-PS-04 VD-CMP-11 VD-CMP-12",
-    stimulus="the same summary three times, each when the request for the one before has been heard and not answered",
-    expect="one request for each summary, none in between",
+    stimulus="the same summary three times, each after the request caused by the one before",
+    expect="one request after each summary, and no other",
     window=20,
     variants={"unknown": _ASK_CREATE, "outdated": _ASK_UPDATE},
 )
@@ -240,10 +257,10 @@ def asks_again(bench: Bench, kind: ICType) -> None:
 
 @case(
     "TC_NET_JOIN_BV_07",
-    "A joiner is taught by the producer itself",
+    "The producer itself also answers a joiner's requests",
     requirements="VD-RC-03 VD-RU-04 VD-CMP-07",
-    stimulus="the application creates a variable and updates it; a peer requests its VarCreate, another an update",
-    expect="VarCreate and VarUpdate with the current value and number in exactly repCnt beacons each",
+    stimulus="the application creates and updates a variable; a peer requests its VarCreate, another an update",
+    expect="VarCreate and VarUpdate with the current value and sequence number, each in exactly repCnt beacons",
     window=24,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
 )
@@ -261,7 +278,7 @@ def taught_by_producer(bench: Bench) -> None:
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, bench.value(b"\x01\x02"))]
     text = f"{wrong[0].record.upd}" if wrong else ""
-    bench.check(not wrong, "the current value with number 1", text, "VD-CMP-07", frames=wrong, shown=True)
+    bench.check(not wrong, "the current value with sequence number 1", text, "VD-CMP-07", frames=wrong, shown=True)
     mark = bench.mark()
     stale.send(stale.request_update(name, 0))
     bench.check_repeated(_UPDATE, name, count, mark, "VD-RU-04")

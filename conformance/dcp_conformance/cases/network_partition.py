@@ -15,10 +15,13 @@ _ASK_UPDATE, _ASK_CREATE = ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
 
 @case(
     "TC_NET_PART_BV_01",
-    "When a partition heals, what was missed is fetched with one request and one answer ({variant})",
+    "After a partition, a missed value is fetched with one request and one answer ({variant})",
     requirements="VD-PS-04 VD-CMP-11 VD-PU-08",
-    stimulus="a variable is known; updates are missed ({variant}); four peers summarise the last, one answers",
-    expect="a request with the own number, then the last VarUpdate; nothing is requested once it is there",
+    stimulus=(
+        "a variable is known and updates are missed ({variant}); four peers summarise the last one; one peer "
+        "answers the request"
+    ),
+    expect="a request with the own sequence number, then the last VarUpdate; no request after it",
     window=30,
     variants={"3-to-10": (2, 10), "across-the-wrap": (-6, 4)},
 )
@@ -33,12 +36,14 @@ def heals(bench: Bench, numbers: tuple[int, int]) -> None:
         peer.send(peer.summary(name, new))
     asked = bench.until_instruction(_ASK_UPDATE, name)
     if asked is None:
-        bench.fail("a request for what was missed", "none", "VD-PS-04")
-    bench.check(asked.seqno == old, f"its own number, {old}", f"{asked.seqno}", "VD-CMP-11", shown=True)
+        bench.fail("a request for the missed value", "none", "VD-PS-04")
+    bench.check(
+        asked.seqno == old, f"its own sequence number, {old}, in the request", f"{asked.seqno}", "VD-CMP-11", shown=True
+    )
     bench.repeated(_ASK_UPDATE, name, mark)
     mark = bench.mark()
     peers[0].send(peers[0].update(name, new, b"last"))
-    # The same beacon period brings the summaries again: they are not news any more.
+    # In the same beacon period the summaries arrive again; they contain nothing new now.
     for peer in peers[1:]:
         peer.send(peer.summary(name, new))
     found = bench.repeated(_UPDATE, name, mark)
@@ -52,16 +57,26 @@ def heals(bench: Bench, numbers: tuple[int, int]) -> None:
     )
     late = bench.instructions(_ASK_UPDATE, name, mark)
     bench.check(
-        not late, "no request once the value is there", f"{len(late)} came", "VD-PU-08", frames=late[:4], shown=found
+        not late,
+        "no request after the value was received",
+        f"{len(late)} requests",
+        "VD-PU-08",
+        frames=late[:4],
+        shown=found,
     )
 
 
 @case(
     "TC_NET_PART_BV_02",
-    "Two halves that each know something newer exchange it",
+    "Two halves of a partition exchange what is newer in each of them",
     requirements="VD-PS-03 VD-PS-04 VD-PS-01 VD-PS-02",
-    stimulus="three variables are known with number 5; a payload says 4, 5 and 6, and names an unknown one",
-    expect="a VarUpdate of the first, nothing of the second, a request for the third and one for the unknown one",
+    stimulus=(
+        "three variables are known with sequence number 5; a payload has summaries with 4, 5 and 6, and one of an "
+        "unknown variable"
+    ),
+    expect=(
+        "a VarUpdate of the first, no record of the second, a request for the third and one for the unknown variable"
+    ),
     window=16,
 )
 def both_directions(bench: Bench) -> None:
@@ -71,15 +86,17 @@ def both_directions(bench: Bench) -> None:
     bench.learn(source, *(source.create(each, seqno=5, rep_cnt=count) for each in (newer, same, older)))
     mark = bench.mark()
     other.send(other.summary(newer, 4), other.summary(same, 5), other.summary(older, 6), other.summary(unknown, 1))
-    bench.require(bench.until_instruction(_ASK_CREATE, unknown), "a request for the unknown one", "none", "VD-PS-01")
+    bench.require(
+        bench.until_instruction(_ASK_CREATE, unknown), "a request for the unknown variable", "none", "VD-PS-01"
+    )
     bench.check_repeated(_UPDATE, newer, count, mark, "VD-PS-03")
     bench.check_repeated(_ASK_UPDATE, older, 1, mark, "VD-PS-04")
     for kind in (_UPDATE, _ASK_UPDATE, _CREATE):
         found = bench.instructions(kind, same, mark)
         bench.check(
             not found,
-            f"no {kind.label} record of the one with equal numbers",
-            f"{len(found)} came",
+            f"no {kind.label} record of the variable with equal sequence numbers",
+            f"{len(found)} records",
             "VD-PS-02",
             shown=True,
         )
@@ -87,10 +104,10 @@ def both_directions(bench: Bench) -> None:
 
 @case(
     "TC_NET_PART_BV_03",
-    "A re-creation in the other half is accepted, although the variable was deleted in this one",
+    "A variable deleted in one half of a partition and created again in the other is accepted",
     requirements="VD-PC-02 VD-PC-09",
-    stimulus="a variable is learnt and deleted; then comes a VarCreate with a later creationTime of another producer",
-    expect="the new VarCreate in exactly repCnt beacons, and the variable lives with it",
+    stimulus="a variable is learnt and deleted; then a VarCreate of another producer with a later creationTime arrives",
+    expect="the new VarCreate in exactly repCnt beacons; the variable exists again",
     window=40,
     needs=Needs(since=SpecVersion.V2_0),
 )
@@ -110,11 +127,13 @@ def created_in_the_other_half(bench: Bench) -> None:
 
 @case(
     "TC_NET_PART_BV_04",
-    "Many variables at once: a node that was away for long catches up with all of them",
+    "A node that was away for long catches up with all variables",
     requirements="VD-PS-01 VD-PS-04 VD-PC-09 VD-PU-07",
-    stimulus="ten variables are known; a peer summarises these with newer numbers and ten unknown ones, and answers"
-    " what it is asked",
-    expect="the implementation asks for all twenty and passes each of them on",
+    stimulus=(
+        "ten variables are known; a peer summarises them with newer sequence numbers along with ten unknown ones, "
+        "and answers requests"
+    ),
+    expect="requests for all twenty, which are all forwarded",
     window=60,
 )
 def catches_up_with_all(bench: Bench) -> None:
@@ -132,7 +151,7 @@ def catches_up_with_all(bench: Bench) -> None:
         updated = [each.var_id for each in frame.instructions(_ASK_UPDATE) if each.var_id in known]
         if created or updated:
             answered.update(created, updated)
-            # Apart, so that who loses a second container is not blamed for updates.
+            # In separate payloads: otherwise the loss of a second container would look like a fault of updates.
             for answers in (
                 [other.create(each, seqno=3, value=b"three") for each in created],
                 [other.update(each, 3, b"three") for each in updated],
@@ -145,9 +164,16 @@ def catches_up_with_all(bench: Bench) -> None:
 
     bench.until(exchange, 60)
     asked = {each.var_id for kind in (_ASK_CREATE, _ASK_UPDATE) for each in bench.instructions(kind, since=mark)}
-    bench.check(asked >= set(unknown), "requests for all unknown ones", f"for {len(asked & set(unknown))}", "VD-PS-01")
-    bench.check(asked >= set(known), "requests for all outdated ones", f"for {len(asked & set(known))}", "VD-PS-04")
+    bench.check(
+        asked >= set(unknown),
+        "requests for all unknown variables",
+        f"for {len(asked & set(unknown))} of 10",
+        "VD-PS-01",
+    )
+    bench.check(
+        asked >= set(known), "requests for all outdated variables", f"for {len(asked & set(known))} of 10", "VD-PS-04"
+    )
     text = f"{len(passed & set(unknown))} of 10"
-    bench.check(passed >= set(unknown), "all new variables are passed on", text, "VD-PC-09")
+    bench.check(passed >= set(unknown), "all new variables are forwarded", text, "VD-PC-09")
     text = f"{len(passed & set(known))} of 10"
-    bench.check(passed >= set(known), "all updates are passed on", text, "VD-PU-07")
+    bench.check(passed >= set(known), "all updates are forwarded", text, "VD-PU-07")

@@ -1,9 +1,9 @@
 """dcp-datatypes.md: Conventions; Data Types of all protocols.
 
-What an implementation declares of itself. A profile that describes other octets than the specification asks for lets
-all other cases talk to the implementation; it does not make these octets right. Likewise a PICS that denies a mandatory
-service keeps cases from waiting for it, and does not make its absence right. The checks name the requirements that are
-declared as not met, whichever they are.
+Deviations that an implementation declares. With a profile for another wire format, all other cases can communicate with
+the implementation; that does not make the format conforming. Likewise, a PICS that denies a mandatory service keeps
+cases from waiting for it, but the service is still missing. The checks name the requirements that are declared as not
+met.
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ from dcp_conformance.declared import denied_by
 def _declares_nothing(bench: Bench) -> str | None:
     if deviations(bench.profile):
         return None
-    return f"the profile {bench.profile.name} declares nothing that its version of the specification does not allow"
+    return f"the profile {bench.profile.name} declares no deviation from its version of the specification"
 
 
 @case(
     DECLARED,
-    "The profile declares nothing that the specification does not allow",
+    "The profile declares no deviation from the specification",
     requirements="DATA-01 DATA-02",
-    stimulus="none: the profile as it is",
-    expect="no requirement of its version of the specification is declared as not met; accept what is with --expected",
+    stimulus="none; the profile is inspected",
+    expect=(
+        "no requirement of its version of the specification is declared as not met (to accept deviations, use "
+        "--expected)"
+    ),
     needs=Needs(entities=(), when=_declares_nothing),
 )
 def declared(bench: Bench) -> None:
@@ -39,15 +42,15 @@ def declared(bench: Bench) -> None:
 def _denies_nothing(bench: Bench) -> str | None:
     if denied_by(bench.pics, bench.profile):
         return None
-    return f"the PICS denies nothing that version {bench.profile.spec_version} demands"
+    return f"the PICS denies nothing that is mandatory in version {bench.profile.spec_version}"
 
 
 @case(
     DENIED,
-    "The PICS denies nothing that the specification demands",
+    "The PICS denies nothing that is mandatory",
     requirements="BP-PTI-01 BP-PTI-02 BP-PTI-03",
-    stimulus="none: the PICS as it is; where it is silent, what the profile says of the behaviour",
-    expect="no mandatory requirement of its version of the specification is denied; accept what is with --expected",
+    stimulus="none; the PICS is inspected, and for missing entries the behaviour declared by the profile",
+    expect="no mandatory requirement of its version of the specification is denied (to accept denials, use --expected)",
     needs=Needs(entities=(), when=_denies_nothing),
 )
 def denied(bench: Bench) -> None:

@@ -1,4 +1,4 @@
-"""The implementation is there."""
+"""The implementation is present and answers."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from dcp_conformance.verdict import Verdict
 
 @case(
     "TC_DCP_SANITY_BV_01",
-    "The implementation is there and takes part in the protocol",
+    "The implementation is present and takes part in the protocol",
     requirements="BP-RX-07",
-    stimulus="a summary of a variable that nobody knows; without VarDis nothing. If that is not answered, other kinds "
-    "of stimulus, other profiles, network identifiers and EtherTypes",
-    expect="a request for it in a beacon; without VarDis any beacon",
+    stimulus=(
+        "a summary of an unknown variable; nothing without VarDis. Without an answer, other kinds of stimulus, "
+        "other profiles, network identifiers and EtherTypes"
+    ),
+    expect="a request for the variable; without VarDis any beacon",
     window=8,
     needs=Needs(entities=()),
     smoke=True,
 )
 def sanity(bench: Bench) -> None:
-    # What an earlier test has found must not excuse what this one finds.
+    # The contact made by an earlier test must not excuse faults found by this one.
     bench.session.contact = None
     contact = make_contact(bench)
     try:
@@ -38,9 +40,9 @@ def sanity(bench: Bench) -> None:
 
 
 def _judge(bench: Bench, contact: Contact) -> None:
-    """Turn what was found into checks: broken rules first, then whether the implementation answers."""
+    """Turn the contact into checks: broken rules first, then whether the implementation answers."""
     if contact.mistaken:
-        bench.inconclusive("tester and implementation are set up alike", contact.suspicion)
+        bench.inconclusive("the same configuration of tester and implementation", contact.suspicion)
     for each in contact.violations:
         bench.check(False, each.expected, each.observed, each.requirement, frames=[each.mark], shown=True)
     if contact.inactive:
@@ -56,11 +58,11 @@ def _judge_inactive(bench: Bench, contact: Contact) -> None:
     upper = bench.session.upper
     if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
         bench.fail(what, contact.suspicion, "BP-INI-03", shown=True)
-    bench.inconclusive(what, f"{contact.suspicion}; whether it has just started is not known")
+    bench.inconclusive(what, f"{contact.suspicion}; it is unknown whether it has just started")
 
 
 def _judge_beacons(bench: Bench, contact: Contact) -> None:
-    """Without VarDis a beacon is enough."""
+    """Check for a beacon; without VarDis that is sufficient."""
     what = "a beacon of the implementation"
     if not contact.frames:
         bench.inconclusive(what, contact.suspicion)
@@ -68,30 +70,30 @@ def _judge_beacons(bench: Bench, contact: Contact) -> None:
 
 
 def _judge_answers(bench: Bench, contact: Contact) -> None:
-    what = "a beacon that requests the variable of a summary"
+    what = "a beacon with a request for the variable of a summary"
     if "summary" not in contact.unanswered:
-        # Where no variable is left that it does not know, another question has to do.
+        # If the tester has no unknown variable left, the answer to another stimulus is sufficient.
         bench.check(contact.answered, what, contact.answers())
         return
     observed = "; ".join(filter(None, (contact.suspicion, contact.answers())))
     if contact.odd:
-        # Whether the request or its form is wrong, this cannot tell.
+        # It cannot be decided whether the request or its format is wrong.
         bench.inconclusive(what, f"{contact.odd} instead; {observed}")
     if contact.violations or not contact.beacons:
         bench.inconclusive(what, observed)
     if contact.answered & {"create", "request"}:
         bench.fail(what, observed, "VD-PS-01")
     if not _should_answer(bench):
-        bench.inconclusive(what, f"{observed}; does it have VarDis? If not, give [pics] vardis = false")
+        bench.inconclusive(what, f"{observed}; if the implementation has no VarDis, set vardis = false in [pics]")
     if "payload" not in contact.answered:
         bench.fail(what, f"no such beacon after several attempts; {observed}")
-    # BP delivers payloads. What an application creates shows whether VarDis sends anything at all.
+    # BP delivers payloads. Whether VarDis sends anything at all shows when an application creates a variable.
     mute = "variable" in contact.unanswered
     bench.fail(what, observed, "VD-RUN-02" if mute else "VD-PS-01")
 
 
 def _should_answer(bench: Bench) -> bool:
-    """Whether the implementation is known to have VarDis."""
+    """Return whether the implementation is known to have VarDis."""
     upper = bench.session.upper
     services = upper is not None and any(method.startswith("RTDB-") for method in upper.methods)
     return bench.pics.vardis is True or services or any(heard.has_vardis for heard in bench.heard)

@@ -21,7 +21,7 @@ from dcp_conformance.services import (
     until_report,
 )
 
-#: Hand-downs before a start that an application cannot make up for until the first beacon after it.
+#: Submissions of safety data before a restart: more than an application makes from the restart to the first beacon.
 _MANY = 300
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",), entities=("srp",))
 
@@ -32,10 +32,10 @@ def _registration(bench: Bench) -> dict[str, Any]:
 
 @case(
     "TC_SRP_INI_BV_01",
-    "SRP is registered with BP under its name",
+    "SRP is registered with BP under the name of the specification",
     requirements="SRP-INI-01",
     stimulus="BP-ListRegisteredProtocols",
-    expect="protocol 1, 'SRP -- State Reporting Protocol Vx.y' with a version from V1.0 to V2.0",
+    expect="protocol 1 with the name 'SRP -- State Reporting Protocol Vx.y', x.y from 1.0 to 2.0",
     needs=_LIST,
 )
 def name(bench: Bench) -> None:
@@ -44,22 +44,25 @@ def name(bench: Bench) -> None:
 
 @case(
     "TC_SRP_INI_BV_02",
-    "SRP is registered with room for its record",
+    "SRP is registered with a sufficient maxPayloadSize",
     requirements="SRP-INI-02",
     stimulus="BP-ListRegisteredProtocols",
-    expect="a maxPayloadSize of at least the record's size",
+    expect="a maxPayloadSize of at least the size of a record",
     needs=_LIST,
 )
 def size(bench: Bench) -> None:
     octets, shown = report_octets(bench), _registration(bench).get("maxPayloadSize")
     bench.check(
-        isinstance(shown, int) and shown >= octets, f"maxPayloadSize is at least {octets}", f"it is {shown}", shown=True
+        isinstance(shown, int) and shown >= octets,
+        f"a maxPayloadSize of at least {octets} octets",
+        f"{shown}",
+        shown=True,
     )
 
 
 @case(
     "TC_SRP_INI_BV_03",
-    "SRP is registered with the queueing mode of its version",
+    "SRP is registered with the queueing mode of its version of the specification",
     requirements="SRP-INI-03 SRP-INI-08",
     stimulus="BP-ListRegisteredProtocols",
     expect="BP_QMODE_ONCE; up to 1.2 BP_QMODE_REPEAT",
@@ -67,22 +70,24 @@ def size(bench: Bench) -> None:
 )
 def mode(bench: Bench) -> None:
     expected, shown = bench.features.srp_queueing_mode, str(_registration(bench).get("queueMode"))
-    bench.check(shown.replace("-", "_") == expected, f"queueMode is {expected}", f"it is {shown}", shown=True)
+    bench.check(shown.replace("-", "_") == expected, f"queueMode {expected}", f"{shown}", shown=True)
 
 
 def _fresh_start(bench: Bench, restart: bool) -> None:
-    """Give SRP something to forget, start it afresh, and see whether it has."""
+    """Create state in SRP, restart it, and check that the state is gone."""
     reporter = Reporter(bench)
     if not _forgets(bench, reporter, restart) and reporter.application():
-        # It may have handed down several reports before the first beacon, but not so many as are made now.
+        # An application may have submitted several reports before the first beacon, but not as many as are submitted
+        # now.
         reporter.fill(_MANY)
         _forgets(bench, reporter, restart, most=_MANY - 1)
 
 
 def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None = None) -> bool:
-    """Start SRP afresh; whether the first report has seqno 0. Judges it unless there may be an application.
+    """Restart SRP and return whether its first report has seqno 0.
 
-    ``most``: the greatest number that the first report may have, if not 0.
+    A wrong number is judged only if no application can have caused it. ``most``: the largest number that the first
+    report may have, if not 0.
     """
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, 1))
@@ -96,12 +101,12 @@ def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None =
         bench.must("UT-Reset")
     gone = peer.node_id not in neighbours(bench)
     bench.check(
-        gone, "the neighbour table does not have those from before", f"{peer.node_id.hex(':')} is in it", shown=True
+        gone, "no entry of an earlier neighbour in the table", f"an entry of {peer.node_id.hex(':')}", shown=True
     )
-    # Safety data may be configured: then the first report is not the tester's.
+    # Safety data may be configured; then the first report is not the tester's.
     bench.wait(2)
     if not any(heard.report for heard in bench.heard[start:]):
-        reporter.sent(what="a record is transmitted after the start")
+        reporter.sent(what="a record is sent after the restart")
     frames = [heard for heard in bench.heard[start:] if heard.report is not None]
     numbers = [heard.report.seqno for heard in frames if heard.report is not None]
     right = 0 in numbers or (most is not None and min(numbers) <= most)
@@ -109,7 +114,7 @@ def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None =
         return False
     bench.check(
         right,
-        f"the first record after the start has seqno {0 if most is None else f'0 to {most}'}",
+        f"seqno {0 if most is None else f'0 to {most}'} in the first record after the restart",
         f"seqno {numbers[0]}",
         "SRP-INI-05",
         "SRP-SEQ-01",
@@ -121,10 +126,10 @@ def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None =
 
 @case(
     "TC_SRP_INI_BV_04",
-    "After a reset the neighbour table is empty and the sequence number 0",
+    "After a reset the neighbour table is empty and the sequence number is 0",
     requirements="SRP-INI-05 SRP-SEQ-01",
-    stimulus="a neighbour and two hand-downs; UT-Reset; another hand-down",
-    expect="the neighbour is gone; the record has seqno 0",
+    stimulus="a record of a neighbour and two submissions of safety data; UT-Reset; another submission",
+    expect="no entry of the neighbour; seqno 0 in the record",
     window=8,
     needs=Needs(ut=("UT-Reset", "SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp",)),
 )
@@ -134,10 +139,10 @@ def after_reset(bench: Bench) -> None:
 
 @case(
     "TC_SRP_INI_BV_05",
-    "After a restart the neighbour table is empty and the sequence number 0",
+    "After a restart the neighbour table is empty and the sequence number is 0",
     requirements="SRP-INI-05 SRP-SEQ-01",
-    stimulus="a neighbour and two hand-downs; restart; another hand-down",
-    expect="the neighbour is gone; the record has seqno 0",
+    stimulus="a record of a neighbour and two submissions of safety data; a restart; another submission",
+    expect="no entry of the neighbour; seqno 0 in the record",
     window=20,
     needs=Needs(ut=("SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp", "vardis"), restart=True),
     destructive=True,
@@ -147,7 +152,7 @@ def after_restart(bench: Bench) -> None:
 
 
 def no_way_back(bench: Bench) -> str | None:
-    """Why a protocol cannot be deregistered: nothing would register it again."""
+    """Return why a deregistered protocol could not be registered again, or None; for ``Needs.when``."""
     upper = bench.session.upper
     if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
         return None
@@ -155,7 +160,7 @@ def no_way_back(bench: Bench) -> str | None:
 
 
 def bring_back(bench: Bench) -> None:
-    """Have a protocol registered again that the case has deregistered."""
+    """Register the protocol that the case has deregistered again, by a reset or restart."""
     if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
         bench.call("UT-Reset")
     else:
@@ -164,9 +169,9 @@ def bring_back(bench: Bench) -> None:
 
 @case(
     "TC_SRP_SRV_BO_01",
-    "SRP does not serve while it is not registered with BP",
+    "SRP rejects requests while it is not registered with BP",
     requirements="SRP-SRV-01",
-    stimulus="BP-DeregisterProtocol of protocol 1, then SRP-UpdateSafetyData",
+    stimulus="BP-DeregisterProtocol for protocol 1, then SRP-UpdateSafetyData",
     expect="SRP-STATUS-INACTIVE, or no response (X10); no state report in the beacons",
     window=6,
     needs=Needs(
@@ -183,17 +188,19 @@ def not_registered(bench: Bench) -> None:
         try:
             answer = bench.call("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
         except NoAnswerError as error:
-            # Waiting for it is all that an upper tester can do.
+            # The upper tester cannot do more than wait for a response.
             bench.reading("X10", "no-response")
-            bench.check(True, "the request is not served", str(error))
+            bench.check(True, "no service while SRP is not registered", str(error))
             return
         if answer.code == NO_RESPONSE:
             bench.reading("X10", "no-response")
-            bench.check(True, "the request is not served", str(answer))
+            bench.check(True, "no service while SRP is not registered", str(answer))
         elif bench.check_status(answer, ("SRP-STATUS-INACTIVE",), "SRP-UpdateSafetyData"):
             bench.reading("X10", "confirm-inactive")
         bench.beacons(3, 3)
         frames = [heard for heard in bench.heard[mark:] if srp_blocks(heard)]
-        bench.check(not frames, "no state report is sent", f"{len(frames)} are", frames=frames, shown=True)
+        bench.check(
+            not frames, "no beacon with a state report", f"{len(frames)} beacons with one", frames=frames, shown=True
+        )
     finally:
         bring_back(bench)

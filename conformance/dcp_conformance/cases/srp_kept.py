@@ -1,6 +1,6 @@
 """dcp-srp.md: The Neighbour Table; The Sequence Number; Service SRP-UpdateSafetyData.
 
-What must stay as it is: the entries of other neighbours, all of an entry while BP is deactivated, and numbers.
+State that must not change: entries of other neighbours, the table while BP is inactive, and sequence numbers.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 _UPDATE = "SRP-UpdateSafetyData"
 _SWITCHES = ("BP-MGMT-Deactivate", "BP-MGMT-Activate")
 V1_2 = SpecVersion.V1_2
-#: What the specification says of an entry, without the time of its reception.
+#: Fields of an entry that the specification names, without the time of reception.
 _FIELDS = ("sData", "tStamp", "seqno")
 
 
 def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
-    """The entries of peers once all are there; stops as inconclusive if one does not come."""
+    """Return the entries of peers after all of them exist; inconclusive if one is not created."""
     found: dict[bytes, dict[str, Any]] = {}
     for _ in range(20):
         found = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
@@ -32,7 +32,7 @@ def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
             break
         bench.wait(0.2)
     else:
-        bench.inconclusive("entries of the neighbours, which this case needs", f"there are {len(found)}")
+        bench.inconclusive("entries of all neighbours, which this case needs", f"{len(found)}")
     return {peer.node_id: found[peer.node_id] for peer in peers}
 
 
@@ -41,7 +41,9 @@ def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
     "Each entry has the fields of its own record, and a record changes no other entry",
     requirements="SRP-RX-03 SRP-NT-01 SRP-NT-02",
     stimulus="records of three neighbours that differ in every field; then a second record of one of them",
-    expect="three entries with their own sData, tStamp, seqno and nodeId; afterwards only one of them differs",
+    expect=(
+        "three entries with their own sData, tStamp, seqno and nodeId; only one of them changes with the second record"
+    ),
     needs=_TABLE,
 )
 def own_entries(bench: Bench) -> None:
@@ -66,23 +68,23 @@ def own_entries(bench: Bench) -> None:
         bench.check(said == right, f"sData, tStamp and seqno {right}", f"{said}", shown=True)
     bench.wait(0.5)
     peers[1].send(bench.report(peers[1].node_id, 2001, **values[0]))
-    # One question only: entries time out while a slow upper tester answers.
+    # A single query: entries time out while a slow upper tester answers.
     bench.wait(1)
     second = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
     for place in (0, 2):
         was, is_now = first[peers[place].node_id], second.get(peers[place].node_id)
         if is_now is None and bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
-            bench.not_applicable("the calls of this case take longer than an entry lives")
+            bench.not_applicable("the calls of this case take longer than the neighbour table timeout")
         is_now = is_now or {}
         same = all(is_now.get(name) == was.get(name) for name in (*_FIELDS, "receptionTime"))
-        bench.check(same, f"{was} as before", f"{is_now}", "SRP-RX-03", shown=True)
+        bench.check(same, f"{was}, as before", f"{is_now}", "SRP-RX-03", shown=True)
 
 
 @case(
     "TC_SRP_NT_BO_01",
-    "The neighbour table stays when BP is deactivated and activated",
+    "Deactivation and activation of BP do not change the neighbour table",
     requirements="SRP-RX-03 SRP-RUN-02",
-    stimulus="records of two neighbours; BP-MGMT-Deactivate, BP-MGMT-Activate at once",
+    stimulus="records of two neighbours; BP-MGMT-Deactivate, then immediately BP-MGMT-Activate",
     expect="both entries as before",
     needs=Needs(since=V1_2, ut=("SRP-NeighbourTable", *_SWITCHES), entities=("srp",)),
 )
@@ -95,20 +97,20 @@ def table_across_activation(bench: Bench) -> None:
         during = neighbours(bench)
     after = neighbours(bench)
     if bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
-        bench.not_applicable("the calls of this case take longer than an entry lives")
+        bench.not_applicable("the calls of this case take longer than the neighbour table timeout")
     for node_id, entry in before.items():
         for when, table in (("while BP is inactive", during), ("afterwards", after)):
             is_now = table.get(node_id, [{}])[0]
             same = all(is_now.get(name) == entry.get(name) for name in (*_FIELDS, "receptionTime"))
-            bench.check(same, f"the entry as before {when}", f"it is {is_now or 'gone'}", shown=True)
+            bench.check(same, f"the entry unchanged {when}", f"{is_now or 'no entry'}", shown=True)
 
 
 @case(
     "TC_SRP_SEQ_BO_01",
-    "Sequence numbers count hand-downs across a deactivation of BP, and only the newest is sent",
+    "Sequence numbers count submissions while BP is inactive, and only the newest record is sent",
     requirements="SRP-SEQ-01 SRP-TYP-07 SRP-SRV-03",
-    stimulus="a hand-down; while BP is inactive two more; BP-MGMT-Activate",
-    expect="the last of them in a beacon, with a number that is greater by two",
+    stimulus="a submission of safety data; two more while BP is inactive; BP-MGMT-Activate",
+    expect="the record of the last submission in a beacon, with a sequence number larger by two",
     window=8,
     needs=Needs(since=V1_2, ut=(_UPDATE, *_SWITCHES), entities=("srp",)),
 )
@@ -116,7 +118,7 @@ def numbers_across_activation(bench: Bench) -> None:
     reporter = Reporter(bench)
     first = reporter.sent("SRP-SRV-03")
     with bench.deactivated("BP"):
-        # What has left the node already may still be on its way to the tester.
+        # A beacon sent before the deactivation may still be in transit to the tester.
         bench.wait(0.2)
         start = bench.mark()
         reporter.hand_down()
@@ -129,15 +131,24 @@ def numbers_across_activation(bench: Bench) -> None:
         if heard.report is not None and reporter.is_own(heard) and heard.report.seqno == (last.report.seqno - 1)
     ]
     if last.values == values:
-        bench.check(not old, "only the newest is sent", "so is the one before", "SRP-TYP-07", frames=old, shown=True)
+        bench.check(
+            not old,
+            "only the newest record",
+            "a beacon with the record before it",
+            "SRP-TYP-07",
+            frames=old,
+            shown=True,
+        )
 
 
 @case(
     "TC_SRP_SRV_TI_01",
-    "Confirms of SRP-UpdateSafetyData are immediate, they wait for no beacon",
+    "Confirms of SRP-UpdateSafetyData are immediate and do not wait for a beacon",
     requirements="SRP-SRV-05",
-    stimulus="seven hand-downs, each beside a question for the parameters or the table, where these can be asked",
-    expect="most confirms come within less than half a beacon period",
+    stimulus=(
+        "seven submissions of safety data, each timed along with a query of parameters or neighbour table, if available"
+    ),
+    expect="a median time to the confirm of less than half a beacon period",
     needs=Needs(since=SpecVersion.V1_1, ut=(_UPDATE,), entities=("srp",)),
 )
 def immediate(bench: Bench) -> None:
@@ -152,17 +163,19 @@ def immediate(bench: Bench) -> None:
             bench.call(method)
             others.append(bench.now() - start)
     median = sorted(delays)[len(delays) // 2]
-    # An upper tester takes its time for each request, whatever SRP does: about as long for another one.
+    # Each request to the upper tester takes time, which the time of another request estimates.
     limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
-    bench.check(median <= limit, f"confirms within {limit / MS:.0f} ms", f"the median is {median / MS:.0f} ms")
+    bench.check(
+        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
+    )
 
 
 @case(
     "TC_SRP_RX_BV_07",
-    "The sequence number of a neighbour may be anything ({variant})",
+    "A neighbour's sequence number may have any value ({variant})",
     requirements="SRP-RX-03 SRP-TYP-01",
     stimulus="a record with sequence number {variant}",
-    expect="an entry with this number",
+    expect="an entry with this sequence number",
     needs=_TABLE,
     variants={
         "0": 0,
@@ -175,10 +188,10 @@ def immediate(bench: Bench) -> None:
 )
 def any_number(bench: Bench, seqno: int) -> None:
     if seqno >= 1 << (8 * bench.profile.types.srp_seqno.width):
-        bench.not_applicable(f"the profile {bench.profile.name} has fewer octets for the number")
+        bench.not_applicable(f"in the profile {bench.profile.name} the sequence number has fewer octets")
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, seqno))
     entry = until_neighbour(bench, peer.node_id)
-    bench.require(entry is not None, "an entry of the neighbour", "there is none", "SRP-RX-03")
+    bench.require(entry is not None, "an entry of the neighbour", "no entry", "SRP-RX-03")
     assert entry is not None
     bench.check(entry.get("seqno") == seqno, f"seqno {seqno}", f"{entry.get('seqno')}", shown=True)

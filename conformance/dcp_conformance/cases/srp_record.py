@@ -1,6 +1,6 @@
 """dcp-srp.md: Service SRP-UpdateSafetyData and Packet Format.
 
-What the implementation says of itself. Without an upper tester only what it sends on its own account can be looked at.
+State reports of the implementation. Without an upper tester only reports that it sends by itself can be checked.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dcp_conformance.services import (
 )
 from dcp_conformance.stamps import Stamps, check_apart, check_now
 
-#: Attempts to hand safety data down that an application does not replace before the next beacon.
+#: Attempts to submit safety data that an application does not replace before the next beacon.
 _ATTEMPTS = 12
 _UPDATE = Needs(ut=("SRP-UpdateSafetyData",), entities=("srp",))
 
@@ -36,10 +36,12 @@ def _reports(bench: Bench, since: int = 0) -> list[Heard]:
 
 @case(
     "TC_SRP_REC_BV_01",
-    "Every SRP payload is exactly one record, with the identifier of the node that sends it",
+    "Every SRP payload is exactly one record, with the identifier of its sender",
     requirements="SRP-FMT-01 SRP-TYP-02 SRP-TYP-04 SRP-INI-06",
-    stimulus="two hand-downs of safety data; without an upper tester none, the implementation may have a source",
-    expect="SRP blocks of the record's size, whose nodeId is the senderId of their beacons",
+    stimulus=(
+        "two submissions of safety data; without an upper tester none: the implementation may have a source of its own"
+    ),
+    expect="SRP blocks of the size of a record, each with the senderId of its beacon as nodeId",
     window=12,
     needs=Needs(entities=("srp",)),
 )
@@ -50,7 +52,10 @@ def one_record(bench: Bench) -> None:
             reporter.hand_down()
             bench.until(lambda heard: srp_blocks(heard))
     elif not bench.until(lambda heard: srp_blocks(heard), 12):
-        bench.info("state reports on its own account", "none for 12 beacon periods, and no upper tester to ask for one")
+        bench.info(
+            "Does the implementation send state reports by itself?",
+            "none in 12 beacon periods, and no upper tester to submit safety data",
+        )
         return
     size, seen = report_octets(bench), 0
     for heard in bench.heard:
@@ -59,8 +64,8 @@ def one_record(bench: Bench) -> None:
         wrong = [len(block) for block in blocks if len(block) != size]
         if wrong:
             bench.fail(
-                f"every SRP payload has {size} octets",
-                f"one has {wrong[0]}",
+                f"a size of {size} octets for every SRP payload",
+                f"{wrong[0]} octets",
                 "SRP-FMT-01",
                 "SRP-TYP-02",
                 frames=[heard],
@@ -70,9 +75,9 @@ def one_record(bench: Bench) -> None:
         for block in blocks:
             node_id = bench.codec.decode_report(block).node_id
             if node_id != own:
-                observed = f"nodeId is {node_id.hex(':')}, the sender {own.hex(':')}"
+                observed = f"nodeId {node_id.hex(':')}, senderId {own.hex(':')}"
                 bench.fail(
-                    "nodeId is the sender's identifier",
+                    "the senderId of the beacon as nodeId",
                     observed,
                     "SRP-TYP-04",
                     "SRP-INI-06",
@@ -81,17 +86,17 @@ def one_record(bench: Bench) -> None:
                 )
     if not seen:
         bench.inconclusive(
-            "the implementation sends state reports", "none was heard ([pics] srp = false if it has no SRP)"
+            "state reports of the implementation", "none heard (if it has no SRP, set srp = false in [pics])"
         )
-    bench.check(True, f"{seen} SRP payloads are records of their sender")
+    bench.check(True, f"{seen} SRP payloads, each a record of its sender")
 
 
 @case(
     "TC_SRP_REC_BV_02",
-    "A hand-down is confirmed, and its values stand in the record in the order of the profile",
+    "A submission of safety data is confirmed, and the record has its values in the order of the profile",
     requirements="SRP-SRV-02 SRP-SRV-03 SRP-TYP-03 SRP-TYP-01",
-    stimulus="SRP-UpdateSafetyData with another value in every field",
-    expect="SRP-STATUS-OK, and a beacon with an SRP block of these values",
+    stimulus="SRP-UpdateSafetyData with a different value in every field",
+    expect="SRP-STATUS-OK, and a beacon with an SRP block with these values",
     needs=_UPDATE,
     smoke=True,
 )
@@ -105,22 +110,22 @@ def values_arrive(bench: Bench) -> None:
     if (first := reporter.find(values)) is None:
         others = [] if reporter.application() else _reports(bench, start)
         if not others:
-            reporter.lost("the safety data appear in a beacon", "SRP-TYP-03", "SRP-SRV-03")
+            reporter.lost("a beacon with the safety data", "SRP-TYP-03", "SRP-SRV-03")
         bench.fail(
             f"a record with sData {values}",
-            f"it is {told(bench, others[-1].report)}",
+            f"a record with sData {told(bench, others[-1].report)}",
             "SRP-TYP-03",
             "SRP-SRV-03",
             frames=others[-1:],
-            # Otherwise it may be that of an earlier hand-down, and this one was not heard.
+            # Otherwise it may belong to an earlier submission, and the record of this one was lost.
             shown=silent,
         )
-    bench.check(True, "the values are in the record", "", "SRP-TYP-03", "SRP-SRV-03")
+    bench.check(True, "a record with the submitted values", "", "SRP-TYP-03", "SRP-SRV-03")
     step = (reporter.sent("SRP-SRV-03").report.seqno - first.report.seqno) % SRP_SEQNO_MODULUS
     bench.check(
         0 < step < 1 << 16,
-        "seqno is a number of 32 bits that grows slowly",
-        f"it grows by {step}",
+        "a seqno of 32 bits that grows slowly",
+        f"an increase of {step}",
         "SRP-TYP-01",
         shown=True,
     )
@@ -128,10 +133,10 @@ def values_arrive(bench: Bench) -> None:
 
 @case(
     "TC_SRP_REC_BV_03",
-    "tStamp is near the time of the hand-down",
+    "tStamp is close to the time of the submission",
     requirements="SRP-TYP-05",
-    stimulus="SRP-UpdateSafetyData at a known time, twice, with two beacon periods in between",
-    expect="time stamps near these times, as far as the clocks agree; their difference is that of the hand-downs",
+    stimulus="SRP-UpdateSafetyData at a known time, twice, two beacon periods apart",
+    expect="time stamps close to these times, within the precision of the clocks, and the same difference between them",
     window=12,
     needs=_UPDATE,
 )
@@ -150,17 +155,17 @@ def time_stamp(bench: Bench) -> None:
 
 
 def _stamps(bench: Bench, first: Sent, second: Sent) -> Stamps:
-    """The time stamps of two records."""
+    """Return the time stamps of two records with the times of their submissions."""
     one, two = (nanoseconds(bench, each.report.t_stamp) for each in (first, second))
     return Stamps(one, two, (first.moment, second.moment))
 
 
 @case(
     "TC_SRP_REC_TI_01",
-    "tStamp is the time of the hand-down also when the record leaves much later",
+    "tStamp is the time of the submission even if the record is sent much later",
     requirements="SRP-TYP-05",
     stimulus="SRP-UpdateSafetyData; then again while BP is inactive for eight beacon periods",
-    expect="the two time stamps are apart as the hand-downs are, not as the beacons",
+    expect="the difference between the two time stamps is that of the submissions, not of the beacons",
     window=20,
     needs=Needs(
         since=SpecVersion.V1_2,
@@ -176,7 +181,7 @@ def time_stamp_of_late_record(bench: Bench) -> None:
         with bench.deactivated("BP"):
             values = reporter.hand_down()
             bench.wait(8)
-        what = "the record is sent once BP is active again"
+        what = "the record is sent after BP was activated"
         return _stamps(bench, first, reporter.awaited(values, "SRP-TYP-05", what=what, insist=False))
 
     check_apart(bench, "tStamp", measure)
@@ -184,10 +189,10 @@ def time_stamp_of_late_record(bench: Bench) -> None:
 
 @case(
     "TC_SRP_REC_BV_04",
-    "Only the safety data handed down last are transmitted",
+    "Only the safety data submitted last are sent",
     requirements="SRP-TYP-07",
-    stimulus="four hand-downs at once, right after a beacon",
-    expect="the fourth in a beacon; of the others at most one, in a beacon that was prepared before, and none later",
+    stimulus="four submissions of safety data right after a beacon",
+    expect="a beacon with the fourth; at most one beacon with another one, prepared before it, and none after it",
     window=8,
     needs=_UPDATE,
 )
@@ -201,7 +206,7 @@ def newest_only(bench: Bench) -> None:
         return heard.report is not None and told(bench, heard.report) in handed[-4:]
 
     def hand_down() -> None:
-        # Other data in each attempt: some versions repeat the last record.
+        # Different data in each attempt: some versions repeat the last record.
         for _ in range(4):
             handed.append(reporter.next_values())
             reporter.hand_down()
@@ -210,24 +215,24 @@ def newest_only(bench: Bench) -> None:
         return [heard for heard in _reports(bench, before) if told(bench, heard.report) == handed[-1]]
 
     for attempt in range(_ATTEMPTS):
-        between_beacons(bench, "four hand-downs are made", hand_down, has_one)
+        between_beacons(bench, "four submissions of safety data", hand_down, has_one)
         if newest() or until_report(bench, handed[-1]) is not None:
             break
         if not any(not reporter.is_own(heard) for heard in _reports(bench, before)):
-            reporter.lost("the newest safety data appear in a beacon")
-        # An application has replaced them: later in the period there is less time for it.
+            reporter.lost("a beacon with the newest safety data")
+        # An application has replaced them: later in the period there is less time for that.
         bench.beacons(1, 2)
         bench.wait(attempt / _ATTEMPTS)
     else:
-        reporter.lost("the newest safety data appear in a beacon")
+        reporter.lost("a beacon with the newest safety data")
     older = handed[-4:-1]
     bench.beacons(2, 3)
     shown = newest()
     late = [heard for heard in _reports(bench, before) if told(bench, heard.report) in older]
     bench.check(
         len(late) <= 1 and all(heard.time < shown[0].time for heard in late),
-        "no older safety data are sent any more",
-        f"{len(late)} beacons have older ones",
+        "no older safety data after the newest",
+        f"{len(late)} beacons with older safety data",
         frames=late,
         shown=True,
     )
@@ -235,10 +240,10 @@ def newest_only(bench: Bench) -> None:
 
 @case(
     "TC_SRP_REC_BV_05",
-    "Records of consecutive hand-downs have consecutive sequence numbers",
+    "Records of consecutive submissions have consecutive sequence numbers",
     requirements="SRP-SEQ-01 SRP-TYP-06",
-    stimulus="five hand-downs, each after the record of the one before was heard",
-    expect="five records, each with the number behind that of the one before",
+    stimulus="five submissions of safety data, each after the record of the one before was heard",
+    expect="five records with consecutive sequence numbers",
     window=20,
     needs=_UPDATE,
 )
@@ -246,17 +251,19 @@ def sequence_numbers(bench: Bench) -> None:
     reporter = Reporter(bench)
     sent = [reporter.sent() for _ in range(5)]
     numbers, frames = [each.report.seqno for each in sent], [each.heard for each in sent]
-    bench.check(len(set(numbers)) == 5, "five different numbers", f"{numbers}", "SRP-TYP-06", frames=frames, shown=True)
+    bench.check(
+        len(set(numbers)) == 5, "five different sequence numbers", f"{numbers}", "SRP-TYP-06", frames=frames, shown=True
+    )
     for first, second in pairwise(sent):
         reporter.check_grown(first, second, "SRP-SEQ-01")
 
 
 @case(
     "TC_SRP_REC_BV_06",
-    "One hand-down leads to one transmitted record, and to none without it",
+    "One submission of safety data causes one transmission of its record",
     requirements="SRP-SRV-04 SRP-INI-03",
-    stimulus="three hand-downs with pauses; in between a variable keeps the beacons coming",
-    expect="the record of each hand-down in exactly one beacon",
+    stimulus="three submissions of safety data with pauses; in between a variable keeps the implementation sending",
+    expect="the record of each submission in exactly one beacon",
     window=30,
     needs=Needs(since=SpecVersion.V1_3, ut=("SRP-UpdateSafetyData",), entities=("srp",)),
 )
@@ -266,15 +273,15 @@ def once(bench: Bench) -> None:
         mark = bench.mark()
         values = reporter.sent("SRP-SRV-04").values
         if bench.pics.vardis is not False:
-            # Something for the implementation to say, or there would be no beacons to look at.
+            # Without another payload to send there would be no further beacons to inspect.
             peer = bench.peer()
             peer.send(peer.create(bench.var_id()))
         bench.beacons(3, 4)
         frames = [heard for heard in _reports(bench, mark) if told(bench, heard.report) == values]
         bench.check(
             len(frames) == 1,
-            f"the record of hand-down {number} is in one beacon",
-            f"it is in {len(frames)}",
+            f"the record of submission {number} in one beacon",
+            f"in {len(frames)} beacons",
             frames=frames,
             shown=len(frames) > 1,
         )
@@ -282,10 +289,10 @@ def once(bench: Bench) -> None:
 
 @case(
     "TC_SRP_REC_BV_07",
-    "Up to 1.2 the newest record is in every beacon",
+    "Up to 1.2, the newest record is in every beacon",
     requirements="SRP-INI-03",
-    stimulus="one hand-down, and another four beacons later",
-    expect="every beacon has the record of the last hand-down, unchanged",
+    stimulus="a submission of safety data, and another one four beacons later",
+    expect="the unchanged record of the last submission in every beacon",
     window=20,
     needs=Needs(until=SpecVersion.V1_2, ut=("SRP-UpdateSafetyData",), entities=("srp",)),
 )
@@ -295,15 +302,15 @@ def repeated(bench: Bench) -> None:
         first = reporter.sent()
         frames = bench.beacons(4)
         if len(frames) < 4:
-            bench.fail("beacons follow each other while there is a record to repeat", f"{len(frames)} came")
+            bench.fail("beacons continue while there is a record to repeat", f"{len(frames)} beacons in time")
         other = [heard for heard in frames if heard.report != first.report]
         if other and reporter.application():
-            # Its reports are the newest then.
+            # The reports of the application are then the newest.
             other = [heard for heard in other if heard.report is None or reporter.is_own(heard)]
         bench.check(
             not other,
-            f"four beacons repeat the record of hand-down {number}, its tStamp and seqno too",
-            f"{len(other)} of them do not",
+            f"the record of submission {number} in four beacons, with unchanged tStamp and seqno",
+            f"{len(other)} of them without it",
             frames=other,
             shown=True,
         )
@@ -311,10 +318,10 @@ def repeated(bench: Bench) -> None:
 
 @case(
     "TC_SRP_REC_BV_08",
-    "A repeated record keeps the time of its hand-down",
+    "A repeated record keeps the time of its submission",
     requirements="SRP-TYP-05",
-    stimulus="one hand-down",
-    expect="the records of the next beacons have one tStamp and one seqno",
+    stimulus="one submission of safety data",
+    expect="the same tStamp and seqno in the records of the next beacons",
     window=10,
     needs=Needs(until=SpecVersion.V1_2, ut=("SRP-UpdateSafetyData",), entities=("srp",)),
 )
@@ -327,7 +334,7 @@ def repeated_time_stamp(bench: Bench) -> None:
     bench.check(
         len(stamps) == 1,
         "one pair of tStamp and seqno in all repetitions",
-        f"{len(stamps)} of them",
+        f"{len(stamps)} different pairs",
         frames=frames,
         shown=True,
     )
@@ -335,10 +342,10 @@ def repeated_time_stamp(bench: Bench) -> None:
 
 @case(
     "TC_SRP_REC_BV_09",
-    "The sequence number counts beyond what four and eight bits hold",
+    "The sequence number does not wrap around at four or eight bits",
     requirements="SRP-SEQ-01 SRP-TYP-01",
-    stimulus="a hand-down, whose record is heard; then 300 hand-downs, one after the other",
-    expect="the record of the last has a number that is greater by 300 (mod 2^32)",
+    stimulus="a submission of safety data whose record is heard; then 300 submissions",
+    expect="a sequence number larger by 300 (mod 2^32) in the record of the last submission",
     window=12,
     needs=_UPDATE,
 )

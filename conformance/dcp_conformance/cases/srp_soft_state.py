@@ -20,14 +20,14 @@ _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 def _lifetime(
     bench: Bench, peers: list[Peer], begun: int, timeout: int, meanwhile: Callable[[], None] = lambda: None
 ) -> None:
-    """Watch the entries that were made at ``begun`` until they are gone; all times in ns.
+    """Watch entries made at ``begun`` until they are removed; all times in ns.
 
-    ``meanwhile`` is called twenty times in each timeout.
+    ``meanwhile`` is called twenty times per timeout.
     """
     latest = timeout + timeout // 5 + round(bench.pixit.timer_tolerance_ms * MS)
     step, there = max(timeout // 20, 10 * MS), {peer.node_id for peer in peers}
     if missing := there - set(neighbours(bench)):
-        bench.inconclusive("the neighbours are in the table", f"{len(missing)} are not")
+        bench.inconclusive("entries of the neighbours", f"{len(missing)} missing")
     while there:
         meanwhile()
         before = bench.now() - begun
@@ -37,19 +37,19 @@ def _lifetime(
             there.discard(node_id)
             bench.check(
                 after >= timeout,
-                f"an entry lives for {timeout / 1e6:.0f} ms after the reception of its record",
-                f"that of {node_id.hex(':')} was gone after {after / 1e6:.0f} ms",
+                f"an entry remains for {timeout / 1e6:.0f} ms after the reception of its record",
+                f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
             )
         if there and before > latest:
-            observed = f"that of {min(there).hex(':')} is there after {before / 1e6:.0f} ms"
-            bench.fail(f"an entry is gone {latest / 1e6:.0f} ms after the reception of its record", observed)
+            observed = f"{min(there).hex(':')} is still there after {before / 1e6:.0f} ms"
+            bench.fail(f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed)
         if there:
             bench.wait_ns(step)
 
 
 @contextmanager
 def _brief_timeout(bench: Bench) -> Iterator[int]:
-    """Half a second as the timeout if it can be set, else the timeout as it is; ms."""
+    """Set a timeout of half a second if possible; yield the timeout in use, in ms."""
     settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
     length = round(500 * bench.session.timing_scale) if settable else bench.bound(_TIMEOUT)
     with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
@@ -57,7 +57,7 @@ def _brief_timeout(bench: Bench) -> Iterator[int]:
 
 
 def _offsets(bench: Bench) -> dict[str, int]:
-    """Time stamps by what is special about them, in ticks of the profile."""
+    """Return special time stamps by name, in ticks of the profile's clock."""
     now = bench.creation_time()
     second = bench.profile.types.timestamp.per_second
     return {"now": now, "old": max(0, now - 3600 * second), "future": now + 3600 * second}
@@ -65,10 +65,13 @@ def _offsets(bench: Bench) -> dict[str, int]:
 
 @case(
     "TC_SRP_NT_TI_01",
-    "An entry is dropped when the timeout has passed since its reception, whatever its tStamp",
+    "An entry is removed after the timeout since its reception, whatever its tStamp",
     requirements="SRP-RUN-01 SRP-RUN-02 SRP-PAR-01",
-    stimulus="records of three neighbours, with a tStamp of now, an hour ago, and in an hour; then nothing",
-    expect="all entries are there until SRPPAR_NEIGHBOUR_TABLE_TIMEOUT, and gone a fifth of it later, plus tolerance",
+    stimulus="records of three neighbours, with a tStamp of now, one hour ago, and in one hour; then none",
+    expect=(
+        "all entries remain for SRPPAR_NEIGHBOUR_TABLE_TIMEOUT, and are removed within another fifth of it, plus "
+        "tolerance"
+    ),
     window=45,
     needs=_TABLE,
 )
@@ -84,10 +87,10 @@ def timeout(bench: Bench) -> None:
 
 @case(
     "TC_SRP_NT_TI_02",
-    "A timeout that is set counts for entries from then on",
+    "A new timeout applies to later entries",
     requirements="SRP-RUN-01 SRP-RUN-02 SRP-PAR-01",
-    stimulus="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 500 ms; a record, and nothing more",
-    expect="the entry is there for 500 ms, and gone 100 ms later, plus tolerance",
+    stimulus="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 500 ms; one record",
+    expect="the entry remains for 500 ms and is removed within another 100 ms, plus tolerance",
     window=12,
     needs=Needs(ut=("SRP-NeighbourTable", "SRP-SetParameter"), entities=("srp",)),
 )
@@ -103,10 +106,10 @@ def short_timeout(bench: Bench) -> None:
 
 @case(
     "TC_SRP_NT_TI_03",
-    "A further record keeps the entry alive",
+    "Each further record restarts the timeout of an entry",
     requirements="SRP-RX-03 SRP-RUN-02",
-    stimulus="records every half of the timeout, for two timeouts; then none",
-    expect="the entry is there all the time, and gone afterwards",
+    stimulus="a record every half timeout, for two timeouts; then none",
+    expect="the entry remains all the time, and is removed in time afterwards",
     window=100,
     needs=_TABLE,
 )
@@ -120,7 +123,7 @@ def refreshed(bench: Bench) -> None:
             bench.wait_ns(length * MS // 2)
             there = neighbour(bench, peer.node_id) is not None
             if not there and bench.now() - begun < length * MS:
-                bench.fail("the entry stays while records come", f"it was gone after record {number + 1}")
+                bench.fail("the entry remains while records arrive", f"removed after record {number + 1}")
         peer.send(bench.report(peer.node_id, 5))
         begun = bench.now()
         _lifetime(bench, [peer], begun, length * MS)
@@ -128,10 +131,10 @@ def refreshed(bench: Bench) -> None:
 
 @case(
     "TC_SRP_NT_TI_04",
-    "An entry is dropped although another neighbour goes on reporting",
+    "An entry is removed although another neighbour keeps reporting",
     requirements="SRP-RUN-01 SRP-RUN-02",
-    stimulus="one record of a neighbour; many of another one, twenty in each timeout",
-    expect="the entry of the silent neighbour is dropped in time",
+    stimulus="one record of one neighbour; many of another, twenty per timeout",
+    expect="the entry of the silent neighbour is removed in time",
     window=45,
     needs=_TABLE,
 )
@@ -152,10 +155,10 @@ def silent_among_others(bench: Bench) -> None:
 
 @case(
     "TC_SRP_NT_TI_05",
-    "An entry is dropped also while BP and VarDis are inactive",
+    "An entry is removed even while BP and VarDis are inactive",
     requirements="SRP-RUN-01 SRP-RUN-02",
     stimulus="a record of a neighbour; VD-MGMT-Deactivate, BP-MGMT-Deactivate",
-    expect="the entry is dropped in time",
+    expect="the entry is removed in time",
     window=45,
     needs=Needs(
         since=SpecVersion.V1_2,
@@ -181,9 +184,9 @@ def while_others_rest(bench: Bench) -> None:
 
 @case(
     "TC_SRP_NT_BV_06",
-    "The neighbour table can be asked for, whatever is in it",
+    "The neighbour table can be queried whatever its contents",
     requirements="SRP-NT-02",
-    stimulus="SRP-NeighbourTable before and after each of three records of a neighbour, the last one sent twice",
+    stimulus="SRP-NeighbourTable before and after each of three records of a neighbour, the last record sent twice",
     expect="SRP-STATUS-OK each time",
     needs=_TABLE,
 )
@@ -198,47 +201,47 @@ def answers(bench: Bench) -> None:
 
 @case(
     "TC_SRP_PAR_BV_01",
-    "The neighbour table timeout is 3000 ms unless it was configured",
+    "The neighbour table timeout is 3000 ms by default",
     requirements="SRP-PAR-01 SRP-PAR-03",
     stimulus="SRP-GetParameters",
-    expect="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 3000; another value is reported, for it may have been configured",
+    expect="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 3000; another value may have been configured and is reported",
     needs=Needs(ut=("SRP-GetParameters",), entities=("srp",)),
 )
 def default_timeout(bench: Bench) -> None:
     answer = bench.call("SRP-GetParameters")
-    bench.require_asked(answer, "SRP-GetParameters is answered")
-    bench.require(answer.ok, "SRP-GetParameters is answered", str(answer))
+    bench.require_asked(answer, "an answer to SRP-GetParameters")
+    bench.require(answer.ok, "a positive answer to SRP-GetParameters", str(answer))
     value = answer.result.get("parameters", {}).get(_TIMEOUT)
-    bench.check(value is not None, f"{_TIMEOUT} is told in ms", "it is not there", "SRP-PAR-01", shown=True)
+    bench.check(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01", shown=True)
     if value == 3000:
         bench.check(True, f"{_TIMEOUT} is 3000 ms", "", "SRP-PAR-03")
     elif value is not None:
-        bench.info(f"{_TIMEOUT}, by default 3000 ms", f"{value} ms", "SRP-PAR-03")
+        bench.info(f"Is the default {_TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
 
 
 @case(
     "TC_SRP_PAR_BI_01",
-    "A neighbour table timeout that is refused is not used",
+    "A rejected neighbour table timeout is not used",
     requirements="SRP-PAR-01",
-    stimulus="SRP-SetParameter with SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = -1, and with 0",
-    expect="if it is refused, SRP-GetParameters tells the timeout from before",
+    stimulus="SRP-SetParameter with SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = -1, then with 0",
+    expect="after a rejection, SRP-GetParameters returns the previous timeout",
     needs=Needs(ut=("SRP-GetParameters", "SRP-SetParameter"), entities=("srp",)),
 )
 def refused_timeout(bench: Bench) -> None:
     before = configured = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
     if configured is None:
-        bench.inconclusive(f"SRP-GetParameters tells {_TIMEOUT}, which this case needs", "it does not")
+        bench.inconclusive(f"{_TIMEOUT} in the answer to SRP-GetParameters, which this case needs", "no such parameter")
     try:
         for value in (-1, 0):
             answer = bench.call("SRP-SetParameter", name=_TIMEOUT, value=value)
             if not answer.asked:
-                bench.info(f"Can {_TIMEOUT} be {value} ms?", f"the upper tester could not ask: {answer}")
+                bench.info(f"Can {_TIMEOUT} be {value} ms?", f"unknown: the upper tester could not ask: {answer}")
                 continue
             if answer.ok:
                 bench.info(f"Can {_TIMEOUT} be {value} ms?", "yes")
                 before = value
                 continue
             after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
-            bench.check(after == before, f"{_TIMEOUT} stays {before}", f"it is {after}", shown=True)
+            bench.check(after == before, f"{_TIMEOUT} {before}, as before", f"{after}", shown=True)
     finally:
         bench.call("SRP-SetParameter", name=_TIMEOUT, value=configured)

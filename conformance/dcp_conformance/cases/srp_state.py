@@ -1,6 +1,6 @@
 """dcp-srp.md: Receive Path, The Neighbour Table, Service SRP-UpdateSafetyData.
 
-Clocks of neighbours that are set back, more than a few neighbours, and services while BP is not active.
+Clocks of neighbours that are set back, a small swarm, and services while BP is inactive.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from dcp_conformance.case import Needs, case
 from dcp_conformance.services import neighbours, safety_data, until_neighbour
 
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
-#: Neighbours of a small swarm: a table with less room would be of little use.
+#: Number of neighbours in a small swarm: a smaller table would be of little use.
 _SWARM = 8
 
 
 @case(
     "TC_SRP_RX_BV_06",
-    "A record replaces the stored one although its tStamp is older",
+    "A record replaces the stored one even if its tStamp is older",
     requirements="SRP-RX-03",
-    stimulus="a record with seqno 5, then one of the same node with seqno 6 and a tStamp of an hour before",
-    expect="the entry is the second record: only sequence numbers may be a filter",
+    stimulus="a record with seqno 5, then one of the same node with seqno 6 and a tStamp one hour earlier",
+    expect="the entry has the second record: a filter may only use sequence numbers",
     needs=_TABLE,
 )
 def older_stamp(bench: Bench) -> None:
@@ -30,24 +30,25 @@ def older_stamp(bench: Bench) -> None:
     later = max(now, hour)
     peer.send(bench.report(peer.node_id, 5, t_stamp=later))
     if until_neighbour(bench, peer.node_id, 5) is None:
-        bench.inconclusive("the table has an entry of the first record", "it has none")
+        bench.inconclusive("an entry with the first record", "no such entry")
     peer.send(bench.report(peer.node_id, 6, t_stamp=later - hour))
     entry = until_neighbour(bench, peer.node_id, 6)
-    bench.check(entry is not None, "the entry is that of the second record", "it is still the first")
+    bench.check(entry is not None, "an entry with the second record", "the entry still has the first record")
 
 
 @case(
     "TC_SRP_NT_BV_05",
-    "The table has room for eight neighbours",
+    "The table holds at least eight neighbours",
     requirements="SRP-RX-03 SRP-NT-02",
     stimulus="a record of each of eight neighbours",
-    expect="all of them are listed",
+    expect="entries of all eight",
     needs=_TABLE,
 )
 def small_swarm(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(_SWARM)]
     for _ in range(2):
-        # A record may be lost. A call for each would let the first time out where the upper tester is slow.
+        # A record may be lost. Querying after each record would let the first entry time out if the upper tester is
+        # slow.
         for peer in peers:
             peer.send(bench.report(peer.node_id, 1))
         # Entries time out by the clock, however long the beacon period is.
@@ -58,12 +59,12 @@ def small_swarm(bench: Bench) -> None:
                 break
         if not missing:
             break
-    bench.check(not missing, f"all {_SWARM} are listed", f"{len(missing)} are not")
+    bench.check(not missing, f"entries of all {_SWARM} neighbours", f"{len(missing)} missing")
 
 
 @case(
     "TC_SRP_SRV_BO_02",
-    "SRP serves while BP is deactivated, as it stays registered",
+    "SRP accepts requests while BP is inactive, because it remains registered",
     requirements="SRP-SRV-01 SRP-SRV-03",
     stimulus="SRP-UpdateSafetyData while BP is inactive",
     expect="SRP-STATUS-OK",

@@ -1,7 +1,6 @@
 """dcp-srp.md: Receive Path and The Neighbour Table.
 
-What has to be ignored is shown by a record that must not enter the table, and by one of another node behind it that
-must.
+To prove that a record was ignored, it must not enter the table, and a record of another node sent after it must.
 """
 
 from __future__ import annotations
@@ -21,33 +20,33 @@ _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
 
 def _require_reception(bench: Bench) -> None:
-    """Stop as inconclusive unless good records enter the table: else their absence later shows nothing."""
+    """Stop as inconclusive unless valid records enter the table: otherwise a missing entry proves nothing."""
     control = bench.peer()
     control.send(bench.report(control.node_id, 1))
     if until_neighbour(bench, control.node_id) is None:
-        bench.inconclusive("a good record is stored, which this case needs", "it is not")
+        bench.inconclusive("an entry for a valid record, which this case needs", "no entry in time")
 
 
 def _require_working(bench: Bench, after: str) -> None:
-    """Stop as failed unless the record of another neighbour still enters the table."""
+    """Fail and stop the case unless the record of another neighbour still enters the table."""
     probe = bench.peer()
     probe.send(bench.report(probe.node_id, 1))
     entry = until_neighbour(bench, probe.node_id)
-    bench.require(entry is not None, f"the record of another neighbour is stored after {after}", "it is not")
+    bench.require(entry is not None, f"an entry of another neighbour after {after}", "no entry in time")
 
 
 def _small(bench: Bench, number: int) -> dict[str, Any]:
-    """Safety data as keywords of :meth:`Bench.report`, numbers only."""
+    """Return safety data as keyword arguments of :meth:`Bench.report`, numeric fields only."""
     kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
     return {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
 
 
 @case(
     "TC_SRP_RX_BV_01",
-    "A received record is stored as it came, with the time of its reception",
+    "A received record is stored unchanged, with the time of its reception",
     requirements="SRP-RX-03 SRP-NT-01",
-    stimulus="a record with another value in every field and seqno 77",
-    expect="one entry of its node with the same sData, tStamp and seqno; receptionTime is now",
+    stimulus="a record with a different value in every field and seqno 77",
+    expect="one entry of its node with the same sData, tStamp and seqno, and the current time as receptionTime",
     needs=_TABLE,
     smoke=True,
 )
@@ -58,7 +57,7 @@ def stored(bench: Bench) -> None:
     peer.send(report)
     entry = until_neighbour(bench, peer.node_id)
     if entry is None:
-        bench.fail("the table has an entry of the record's node", "it has none")
+        bench.fail("an entry of the record's node", "no entry")
     came = bench.lower.wall()
     observed = {name: entry.get("sData", {}).get(name) for name in values}
     bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
@@ -80,10 +79,10 @@ def stored(bench: Bench) -> None:
 
 @case(
     "TC_SRP_RX_BV_02",
-    "A newer record of a neighbour replaces the one before",
+    "A newer record of a neighbour replaces the stored one",
     requirements="SRP-RX-03 SRP-NT-01",
-    stimulus="two records of a neighbour with other values, seqno 5 and 6",
-    expect="one entry, which is the second record, received later",
+    stimulus="two records of a neighbour with different values, seqno 5 and 6",
+    expect="one entry, with the second record and a later receptionTime",
     needs=_TABLE,
 )
 def replaced(bench: Bench) -> None:
@@ -91,7 +90,7 @@ def replaced(bench: Bench) -> None:
     peer.send(bench.report(peer.node_id, 5, **_small(bench, 1)))
     first = until_neighbour(bench, peer.node_id)
     if first is None:
-        bench.fail("the table has an entry of the first record", "it has none", "SRP-RX-03")
+        bench.fail("an entry with the first record", "no such entry", "SRP-RX-03")
     entries = [first]
 
     def measure() -> int:
@@ -101,23 +100,23 @@ def replaced(bench: Bench) -> None:
         peer.send(bench.report(peer.node_id, number, **values))
         second = until_neighbour(bench, peer.node_id, number)
         if second is None:
-            bench.fail("the entry is that of the newer record", "it is still the one before", "SRP-RX-03")
+            bench.fail("an entry with the newer record", "no such entry in time", "SRP-RX-03")
         observed = {name: second.get("sData", {}).get(name) for name in values}
         bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
         entries.append(second)
         return int(second.get("receptionTime", 0) - entries[-2].get("receptionTime", 0))
 
-    check_later(bench, "receptionTime is renewed", bench.period, measure, "SRP-RX-03")
+    check_later(bench, "a later receptionTime", bench.period, measure, "SRP-RX-03")
     same = neighbours(bench).get(peer.node_id, [])
     bench.check(len(same) == 1, "one entry of the node", f"{len(same)}", "SRP-NT-01", shown=True)
 
 
 @case(
     "TC_SRP_RX_BV_03",
-    "A record whose sequence number is {variant} should replace the stored one",
+    "A record with a sequence number that is not newer should replace the stored one ({variant})",
     requirements="SRP-RX-04",
-    stimulus="a record with seqno 100, then another of the same node whose number is {variant}",
-    expect="the second is stored; a filter on sequence numbers is allowed, and reported",
+    stimulus="a record with seqno 100, then another one of the same node with a sequence number that is {variant}",
+    expect="the second record is stored; a filter on sequence numbers is allowed and reported",
     needs=_TABLE,
     variants={"lower": 5, "equal": 100},
 )
@@ -126,46 +125,49 @@ def not_newer(bench: Bench, seqno: int) -> None:
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, 100, **_small(bench, 1)))
     if until_neighbour(bench, peer.node_id, 100) is None:
-        bench.inconclusive("the table has an entry of the first record", "it has none")
+        bench.inconclusive("an entry with the first record", "no such entry")
     values = _small(bench, 2)
     peer.send(bench.report(peer.node_id, seqno, **values))
-    _require_working(bench, "a record with an older number")
+    _require_working(bench, "a record with an older sequence number")
     entry = neighbour(bench, peer.node_id) or {}
     data = entry.get("sData", {})
     taken = entry.get("seqno") == seqno and all(data.get(name) == value for name, value in values.items())
-    bench.info("is a record stored whose number is not newer", "yes" if taken else "no: sequence numbers are a filter")
+    bench.info(
+        "Is a record stored if its sequence number is not newer?",
+        "yes" if taken else "no: sequence numbers are a filter",
+    )
     claimed = bench.pics.srp_seqno_filter
-    # A filter may take an equal number, as it may not be older, or leave it out as a repetition.
+    # For an equal sequence number a filter may accept the record (it is not older) or drop it as a repetition.
     if claimed is not None and seqno < 100:
         bench.check(
             claimed != taken,
-            f"the PICS says srp_seqno_filter = {str(claimed).lower()}",
-            "it behaves otherwise",
+            f"srp_seqno_filter = {str(claimed).lower()}, as the PICS claims",
+            "the opposite",
             shown=taken,
         )
 
 
 @case(
     "TC_SRP_RX_BV_04",
-    "The key of an entry is the nodeId of the record, not the sender of the beacon",
+    "The key of an entry is the nodeId of the record, not the senderId of the beacon",
     requirements="SRP-RX-05",
     stimulus="a record of node X in a beacon of node Y",
-    expect="an entry of X, none of Y",
+    expect="an entry of X and none of Y",
     needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), header=("senderId",)),
 )
 def key(bench: Bench) -> None:
     peer, other = bench.peer(), bench.node_id()
     peer.send(bench.report(other, 1))
-    bench.check(until_neighbour(bench, other) is not None, "an entry of the record's node", "there is none")
-    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "there is one", shown=True)
+    bench.check(until_neighbour(bench, other) is not None, "an entry of the record's node", "none in time")
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "an entry", shown=True)
 
 
 @case(
     "TC_SRP_RX_BV_05",
-    "The sequence number is kept in 32 bits and may start again",
+    "The sequence number is stored in 32 bits and may have any value",
     requirements="SRP-TYP-01 SRP-RX-03",
-    stimulus="records with seqno 2^32-1, then of another node 0x01020304",
-    expect="the table shows these numbers",
+    stimulus="a record with seqno 2^32-1, then one of another node with seqno 0x01020304",
+    expect="entries with these sequence numbers",
     needs=_TABLE,
 )
 def wide_numbers(bench: Bench) -> None:
@@ -183,7 +185,7 @@ def wide_numbers(bench: Bench) -> None:
 
 
 def _block(bench: Bench, peer: Peer, name: str) -> Block:
-    """The record of the peer, spoilt."""
+    """Return a block with the record of the peer, made invalid as ``name`` says."""
     octets = bench.forge.srp(bench.report(peer.node_id, 1)).octets
     spoilt = {
         "one-short": octets[:-1],
@@ -197,9 +199,9 @@ def _block(bench: Bench, peer: Peer, name: str) -> Block:
 
 @case(
     "TC_SRP_RX_BI_01",
-    "A payload of another length than that of a record is ignored ({variant})",
+    "An SRP payload that does not have the length of a record is ignored ({variant})",
     requirements="SRP-RX-01",
-    stimulus="an SRP block of a wrong length: {variant}; then a record of another neighbour",
+    stimulus="an SRP block of a wrong length ({variant}); then a record of another neighbour",
     expect="no entry of the first node, an entry of the second",
     needs=_TABLE,
     variants={name: name for name in ("one-short", "one-long", "one-octet", "twice", "without-seqno")},
@@ -211,12 +213,15 @@ def wrong_length(bench: Bench, name: str) -> None:
     peer.send(_block(bench, peer, name))
     _require_working(bench, "a payload of a wrong length")
     table = set(neighbours(bench))
-    bench.check(peer.node_id not in table, "no entry of the payload's node", "there is one", shown=True)
-    # Nobody else was there to speak: anything else was read out of the payload.
+    bench.check(peer.node_id not in table, "no entry of the payload's node", "an entry", shown=True)
+    # No other node sent anything, so any other entry was made from octets of the payload.
     others = table - before - {each.node_id for each in bench.peers_made}
     if not any(event.direction == "other" for event in bench.traffic.events):
         bench.check(
-            not others, "no entry of a node that nobody is", f"{[each.hex(':') for each in others]}", shown=True
+            not others,
+            "no entry of a node that does not exist",
+            f"entries of {[each.hex(':') for each in others]}",
+            shown=True,
         )
 
 
@@ -224,7 +229,7 @@ def wrong_length(bench: Bench, name: str) -> None:
     "TC_SRP_RX_BI_02",
     "A record in a block of another protocol is ignored",
     requirements="SRP-RX-01",
-    stimulus="a good record as payload of protocol 3; then one of another neighbour as SRP",
+    stimulus="a valid record as payload of protocol 3; then one of another neighbour as SRP payload",
     expect="no entry of the first node, an entry of the second",
     needs=_TABLE,
 )
@@ -233,15 +238,15 @@ def wrong_protocol(bench: Bench) -> None:
     peer = bench.peer()
     peer.send(Block(3, bench.forge.srp(bench.report(peer.node_id, 1)).octets))
     _require_working(bench, "a record in a block of another protocol")
-    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "there is one", shown=True)
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "an entry", shown=True)
 
 
 @case(
     "TC_SRP_RX_BI_03",
     "A record with the implementation's own identifier is ignored",
     requirements="SRP-RX-02 SRP-NT-03",
-    stimulus="a record with the nodeId of the implementation in the beacon of a peer; then one of a neighbour",
-    expect="no entry of the own node, an entry of the neighbour",
+    stimulus="a record with the nodeId of the implementation in a beacon of a peer; then one of a neighbour",
+    expect="no entry of the implementation's own node, an entry of the neighbour",
     needs=_TABLE,
 )
 def own_identifier(bench: Bench) -> None:
@@ -250,16 +255,16 @@ def own_identifier(bench: Bench) -> None:
     peer.send(bench.report(bench.sut_id, 1))
     _require_working(bench, "a record with its own identifier")
     bench.check(
-        neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does", shown=True
+        neighbour(bench, bench.sut_id) is None, "no entry of the implementation's own node", "an entry", shown=True
     )
 
 
 @case(
     "TC_SRP_NT_BV_01",
-    "The table lists all neighbours, finds a single one, and none that is not there",
+    "The table lists all neighbours and returns single entries by nodeId",
     requirements="SRP-NT-01 SRP-NT-02",
-    stimulus="records of three neighbours; look-ups of one of them and of a node that was never heard",
-    expect="all three in the list; exactly the one that was asked for; nothing for the unknown one",
+    stimulus="records of three neighbours; look-ups of one of them and of an unknown node",
+    expect="all three in the list; exactly the requested entry; none for the unknown node",
     needs=_TABLE,
 )
 def list_and_look_up(bench: Bench) -> None:
@@ -268,13 +273,13 @@ def list_and_look_up(bench: Bench) -> None:
         peer.send(bench.report(peer.node_id, number))
     for peer in peers:
         entry = until_neighbour(bench, peer.node_id)
-        bench.check(entry is not None, f"{peer.node_id.hex(':')} is in the list", "it is not", "SRP-NT-02")
+        bench.check(entry is not None, f"{peer.node_id.hex(':')} in the list", "not in the list", "SRP-NT-02")
     for node_id, expected in ((peers[1].node_id, [1]), (bench.node_id(), [])):
         found = rows(bench.must("SRP-NeighbourTable", nodeId=node_id.hex(":")), "neighbours")
         numbers = [row.get("seqno") for row in found]
         bench.check(
             numbers == expected,
-            f"looking up {node_id.hex(':')} gives {len(expected)} entries",
+            f"{len(expected)} entries for {node_id.hex(':')}",
             f"{len(found)}: {[row.get('nodeId') for row in found]}",
             "SRP-NT-01",
             shown=numbers,
@@ -283,27 +288,27 @@ def list_and_look_up(bench: Bench) -> None:
 
 @case(
     "TC_SRP_NT_BV_02",
-    "Handing down own safety data makes no entry of the own node",
+    "A submission of safety data creates no entry of the node itself",
     requirements="SRP-NT-03",
     stimulus="SRP-UpdateSafetyData; then a record of a neighbour",
-    expect="an entry of the neighbour, none of the own node",
+    expect="an entry of the neighbour, none of the implementation's own node",
     needs=Needs(ut=("SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp",)),
 )
 def own_data(bench: Bench) -> None:
     _require_reception(bench)
     bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
-    _require_working(bench, "a hand-down of safety data")
+    _require_working(bench, "a submission of safety data")
     bench.check(
-        neighbour(bench, bench.sut_id) is None, "the table does not contain the own node", "it does", shown=True
+        neighbour(bench, bench.sut_id) is None, "no entry of the implementation's own node", "an entry", shown=True
     )
 
 
 @case(
     "TC_SRP_NT_BV_03",
-    "Which further fields the entries of the table have",
+    "Reports additional fields in the entries of the table",
     requirements="SRP-NT-04",
     stimulus="a record of a neighbour; SRP-NeighbourTable",
-    expect="nothing: it is reported; a claim of the PICS must be true",
+    expect="any result: it is reported; claims of the PICS must be true",
     needs=_TABLE,
 )
 def extra_fields(bench: Bench) -> None:
@@ -311,9 +316,9 @@ def extra_fields(bench: Bench) -> None:
     peer.send(bench.report(peer.node_id, 1))
     entry = until_neighbour(bench, peer.node_id)
     if entry is None:
-        bench.inconclusive("the neighbour is in the table", "it is not")
+        bench.inconclusive("an entry of the neighbour", "no entry")
     extra = sorted(set(entry) - {"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
-    bench.info("fields of the neighbour table beside those of the specification", ", ".join(extra) or "none")
+    bench.info("Which additional fields does the neighbour table have?", ", ".join(extra) or "none")
     claimed = bench.pics.neighbour_statistics
     if claimed is not None:
         bench.check(

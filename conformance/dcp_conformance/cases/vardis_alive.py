@@ -1,6 +1,7 @@
 """dcp-vardis.md: Scrubbing Process.
 
-Creations that begin a timeout anew or not, instructions that a timeout takes back, and what a deactivation changes.
+VarCreates that restart a timeout and those that do not, instructions cancelled by a timeout, and the effect of
+deactivation.
 """
 
 from __future__ import annotations
@@ -49,10 +50,10 @@ def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
 
 @case(
     "TC_VD_SCR_TI_13",
-    "A VarCreate that is not later does not keep a variable alive: {variant}",
+    "A VarCreate that is not later does not extend the life of a variable ({variant})",
     requirements="VD-SCR-06 VD-PC-01 VD-SCR-01",
-    stimulus="a variable with timeout 500 ms is created; every 150 ms comes {variant}",
-    expect="the VarDelete in time after the creation",
+    stimulus="a variable with timeout 500 ms is created; then another VarCreate every 150 ms ({variant})",
+    expect="the VarDelete within the time allowed after the creation",
     window=40,
     needs=_WIRE,
     variants={"the-same-VarCreate": _same, "an-earlier-VarCreate": _earlier},
@@ -72,7 +73,7 @@ def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreat
     if not found and not bench.instructions(_DELETE, silent.spec.var_id):
         not_by_consumers(bench, name)
         return
-    bench.require(found, "a VarDelete of it, as of the variable of which nothing was said", "none in time")
+    bench.require(found, "a VarDelete of the variable, as of the one without further VarCreates", "none in time")
     check_time(bench, found[0], since, timeout_ms)
 
 
@@ -86,10 +87,12 @@ def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Ch
 
 @case(
     "TC_VD_SCR_TI_14",
-    "The re-creation of a living variable begins its timeout anew ({variant})",
+    "A renewed creation of a variable restarts its timeout ({variant})",
     requirements="VD-SCR-03 VD-SCR-01",
-    stimulus="a variable with timeout 900 ms is created ({variant}), and again after two thirds of it; then silence",
-    expect="the VarDelete in time after the second creation, not before",
+    stimulus=(
+        "a variable with timeout 900 ms is created ({variant}), and again after two thirds of it; then no more records"
+    ),
+    expect="the VarDelete within the time allowed after the second creation, and not earlier",
     window=60,
     needs=_WIRE,
     variants={
@@ -111,7 +114,7 @@ def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) 
     else:
         since = create(bench, peer, name, timeout_ms)
     if since.after - first.before >= timeout_ms * MS:
-        bench.inconclusive("a re-creation within the timeout", "it took longer")
+        bench.inconclusive("a second creation within the timeout", "it took longer")
     found = deleted(bench, name, since, timeout_ms)
     if found is None and not own:
         not_by_consumers(bench, name)
@@ -124,10 +127,10 @@ def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) 
 
 @case(
     "TC_VD_SCR_TI_16",
-    "A timeout takes back the repetitions of an update, and the counters",
+    "A timeout cancels the pending repetitions of an update and resets the counters",
     requirements="VD-SCR-04",
-    stimulus="a variable with many repetitions and a timeout is created and updated; then silence",
-    expect="after the first VarDelete neither VarUpdate nor VarCreate nor summary; countUpdate and countCreate are 0",
+    stimulus="a variable with many repetitions and a timeout is created and updated; then no more records",
+    expect="after the first VarDelete no VarUpdate, VarCreate or summary; countUpdate and countCreate are 0",
     window=60,
     needs=Needs(since=SpecVersion.V2_0, when=several_repetitions),
 )
@@ -152,15 +155,15 @@ def update_taken_back(bench: Bench) -> None:
     for kind in (_UPDATE, _CREATE, _SUMMARY):
         late = bench.instructions(kind, name, begun)
         what = f"no {kind.label} record after the first VarDelete"
-        bench.check(not late, what, f"{len(late)} came", frames=late[:4], shown=True)
+        bench.check(not late, what, f"{len(late)} records", frames=late[:4], shown=True)
 
 
 @case(
     "TC_VD_SCR_TI_17",
-    "A long timeout is not taken for a short one ({variant} ms)",
+    "A long timeout is not truncated ({variant} ms)",
     requirements="VD-TYP-04 VD-SCR-03",
-    stimulus="a variable with timeout {variant} ms is created; then silence for two scrubbing periods",
-    expect="no VarDelete: the variable is alive",
+    stimulus="a variable with timeout {variant} ms is created; then no more records for two scrubbing periods",
+    expect="no VarDelete: the variable still exists",
     window=40,
     needs=_WIRE,
     variants={"32767": 32_767, "32768": 32_768, "65535": 65_535},
@@ -173,17 +176,17 @@ def long_timeout(bench: Bench, timeout_ms: int) -> None:
     bench.wait_ns(round((2 * period + tolerance) * MS))
     bench.beacons(2)
     found = bench.instructions(_DELETE, name)
-    bench.check(not found, "no VarDelete of the variable", f"{len(found)} came", frames=found[:2], shown=True)
+    bench.check(not found, "no VarDelete of the variable", f"{len(found)} VarDeletes", frames=found[:2], shown=True)
     held = ask(bench, name)
-    bench.check(held.state == "alive", "the variable is alive", str(held), shown=held.shown)
+    bench.check(held.state == "alive", "the variable exists", str(held), shown=held.shown)
 
 
 @case(
     "TC_VD_SCR_TI_18",
-    "Scrubbing goes on after a deactivation",
+    "Scrubbing continues after a deactivation",
     requirements="VD-SCR-01 VD-MGT-05",
     stimulus="VD-MGMT-Deactivate, VD-MGMT-Activate; the application creates a variable with timeout 300 ms",
-    expect="its VarDelete in time",
+    expect="its VarDelete within the time allowed",
     window=40,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", *_MANAGE)),
 )
@@ -195,23 +198,25 @@ def after_deactivation(bench: Bench) -> None:
     since = create_own(bench, name, timeout_ms)
     found = deleted(bench, name, since, timeout_ms)
     if found is None:
-        bench.fail("a VarDelete of the own variable", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+        bench.fail("a VarDelete of the node's own variable", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
 
 
 @case(
     "TC_VD_SCR_TI_19",
-    "A variable that times out while VarDis is inactive is deleted; whether at once is reported (X36)",
+    "A variable that times out while VarDis is inactive is deleted; the case reports how soon (X36)",
     requirements="VD-SCR-01",
-    stimulus="the application creates a variable with timeout 300 ms; VarDis is inactive until that and a scrubbing "
-    "period have passed; then VD-MGMT-Activate",
-    expect="no VarDelete while inactive; then one, a scrubbing period later at the latest",
+    stimulus=(
+        "the application creates a variable with timeout 300 ms; VarDis is inactive until the timeout and a "
+        "scrubbing period have passed; then VD-MGMT-Activate"
+    ),
+    expect="no VarDelete while VarDis is inactive; one within a scrubbing period after activation",
     window=60,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", *_MANAGE)),
 )
 def while_inactive(bench: Bench) -> None:
     period = hurry(bench)
-    # It must still be there when VarDis is deactivated.
+    # The variable must still exist when VarDis is deactivated.
     name, timeout_ms = bench.own_var_id(), updated_in_time(bench, 300)
     since = create_own(bench, name, timeout_ms)
     with bench.deactivated("VD"):
@@ -221,10 +226,10 @@ def while_inactive(bench: Bench) -> None:
     tolerance = bench.pixit.timer_tolerance_ms * bench.session.timing_scale
     most = (period + tolerance) * MS / bench.period + bench.reaction
     found = bench.until_instruction(_DELETE, name, most) or bench.instructions(_DELETE, name, mark)
-    bench.require(found, "a VarDelete of the own variable after the activation", "none in time")
+    bench.require(found, "a VarDelete of the node's own variable after the activation", "none in time")
     took = bench.instructions(_DELETE, name)[0].heard.time - activated
     at_once = took <= 2.5 * bench.period and period * MS > 3 * bench.period
     bench.info(
-        "X36: when a variable is deleted that has timed out while VarDis was inactive",
-        f"{took / MS:.0f} ms after the activation" + (", as if scrubbing had gone on" if at_once else ""),
+        "When is a variable deleted that timed out while VarDis was inactive? (X36)",
+        f"{took / MS:.0f} ms after the activation" + (", as if scrubbing had continued" if at_once else ""),
     )

@@ -1,6 +1,7 @@
 """dcp-vardis.md: VarDis Application Service Interface, the order of checks.
 
-Of two conditions that hold together, the one that is checked first decides. RTDB-Create has cases of its own.
+If a request has two mistakes, the first failing check determines the status. The module for RTDB-Create tests its own
+order.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def _too_long(bench: Bench) -> str:
 
 
 def _several(bench: Bench) -> int:
-    """Repetitions after which a deleted variable is still there for a while, up to 1.3."""
+    """Return a repetition count for which, up to 1.3, a deleted variable remains in the database for a while."""
     return min(5, max_repetitions(bench))
 
 
@@ -59,15 +60,15 @@ def _foreign(bench: Bench) -> int:
 
 
 def _or_gone(bench: Bench, status: str) -> tuple[str, ...]:
-    """The status, or up to 1.3 that a deleted variable has left the database by now."""
+    """Return the accepted statuses: up to 1.3, a deleted variable may already have been removed from the database."""
     return (status, UNKNOWN) if bench.features.removed_after_deletion else (status,)
 
 
 def _asked(bench: Bench, statuses: tuple[str, ...], method: str, *requirements: str, **params: Any) -> None:
-    """Check the status of a request with two mistakes, unless the profile cannot express it."""
+    """Check the status of a request with two mistakes; report only if the profile cannot express the request."""
     answer = bench.call(method, **params)
     if answer.code == NOT_EXPRESSIBLE:
-        bench.info("a request that the profile cannot express", str(answer))
+        bench.info("Can the profile express the request?", str(answer))
         return
     bench.check_status(answer, statuses, method, *requirements)
 
@@ -78,10 +79,10 @@ _DELETED = Needs(ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
 
 @case(
     "TC_VD_UPD_BI_04",
-    "Of two mistakes in RTDB-Update the one that is checked first decides the status ({variant})",
+    "The first failing check of RTDB-Update determines the status ({variant})",
     requirements="VD-UPD-11",
-    stimulus="RTDB-Update with two mistakes: {variant}",
-    expect="the status of the first",
+    stimulus="RTDB-Update with two mistakes ({variant})",
+    expect="the status of the first failing check",
     needs=Needs(ut=("RTDB-Update",)),
     variants={
         "unknown+long": (UNKNOWN, Bench.unknown_id, _too_long),
@@ -98,16 +99,16 @@ def update(bench: Bench, mistakes: _Two) -> None:
     octets = value if isinstance(value, str) else value(bench)
     status = status or deleted_status(bench)
     statuses = _or_gone(bench, status) if variable in (_own_deleted, _foreign_deleted) else (status,)
-    # Whatever the maximum is, the first mistake is not about lengths.
+    # The first mistake is not about a length, so assumed maxima do not matter.
     bench.assumptions.clear()
     _asked(bench, statuses, "RTDB-Update", varId=variable(bench), value=octets)
 
 
 @case(
     "TC_VD_DEL_BI_02",
-    "RTDB-Delete looks for another producer before it looks for a deletion",
+    "RTDB-Delete checks the producer before it checks whether the variable is deleted",
     requirements="VD-DEL-07",
-    stimulus="RTDB-Delete of a deleted variable of a peer",
+    stimulus="RTDB-Delete for a deleted variable of a peer",
     expect="VARDIS-STATUS-NOT-PRODUCER",
     needs=Needs(ut=("RTDB-Delete",)),
 )
@@ -128,7 +129,9 @@ def _create_mistakes(bench: Bench) -> list[dict[str, Any]]:
 
 
 def _mistaken(bench: Bench) -> list[int]:
-    """Variables that are unknown, another node's, and deleted ones, as far as the upper tester makes them."""
+    """Return identifiers of variables that are unknown, produced by another node, or deleted, as far as the upper
+    tester can create them.
+    """
     upper = bench.session.upper
     deletes = upper is not None and {"RTDB-Create", "RTDB-Delete"} <= upper.methods
     own = [produced(bench, rep_cnt=_several(bench))] if deletes else []
@@ -136,7 +139,7 @@ def _mistaken(bench: Bench) -> list[int]:
         settled(bench, each)
     found = [bench.unknown_id(), _foreign(bench), _foreign_deleted(bench), *own]
     for each in own:
-        # Last, as up to 1.3 it is there only while its deletion is repeated.
+        # Deleted last: up to 1.3 the variable exists only while its deletion is repeated.
         bench.must("RTDB-Delete", varId=each)
     return found
 
@@ -159,9 +162,9 @@ def _needs(method: str) -> Needs:
 
 @case(
     "TC_VD_MGT_BO_09",
-    "An inactive VarDis refuses a request as inactive, whatever else is wrong with it ({variant})",
+    "Inactive VarDis rejects a request as inactive, even if the request has other mistakes ({variant})",
     requirements="VD-MGT-04",
-    stimulus="VD-MGMT-Deactivate; {variant} with one mistake of each kind that it checks for",
+    stimulus="VD-MGMT-Deactivate; requests of {variant}, each with one mistake",
     expect="VARDIS-STATUS-INACTIVE each time",
     needs=Needs(since=SpecVersion.V1_2, ut=_MANAGE),
     variants={

@@ -1,6 +1,6 @@
 """dcp-vardis.md: Composing the Containers.
 
-The implementation is a consumer in all of this: what it composes are repetitions and answers.
+In these cases the implementation is a consumer: it composes repetitions and answers.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ _SUMMARY, _ASK_UPDATE, _ASK_CREATE = ICType.SUMMARIES, ICType.REQUEST_VARUPDATES
 
 
 def _counts(bench: Bench) -> list[int]:
-    """Different repetition counts, as far as there are any."""
+    """Return different repetition counts, as far as the implementation accepts them."""
     return [bench.rep_cnt(1), bench.rep_cnt(2), bench.rep_cnt(4)]
 
 
 @case(
     "TC_VD_CMP_BV_01",
-    "Each VarCreate counts down its own variable, among several with different repetition counts",
+    "Each VarCreate is repeated according to the repCnt of its own variable",
     requirements="VD-CMP-06 VD-SCP-02",
-    stimulus="three variables with repetition counts 1, 2 and 4 are created by one beacon",
-    expect="each VarCreate in exactly as many beacons as its repCnt says",
+    stimulus="one beacon creates three variables with repCnt 1, 2 and 4",
+    expect="each VarCreate in exactly repCnt beacons",
     window=12,
 )
 def creates_counted(bench: Bench) -> None:
@@ -42,10 +42,10 @@ def creates_counted(bench: Bench) -> None:
 
 @case(
     "TC_VD_CMP_BV_02",
-    "Each VarUpdate counts down its own variable, among several with different repetition counts",
+    "Each VarUpdate is repeated according to the repCnt of its own variable",
     requirements="VD-CMP-09 VD-SCP-02",
-    stimulus="three variables with repetition counts 1, 2 and 4 are updated by one beacon",
-    expect="each VarUpdate in exactly as many beacons as the repCnt of its variable says",
+    stimulus="one beacon updates three variables with repCnt 1, 2 and 4",
+    expect="each VarUpdate in exactly repCnt beacons",
     window=12,
 )
 def updates_counted(bench: Bench) -> None:
@@ -60,10 +60,10 @@ def updates_counted(bench: Bench) -> None:
 
 @case(
     "TC_VD_CMP_BV_03",
-    "Each VarDelete counts down its own variable, among several with different repetition counts",
+    "Each VarDelete is repeated according to the repCnt of its own variable",
     requirements="VD-CMP-10 VD-SCP-02",
-    stimulus="three variables with repetition counts 1, 2 and 4 are deleted by one beacon",
-    expect="each VarDelete in exactly as many beacons as the repCnt of its variable says",
+    stimulus="one beacon deletes three variables with repCnt 1, 2 and 4",
+    expect="each VarDelete in exactly repCnt beacons",
     window=12,
 )
 def deletes_counted(bench: Bench) -> None:
@@ -78,12 +78,12 @@ def deletes_counted(bench: Bench) -> None:
 
 @case(
     "TC_VD_CMP_BV_04",
-    "What is to be repeated goes back to the tail of its queue: all once before any twice ({variant})",
+    ("A record to be repeated returns to the tail of its queue: all are sent once before any is repeated ({variant})"),
     requirements="VD-CMP-06 VD-CMP-09",
-    stimulus="requests in one beacon for more variables with repCnt 2 than fit into a payload",
-    expect="the records in the order of the requests, and then in the same order again",
+    stimulus="in one beacon, requests for more variables with repCnt 2 than fit into a payload",
+    expect="the records in the order of the requests, then all of them again in the same order",
     window=20,
-    needs=Needs(when=lambda bench: None if bench.rep_cnt(2) == 2 else "it accepts no repetition count of 2"),
+    needs=Needs(when=lambda bench: None if bench.rep_cnt(2) == 2 else "the implementation does not accept repCnt 2"),
     variants={"creates": _CREATE, "updates": _UPDATE},
 )
 def back_to_the_tail(bench: Bench, kind: ICType) -> None:
@@ -101,10 +101,10 @@ def back_to_the_tail(bench: Bench, kind: ICType) -> None:
 
 @case(
     "TC_VD_CMP_BV_05",
-    "A VarCreate carries the specification of the creation with the current value and sequence number",
+    "A VarCreate has the specification of the creation and the current value and sequence number",
     requirements="VD-CMP-07",
-    stimulus="a variable is created and updated twice; then its VarCreate is requested",
-    expect="a VarCreate with the second update's value and number, and all else as it was created",
+    stimulus="a variable is created and updated twice; then a peer requests its VarCreate",
+    expect="a VarCreate with the value and sequence number of the second update, otherwise as created",
     window=16,
     smoke=True,
 )
@@ -134,37 +134,41 @@ def current_value(bench: Bench) -> None:
 
 @case(
     "TC_VD_CMP_BV_06",
-    "A value that changes between two repetitions of a VarCreate shows in the second",
+    "A value that changes between two repetitions of a VarCreate is in the later one",
     requirements="VD-CMP-07",
-    stimulus="a variable with many repetitions is created, and updated while its VarCreate is being repeated",
-    expect="the VarCreates behind the first VarUpdate have its value and number",
+    stimulus="a variable with many repetitions is created and, while its VarCreate is being repeated, updated",
+    expect="the VarCreates after the first VarUpdate have its value and sequence number",
     window=12,
-    needs=Needs(when=lambda bench: None if bench.rep_cnt(8) >= 4 else "it accepts no repetition count of 4"),
+    needs=Needs(when=lambda bench: None if bench.rep_cnt(8) >= 4 else "the implementation does not accept repCnt 4"),
 )
 def changes_while_repeated(bench: Bench) -> None:
     peer, var_id, mark = bench.peer(), bench.var_id(), bench.mark()
     peer.send(peer.create(var_id, value=b"old", rep_cnt=bench.rep_cnt(8)))
-    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate is passed on", "it is not")
+    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate is forwarded", "not forwarded in time")
     peer.send(peer.update(var_id, 1, b"new"))
     frames = bench.until_quiet(lambda heard: heard.about(_CREATE, var_id) or heard.about(_UPDATE, var_id), since=mark)
     begun = next((place for place, heard in enumerate(frames) if heard.about(_UPDATE, var_id)), None)
     if begun is None:
-        bench.inconclusive("the VarUpdate is passed on", "it is not")
+        bench.inconclusive("the VarUpdate is forwarded", "not forwarded in time")
     behind = [each for heard in frames[begun:] for each in heard.instructions(_CREATE, var_id)]
     if not behind:
-        bench.inconclusive("VarCreates that are still to be repeated", "the VarUpdate came when there were none left")
+        bench.inconclusive("VarCreates with repetitions left when the VarUpdate is sent", "none left")
     stale = [each for each in behind if (each.record.upd.seqno, each.record.upd.value) != (1, bench.value(b"new"))]
     bench.check(
-        not stale, "value and number of the update", f"{len(stale)} VarCreates without", frames=stale[:4], shown=True
+        not stale,
+        "value and sequence number of the update in all VarCreates after it",
+        f"{len(stale)} VarCreates without them",
+        frames=stale[:4],
+        shown=True,
     )
 
 
 @case(
     "TC_VD_CMP_BV_07",
-    "A VarReqUpdate carries the number that the requester holds, and goes out once",
+    "A VarReqUpdate has the requester's own sequence number and is sent once",
     requirements="VD-CMP-11",
-    stimulus="a variable is created with number 5; then a summary with number 9 that nobody follows up",
-    expect="exactly one VarReqUpdate, with number 5",
+    stimulus="a variable is created with sequence number 5; then one summary with 9",
+    expect="exactly one VarReqUpdate, with sequence number 5",
     window=8,
 )
 def update_requested_once(bench: Bench) -> None:
@@ -179,10 +183,10 @@ def update_requested_once(bench: Bench) -> None:
 
 @case(
     "TC_VD_CMP_BV_08",
-    "A VarReqCreate carries the unknown identifier, and goes out once",
+    "A VarReqCreate has the unknown identifier and is sent once",
     requirements="VD-CMP-12",
-    stimulus="a summary of an unknown variable that nobody follows up",
-    expect="exactly one VarReqCreate of it",
+    stimulus="one summary of an unknown variable",
+    expect="exactly one VarReqCreate for it",
     window=8,
     smoke=True,
 )
@@ -191,15 +195,15 @@ def create_requested_once(bench: Bench) -> None:
     peer.send(peer.summary(var_id, 9))
     found = bench.check_repeated(_ASK_CREATE, var_id, 1, mark)
     if found:
-        bench.reading("X16", "a VarReqCreate has just the identifier")
+        bench.reading("X16", "a VarReqCreate has only the identifier")
 
 
 @case(
     "TC_VD_CMP_BV_09",
-    "Requests for many variables go out once each, in one payload if they fit ({variant})",
+    "Requests for many variables are sent once each, in one payload if they fit ({variant})",
     requirements="VD-CMP-11 VD-CMP-12 VD-PAY-02",
-    stimulus="summaries of twelve variables, {variant}, in one beacon",
-    expect="one request for each of them, none twice, and no second payload while the first has room",
+    stimulus="summaries of twelve variables in one beacon ({variant})",
+    expect="one request for each of them, and no second payload while the first has room",
     window=10,
     variants={"outdated": _ASK_UPDATE, "unknown": _ASK_CREATE},
 )
@@ -227,16 +231,21 @@ def many_requests(bench: Bench, kind: ICType) -> None:
     if kind is _ASK_UPDATE:
         wrong = [each for each in found if each.record.seqno != names.index(each.var_id)]
         bench.check(
-            not wrong, "the number that it holds", f"{len(wrong)} with another", requirement, frames=wrong, shown=True
+            not wrong,
+            "its own sequence number in each request",
+            f"{len(wrong)} with another number",
+            requirement,
+            frames=wrong,
+            shown=True,
         )
 
 
 @case(
     "TC_VD_CMP_BV_10",
-    "After the last VarDelete the variable stays in the database (2.0) or leaves it (before)",
+    "After the last VarDelete the variable stays in the database (2.0) or is removed (before 2.0)",
     requirements="VD-CMP-10",
-    stimulus="a variable is created and deleted; afterwards a summary and a request name it",
-    expect="2.0: no reaction, as it is known and deleted; before: a request, as it is unknown again",
+    stimulus="a variable is created and deleted; afterwards a peer sends a summary and a request for it",
+    expect="2.0: no reaction, because it is known and deleted; before 2.0: a request, because it is unknown again",
     window=20,
 )
 def after_the_last_delete(bench: Bench) -> None:
@@ -252,7 +261,7 @@ def after_the_last_delete(bench: Bench) -> None:
         bench.check(found, "a request for the variable, which is unknown again", "none")
         return
     peer.send(peer.request_create(var_id))
-    bench.require_alive("naming a deleted variable")
+    bench.require_alive("records about a deleted variable")
     trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, var_id)]
     kinds = ", ".join(sorted({each.kind.label for each in trace}))
     bench.check(not trace, "no reaction: the variable is known and deleted", kinds, frames=trace[:4], shown=True)
@@ -260,10 +269,10 @@ def after_the_last_delete(bench: Bench) -> None:
 
 @case(
     "TC_VD_CMP_BV_11",
-    "The database shows it: after the last VarDelete the entry is kept (2.0) or gone (before)",
+    "After the last VarDelete, RTDB-DescribeVariable finds the entry (2.0) or does not (before 2.0)",
     requirements="VD-CMP-10",
-    stimulus="a variable is created and deleted; when its deletion is repeated no more, it is described",
-    expect="2.0: VARDIS-STATUS-OK and isDeleted; before: VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST",
+    stimulus="a variable is created and deleted; RTDB-DescribeVariable after the last repetition of the VarDelete",
+    expect="2.0: VARDIS-STATUS-OK and isDeleted; before 2.0: VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST",
     window=20,
     needs=Needs(ut=("RTDB-DescribeVariable",)),
 )
@@ -273,7 +282,7 @@ def described_after_the_last_delete(bench: Bench) -> None:
     mark = bench.mark()
     peer.send(peer.delete(var_id))
     if not bench.repeated(_DELETE, var_id, mark):
-        bench.inconclusive("the variable is deleted, which this case needs", "there is no VarDelete")
+        bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
     if bench.features.removed_after_deletion:
         bench.expect_status("VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST", "RTDB-DescribeVariable", varId=var_id)
         return
@@ -281,15 +290,15 @@ def described_after_the_last_delete(bench: Bench) -> None:
     described = answer.result.get("variable", {})
     bench.check(described.get("isDeleted") is True, "isDeleted is true", f"{described.get('isDeleted')}", shown=True)
     left = described.get("countDelete")
-    bench.check(left == 0, "countDelete is 0 after the last repetition", f"{left}", shown=True)
+    bench.check(left == 0, "countDelete 0 after the last repetition", f"{left}", shown=True)
 
 
 @case(
     "TC_VD_CMP_BV_13",
-    "An update that does not fit behind the other containers waits for the next payload",
+    "An update that does not fit after the other containers is sent in the next payload",
     requirements="VD-PAY-02 VD-PAY-06 VD-CMP-09",
-    stimulus="requests for so many VarCreates that a payload is full, and for a VarUpdate",
-    expect="no payload beyond its maximum, and the VarUpdate exactly as often as its repCnt says",
+    stimulus="requests for as many VarCreates as fill a payload, and for a VarUpdate",
+    expect="no payload larger than its maximum, and the VarUpdate in exactly repCnt beacons",
     window=16,
 )
 def update_waits(bench: Bench) -> None:
@@ -322,10 +331,10 @@ def update_waits(bench: Bench) -> None:
 
 @case(
     "TC_VD_CMP_BV_14",
-    "A deletion that overtakes pending instructions takes them back ({variant})",
+    "A deletion cancels pending instructions of its variable ({variant})",
     requirements="VD-PD-04 VD-CMP-05",
-    stimulus="while a VarCreate or VarUpdate with many repetitions is being repeated, its variable is deleted",
-    expect="behind the first VarDelete neither VarCreate nor VarUpdate nor summary, and exactly repCnt VarDeletes",
+    stimulus="a variable is deleted while its VarCreate or VarUpdate is being repeated many times",
+    expect="after the first VarDelete no VarCreate, VarUpdate or summary; exactly repCnt VarDeletes",
     window=24,
     variants={"create": _CREATE, "update": _UPDATE},
 )
@@ -337,7 +346,7 @@ def deletion_takes_back(bench: Bench, kind: ICType) -> None:
     else:
         bench.learn(peer, create)
         peer.send(peer.update(var_id, 1))
-    bench.require(bench.until_instruction(kind, var_id), "the variable is passed on", "it is not", "VD-PD-04")
+    bench.require(bench.until_instruction(kind, var_id), "a record of the variable", "none in time", "VD-PD-04")
     mark = bench.mark()
     peer.send(peer.delete(var_id))
     found = bench.check_repeated(_DELETE, var_id, repetitions, mark, "VD-PD-04")
@@ -346,23 +355,23 @@ def deletion_takes_back(bench: Bench, kind: ICType) -> None:
     begun = bench.heard.index(found[0].heard)
     for each, requirement in ((_CREATE, "VD-PD-04"), (_UPDATE, "VD-PD-04"), (_SUMMARY, "VD-CMP-05")):
         late = bench.instructions(each, var_id, begun)
-        what = f"no {each.label} record of a deleted variable"
+        what = f"no {each.label} record of the deleted variable"
         bench.check(not late, what, f"{len(late)} records", requirement, frames=late[:4], shown=True)
 
 
 @case(
     "TC_VD_CMP_BV_15",
-    "The producer's own deletion is repeated exactly as often as its repCnt says, and the entry is kept",
+    "The producer repeats its own VarDelete exactly repCnt times and keeps the database entry",
     requirements="VD-CMP-10",
     stimulus="the application creates and deletes a variable",
-    expect="exactly repCnt VarDeletes; the variable can still be described",
+    expect="exactly repCnt VarDeletes; RTDB-DescribeVariable still finds the variable",
     window=16,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
 )
 def own_deletion(bench: Bench) -> None:
     repetitions = bench.rep_cnt(3)
     var_id = produced(bench, rep_cnt=repetitions)
-    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate of the own variable", "none")
+    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate of the node's own variable", "none")
     mark = bench.mark()
     bench.must("RTDB-Delete", varId=var_id)
     bench.check_repeated(_DELETE, var_id, repetitions, mark)

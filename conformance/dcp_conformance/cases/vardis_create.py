@@ -39,10 +39,10 @@ _V = ICType.CREATE_VARIABLES
 
 @case(
     "TC_VD_CRE_BV_01",
-    "A new variable is announced with what the application gave, sequence number 0 and its producer",
+    "A new variable is announced with the parameters of the application, sequence number 0 and its producer",
     requirements="VD-CRE-10 VD-CRE-08 VD-CRE-12 VD-INI-05 VD-CRE-14",
     stimulus="RTDB-Create with all parameters",
-    expect="VARDIS-STATUS-OK; a VarCreate with them, seqno 0 and the implementation's identifier as prodId",
+    expect="VARDIS-STATUS-OK; a VarCreate with these parameters, seqno 0 and the implementation's identifier as prodId",
     needs=_CREATE,
     smoke=True,
 )
@@ -55,8 +55,8 @@ def announced(bench: Bench) -> None:
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-14", **request)
     record = bench.until_instruction(_V, var_id)
     if record is None:
-        bench.fail("a VarCreate of the variable is sent", "none is", "VD-CRE-12")
-    bench.check(True, "a VarCreate of the variable is sent", "", "VD-CRE-12")
+        bench.fail("a VarCreate of the variable", "none in time", "VD-CRE-12")
+    bench.check(True, "a VarCreate of the variable", "", "VD-CRE-12")
     frames = bench.instructions(_V, var_id)
     spec, upd = record.spec, record.upd
     for name, expected, observed, requirement in (
@@ -67,12 +67,12 @@ def announced(bench: Bench) -> None:
         ("varId of the update", var_id, upd.var_id, "VD-CRE-10"),
     ):
         bench.check(
-            observed == expected, f"{name} is {expected!r}", f"{observed!r}", requirement, frames=frames[:1], shown=True
+            observed == expected, f"{name} {expected!r}", f"{observed!r}", requirement, frames=frames[:1], shown=True
         )
     if spec.timeout is not None:
         bench.check(
             spec.timeout == timeout,
-            f"timeout is {timeout}",
+            f"timeout {timeout}",
             f"{spec.timeout}",
             "VD-CRE-10",
             frames=frames[:1],
@@ -81,21 +81,23 @@ def announced(bench: Bench) -> None:
     own = record_sender(bench)
     named = ("VD-CRE-08", "VD-INI-05") if bench.features.producer_set_by_vardis else ("VD-INI-05",)
     bench.check(
-        spec.prod_id == own, f"prodId is {own.hex(':')}", spec.prod_id.hex(":"), *named, frames=frames[:1], shown=True
+        spec.prod_id == own, f"prodId {own.hex(':')}", spec.prod_id.hex(":"), *named, frames=frames[:1], shown=True
     )
 
 
 def record_sender(bench: Bench) -> bytes:
-    """The identifier that the implementation has in its beacons."""
+    """Return the senderId in the beacons of the implementation."""
     return (bench.heard[-1].sender if bench.heard else None) or bench.sut_id
 
 
 @case(
     "TC_VD_CRE_BV_02",
-    "The creation time of a variable is now",
+    "The creationTime of a variable is the time of its creation",
     requirements="VD-CRE-09",
-    stimulus="RTDB-Create, twice with three beacon periods in between",
-    expect="creationTimes near these times, as far as the clocks agree, and as far apart as the requests",
+    stimulus="RTDB-Create, twice, three beacon periods apart",
+    expect=(
+        "creationTimes close to these times, within the precision of the clocks, and the same difference between them"
+    ),
     window=12,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
@@ -107,7 +109,7 @@ def creation_time(bench: Bench) -> None:
         request = timed(bench, "RTDB-Create", **create_request(bench, var_id))
         record = bench.until_instruction(_V, var_id)
         if record is None:
-            bench.fail("a VarCreate of the variable is sent", "none is", "VD-CRE-09")
+            bench.fail("a VarCreate of the variable", "none in time", "VD-CRE-09")
         bench.wait(3)
         return nanoseconds(bench, record.spec.creation_time), request
 
@@ -122,10 +124,10 @@ def creation_time(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRE_BV_03",
-    "A VarCreate is in as many beacons as repCnt says ({variant})",
+    "A VarCreate is sent in exactly repCnt beacons ({variant})",
     requirements="VD-CRE-12 VD-CRE-10",
     stimulus="RTDB-Create with repCnt {variant}",
-    expect="exactly that many beacons carry one VarCreate of the variable each",
+    expect="one VarCreate of the variable in each of exactly repCnt beacons",
     window=30,
     needs=_CREATE,
     variants={"1": "1", "2": "2", "most": "most"},
@@ -136,40 +138,52 @@ def repetitions(bench: Bench, name: str) -> None:
     frames = bench.until_quiet(lambda heard: heard.instructions(_V, var_id))
     bench.check(
         len(frames) == count,
-        f"{count} beacons carry the VarCreate",
-        f"{len(frames)} do",
+        f"{count} beacons with the VarCreate",
+        f"{len(frames)} beacons",
         frames=frames,
         shown=len(frames) > count,
     )
     twice = [heard for heard in frames if len(heard.instructions(_V, var_id)) > 1]
-    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice, shown=True)
+    bench.check(
+        not twice,
+        "at most one VarCreate of the variable in each beacon",
+        f"more in {len(twice)} beacons",
+        frames=twice,
+        shown=True,
+    )
 
 
 @case(
     "TC_VD_CRE_BV_04",
-    "A new variable gets into the summaries",
+    "A new variable is included in the summaries",
     requirements="VD-CRE-12",
     stimulus="RTDB-Create",
     expect="a summary of the variable with seqno 0",
     needs=Needs(
         ut=("RTDB-Create",),
-        when=lambda bench: None if bench.bound("VARDISPAR_MAX_SUMMARIES") else "summaries are switched off",
+        when=lambda bench: (
+            None
+            if bench.bound("VARDISPAR_MAX_SUMMARIES")
+            else "the implementation sends no summaries (VARDISPAR_MAX_SUMMARIES is 0)"
+        ),
     ),
 )
 def summarized(bench: Bench) -> None:
     var_id = produced(bench)
     record = bench.until_instruction(ICType.SUMMARIES, var_id, 2 * bench.reaction)
     if record is None:
-        bench.fail("a summary of the variable is sent", "none is")
-    bench.check(record.seqno == 0, "its seqno is 0", f"{record.seqno}", shown=True)
+        bench.fail("a summary of the variable", "none in time")
+    bench.check(record.seqno == 0, "seqno 0 in the summary", f"{record.seqno}", shown=True)
 
 
 @case(
     "TC_VD_CRE_BV_05",
-    "The database entry of a new variable is as the procedure says",
+    "The database entry of a new variable has the contents that the specification requires",
     requirements="VD-CRE-10 VD-CRE-14",
-    stimulus="RTDB-Create with the most repetitions, then RTDB-DescribeVariable at once",
-    expect="seqno 0, countCreate at most two below repCnt, other counters 0, not deleted, tStamp now",
+    stimulus="RTDB-Create with the maximum repCnt, then immediately RTDB-DescribeVariable",
+    expect=(
+        "seqno 0, countCreate at most two less than repCnt, other counters 0, isDeleted false, current time as tStamp"
+    ),
     needs=Needs(ut=("RTDB-Create", "RTDB-DescribeVariable")),
 )
 def entry(bench: Bench) -> None:
@@ -178,8 +192,8 @@ def entry(bench: Bench) -> None:
     found = entry_of(bench, var_id)
     least = least_left(bench, count, start)
     if found is None:
-        bench.fail("the variable is there when the request is confirmed", "it is not", "VD-CRE-14", shown=True)
-    bench.check(True, "the variable is there when the request is confirmed", "", "VD-CRE-14")
+        bench.fail("a database entry when the request is confirmed", "no entry", "VD-CRE-14", shown=True)
+    bench.check(True, "a database entry when the request is confirmed", "", "VD-CRE-14")
     for name, values in (
         ("seqno", (0,)),
         ("countCreate", tuple(range(least, count + 1))),
@@ -189,36 +203,34 @@ def entry(bench: Bench) -> None:
     ):
         if name in found:
             observed = found[name]
-            expected = f"from {values[0]} to {values[-1]}" if len(values) > 1 else f"{values[0]}"
-            bench.check(observed in values, f"{name} is {expected}", f"it is {observed}", "VD-CRE-10", shown=True)
+            expected = f"{values[0]} to {values[-1]}" if len(values) > 1 else f"{values[0]}"
+            bench.check(observed in values, f"{name} {expected}", f"{observed}", "VD-CRE-10", shown=True)
     stamp, slack = found.get("tStamp"), bench.pixit.clock_tolerance_ms * MS
     near = stamp is None or before - slack <= stamp <= bench.lower.wall() + slack
-    bench.check(
-        near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}", "VD-CRE-10", shown=True
-    )
+    bench.check(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", f"{stamp}", "VD-CRE-10", shown=True)
 
 
 @case(
     "TC_VD_CRE_BV_06",
-    "VarDis itself says who the producer is",
+    "VarDis sets the producer itself",
     requirements="VD-CRE-08",
-    stimulus="RTDB-Create with the prodId of another node",
-    expect="VARDIS-STATUS-OK, and a VarCreate with the implementation's identifier",
+    stimulus="RTDB-Create with the identifier of another node as prodId",
+    expect="VARDIS-STATUS-OK, and a VarCreate with the implementation's identifier as prodId",
     needs=Needs(since=SpecVersion.V1_2, ut=("RTDB-Create",)),
 )
 def producer(bench: Bench) -> None:
     var_id, other = bench.own_var_id(), bench.node_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id), prodId=other.hex(":"))
     if answer.code is not None:
-        bench.info("prodId as a parameter of RTDB-Create", f"refused: {answer}")
+        bench.info("Does RTDB-Create accept prodId as a parameter?", f"no: {answer}")
         return
     bench.check_status(answer, (OK,), "RTDB-Create")
     record = bench.until_instruction(_V, var_id)
     if record is None:
-        bench.fail("a VarCreate of the variable is sent", "none is")
+        bench.fail("a VarCreate of the variable", "none in time")
     shown, own = record.spec.prod_id, record_sender(bench)
     bench.check(
-        shown == own, f"prodId is {own.hex(':')}", shown.hex(":"), frames=bench.instructions(_V, var_id)[:1], shown=True
+        shown == own, f"prodId {own.hex(':')}", shown.hex(":"), frames=bench.instructions(_V, var_id)[:1], shown=True
     )
 
 
@@ -226,49 +238,52 @@ def producer(bench: Bench) -> None:
 
 
 def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None:
-    """RTDB-Create must answer with this status and create nothing."""
+    """Check that RTDB-Create is answered with a status and does not create a variable."""
     var_id = bench.unknown_id()
     request = {"descr": "d", "value": b"v"} | request
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, exact=True, **request))
     if answer.code == NOT_EXPRESSIBLE:
-        # Beyond what the field can hold there is nothing that VarDis could be asked.
-        bench.info(f"a request that the profile cannot express, in place of {status}", str(answer), requirement)
+        # VarDis cannot be asked for a value that its field cannot hold.
+        bench.info(f"Can the profile express a request that leads to {status}?", str(answer), requirement)
     else:
         bench.check_status(answer, (status,), "RTDB-Create", requirement)
     bench.expect_status(UNKNOWN, "RTDB-Read", requirement, varId=var_id)
 
 
 def accepted(bench: Bench, requirement: str, **request: Any) -> None:
-    """RTDB-Create must create the variable, and announce it."""
+    """Check that RTDB-Create succeeds and the variable is announced."""
     var_id = bench.own_var_id()
     request = {"descr": "d", "value": b"v"} | request
     bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, exact=True, **request))
     shown = bench.until_instruction(_V, var_id) is not None
-    bench.check(shown, "a VarCreate of the variable is sent", "none is", requirement)
+    bench.check(shown, "a VarCreate of the variable", "none in time", requirement)
 
 
 @case(
     "TC_VD_CRE_BI_01",
-    "The longest description is accepted, one octet more is not",
+    "A description of maximum length is accepted, one that is an octet longer is rejected",
     requirements="VD-CRE-04",
-    stimulus="RTDB-Create with descriptions of the maximum, of one octet more, and of more octets but not characters",
-    expect="OK, then twice VARIABLE-DESCRIPTION-TOO-LONG, without a variable",
+    stimulus=(
+        "RTDB-Create with a description of the maximum length, of one octet more, and of too many octets but fewer "
+        "characters"
+    ),
+    expect="VARDIS-STATUS-OK, then twice VARIABLE-DESCRIPTION-TOO-LONG without a variable",
     needs=_CREATE_READ,
 )
 def description(bench: Bench) -> None:
     longest = longest_description(bench)
     accepted(bench, "VD-CRE-04", descr="d" * longest)
     refused(bench, DESCRIPTION_TOO_LONG, "VD-CRE-04", descr="d" * (longest + 1))
-    # Octets count, not characters: these are two octets each.
+    # The limit counts octets; each of these characters has two.
     refused(bench, DESCRIPTION_TOO_LONG, "VD-CRE-04", descr="\u00e4" * (longest // 2 + 1))
 
 
 @case(
     "TC_VD_CRE_BI_02",
-    "The longest value is accepted, one octet more is not",
+    "A value of maximum length is accepted, one that is an octet longer is rejected",
     requirements="VD-CRE-05",
-    stimulus="RTDB-Create with values of the maximum and of one octet more",
-    expect="OK, then VALUE-TOO-LONG without a variable",
+    stimulus="RTDB-Create with a value of the maximum length, then one octet more",
+    expect="VARDIS-STATUS-OK, then VALUE-TOO-LONG without a variable",
     needs=_CREATE_READ,
 )
 def value(bench: Bench) -> None:
@@ -279,10 +294,10 @@ def value(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRE_BI_03",
-    "An empty value is refused",
+    "An empty value is rejected",
     requirements="VD-CRE-06",
-    stimulus="RTDB-Create with a value of no octets, then of one",
-    expect="EMPTY-VALUE (1.0: INVALID-VALUE) without a variable, then OK",
+    stimulus="RTDB-Create with an empty value, then with one octet",
+    expect="EMPTY-VALUE (1.0: INVALID-VALUE) without a variable, then VARDIS-STATUS-OK",
     needs=_CREATE_READ,
 )
 def empty_value(bench: Bench) -> None:
@@ -292,7 +307,7 @@ def empty_value(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRE_BI_04",
-    "Repetition counts from 1 to the maximum are accepted, 0 and more are not",
+    "Repetition counts from 1 to the maximum are accepted, others are rejected",
     requirements="VD-CRE-07",
     stimulus="RTDB-Create with repCnt 0, 1, VARDISPAR_MAX_REPETITIONS, one more, and 255",
     expect="ILLEGAL-REPCOUNT, OK, OK, ILLEGAL-REPCOUNT, ILLEGAL-REPCOUNT",
@@ -308,7 +323,7 @@ def repetition_count(bench: Bench) -> None:
 
 
 def _double(bench: Bench, taken: bool = False, **request: Any) -> dict[str, Any]:
-    """A request with two mistakes."""
+    """Return a request with two mistakes, the first of which may be an existing identifier."""
     var_id = taught(bench, bench.peer()) if taken else bench.unknown_id()
     request = {"descr": "d", "value": b"v"} | request
     return create_request(bench, var_id, exact=True, **request)
@@ -337,43 +352,43 @@ def _long_value(bench: Bench) -> bytes:
 
 @case(
     "TC_VD_CRE_BI_05",
-    "Of two mistakes in a request the one that is checked first decides the status ({variant})",
+    "The first failing check of RTDB-Create determines the status ({variant})",
     requirements="VD-CRE-13",
-    stimulus="RTDB-Create with two mistakes: {variant}",
-    expect="the status of the first",
+    stimulus="RTDB-Create with two mistakes ({variant})",
+    expect="the status of the first failing check",
     needs=_CREATE,
     variants=_ORDER,
 )
 def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]]) -> None:
     status, request = mistakes(bench)
     if status == EXISTS:
-        # Whatever the maxima are.
+        # The status does not depend on assumed maxima.
         bench.assumptions.clear()
     answer = bench.call("RTDB-Create", **request)
     if answer.code == NOT_EXPRESSIBLE:
-        bench.info("a request that the profile cannot express", str(answer))
+        bench.info("Can the profile express the request?", str(answer))
         return
     bench.check_status(answer, (status,), "RTDB-Create")
 
 
 @case(
     "TC_VD_CRE_BV_07",
-    "Whether an empty description is accepted is open; the implementation goes on either way",
+    "The implementation accepts or rejects an empty description, and continues in either case",
     requirements="VD-CRE-15",
     stimulus="RTDB-Create with an empty description",
-    expect="OK or a refusal (X21), and VarDis still answers",
+    expect="VARDIS-STATUS-OK or a rejection (X21); VarDis still answers",
     needs=_CREATE,
 )
 def empty_description(bench: Bench) -> None:
     var_id = bench.own_var_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, descr=""))
-    bench.require_asked(answer, "RTDB-Create answers")
+    bench.require_asked(answer, "an answer to RTDB-Create")
     bench.reading("X21", "accept-locally" if answer.ok else "refuse-locally")
     bench.require_alive("a variable without a description")
     claimed = bench.pics.empty_description
     if claimed is not None:
-        said = f"the PICS says empty_description = {str(claimed).lower()}"
-        bench.check(claimed == answer.ok, said, f"RTDB-Create answers {answer}", shown=True)
+        said = f"empty_description = {str(claimed).lower()}, as the PICS claims"
+        bench.check(claimed == answer.ok, said, f"{answer}", shown=True)
     if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
-        # Neighbours that hear its summaries would request it for ever.
+        # Delete it: neighbours that reject the empty description would request the variable forever.
         bench.call("RTDB-Delete", varId=var_id)

@@ -18,7 +18,7 @@ _V2_0 = Needs(since=SpecVersion.V2_0)
 
 
 def _time(record: VarCreate) -> int:
-    """The creationTime of a record, in profiles that have it."""
+    """Return the creationTime of a record; 0 if the profile has none."""
     return record.spec.creation_time or 0
 
 
@@ -27,7 +27,7 @@ def _held(bench: Bench, var_id: int, record: VarCreate, what: str, *requirements
     bench.check(held.record == record, what, f"{held}: {held.record}", *requirements)
 
 
-# -- passed on unchanged -----------------------------------------------------------------------------------------------
+# -- forwarded unchanged -----------------------------------------------------------------------------------------------
 
 _Make = Callable[[Bench, Peer, int], VarCreate]
 
@@ -60,7 +60,7 @@ def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
 
 @case(
     "TC_VD_CRT_BV_01",
-    "A VarCreate is passed on octet by octet as it came ({variant})",
+    "A VarCreate is forwarded unchanged, octet by octet ({variant})",
     requirements="VD-PC-10 VD-TYP-06",
     stimulus="a VarCreate of an unknown variable ({variant})",
     expect="a beacon with exactly the octets of the record",
@@ -78,9 +78,9 @@ def unchanged(bench: Bench, make: _Make) -> None:
     octets = bench.forge.container(record)[bench.forge.container_header_size :]
     peer.send(record)
     came = bench.until(lambda heard: heard.instructions(CREATES, var_id)) or []
-    bench.require(came, "the VarCreate is passed on", "it is not")
+    bench.require(came, "the VarCreate is forwarded", "not forwarded in time")
     same = octets in came[0].heard.octets
-    bench.check(same, f"with the octets {octets.hex()}", f"{came[0].record}", frames=came, shown=True)
+    bench.check(same, f"the octets {octets.hex()}", f"{came[0].record}", frames=came, shown=True)
 
 
 # -- creations and creationTime ----------------------------------------------------------------------------------------
@@ -88,11 +88,13 @@ def unchanged(bench: Bench, make: _Make) -> None:
 
 @case(
     "TC_VD_CRT_BV_02",
-    "A VarCreate with a creationTime later by one tick replaces all that is stored of the variable",
+    "A VarCreate with a creationTime one tick later replaces everything stored about the variable",
     requirements="VD-PC-01 VD-PC-07",
-    stimulus="a VarCreate of a known variable by another producer, one tick later, with other contents, a lower "
-    "sequence number and another repCnt",
-    expect="it is repeated as it came, in as many beacons as its own repCnt says, and stored",
+    stimulus=(
+        "a VarCreate of a known variable by another producer, one tick later, with other contents, a lower "
+        "sequence number and another repCnt"
+    ),
+    expect="the VarCreate unchanged in exactly repCnt beacons, and its contents in the database",
     window=10,
     needs=_V2_0,
 )
@@ -107,13 +109,13 @@ def replaced(bench: Bench) -> None:
     other.send(second)
     found = bench.check_repeated(CREATES, var_id, count, since)
     wrong = [each for each in found if each.record != second]
-    bench.check(not wrong, "it is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
-    _held(bench, var_id, second, "it is stored with all of its contents", "VD-PC-07")
+    bench.check(not wrong, "the VarCreate unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
+    _held(bench, var_id, second, "all contents of the second VarCreate in the database", "VD-PC-07")
     summary = bench.until_instruction(ICType.SUMMARIES, var_id)
     if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.check(
             summary is not None and summary.seqno == 3,
-            "summaries carry its number 3",
+            "sequence number 3 in the summaries",
             f"{summary}",
             "VD-PC-07",
             shown=summary is not None,
@@ -127,8 +129,8 @@ _Offset = Callable[[int], int]
     "TC_VD_CRT_BO_01",
     "A VarCreate of a known variable that is not later changes nothing ({variant})",
     requirements="VD-PC-01",
-    stimulus="a VarCreate of another producer for a known variable, whose creationTime is {variant}",
-    expect="the first one stays stored, and nothing is repeated",
+    stimulus="a VarCreate of a known variable by another producer; its creationTime is {variant}",
+    expect="no forwarded record; the first VarCreate remains in the database",
     needs=_V2_0,
     variants={
         "the-same": lambda stamp: stamp,
@@ -144,20 +146,22 @@ def not_replaced(bench: Bench, offset: _Offset) -> None:
     since = bench.mark()
     other = bench.peer()
     other.send(other.create(var_id, value=b"next", seqno=9, creation_time=offset(_time(first))))
-    bench.require_alive("the VarCreate")
+    bench.require_alive("a VarCreate that is not later")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since)
-    bench.check(not found, "nothing is repeated", f"{named(found)} came", frames=found, shown=True)
-    _held(bench, var_id, first, "the first one stays stored")
+    bench.check(not found, "no record of the variable", f"{named(found)}", frames=found, shown=True)
+    _held(bench, var_id, first, "the first VarCreate in the database")
 
 
 @case(
     "TC_VD_CRT_BV_03",
-    "creationTimes are compared as numbers: {variant}",
+    "creationTimes are compared as numbers ({variant})",
     requirements="VD-PC-01",
-    stimulus="VarCreates of an unknown variable with the two creationTimes, the later one first, and the other way "
-    "round",
-    expect="the later one is stored in both cases",
+    stimulus=(
+        "of each of two unknown variables, VarCreates with the two creationTimes: the earlier one first, then the "
+        "later one first"
+    ),
+    expect="the later one in the database in both cases",
     needs=_V2_0,
     variants={
         "255-256": (255, 256),
@@ -170,27 +174,31 @@ def not_replaced(bench: Bench, offset: _Offset) -> None:
 def as_numbers(bench: Bench, times: tuple[int, int]) -> None:
     stamp = bench.profile.types.timestamp
     if times[1] >= 1 << (8 * stamp.width - (1 if stamp.signed else 0)):
-        bench.info("creationTimes", f"{times[1]} does not fit into {stamp.width} octets")
+        bench.info("creationTimes", f"not applicable: {times[1]} does not fit into {stamp.width} octets")
         return
     peer = bench.peer()
     for order in (times, times[::-1]):
-        # Times long past: only variables that were never created can have them.
+        # These creationTimes are long past, so the variable must never have been created before.
         var_id = bench.unknown_id()
         bench.created.add(var_id)
         records = {each: peer.create(var_id, value=str(each)[-5:].encode(), creation_time=each) for each in order}
         for each in order:
             peer.send(records[each])
             bench.until_instruction(CREATES, var_id, bench.reaction if each == order[0] else 1.5)
-        _held(bench, var_id, records[times[1]], f"{times[1]} is stored after {order[0]} and {order[1]}")
+        _held(
+            bench,
+            var_id,
+            records[times[1]],
+            f"creationTime {times[1]} in the database, after {order[0]} and {order[1]}",
+        )
 
 
 @case(
     "TC_VD_CRT_BV_04",
-    "Of two creations that arrive together the later one is stored, in whichever order they stand",
+    "Of two creations that arrive together the later one is stored, whatever their order ({variant})",
     requirements="VD-PC-01",
-    stimulus="containers of two VarCreates of one unknown variable, by two producers: earlier before later, and the "
-    "other way round",
-    expect="the later one is stored and repeated",
+    stimulus="a payload with two VarCreates of an unknown variable by two producers, creationTimes {variant}",
+    expect="the later one is stored and forwarded",
     needs=_V2_0,
     variants={"ascending": False, "descending": True},
 )
@@ -202,17 +210,21 @@ def together(bench: Bench, descending: bool) -> None:
     peer.send(*(reversed(records) if descending else records))
     found = bench.check_repeated(CREATES, var_id, 1, since)
     bench.check(
-        all(each.record == later for each in found), "the later one is repeated", "the other", frames=found, shown=True
+        all(each.record == later for each in found),
+        "only the later one is forwarded",
+        "the other one",
+        frames=found,
+        shown=True,
     )
-    _held(bench, var_id, later, "the later one is stored")
+    _held(bench, var_id, later, "the later one in the database")
 
 
 @case(
     "TC_VD_CRT_BV_05",
-    "A deleted variable that is created anew is alive in every respect",
+    "A deleted variable that is created again is fully usable",
     requirements="VD-PC-02",
     stimulus="a VarDelete, then a VarCreate with a later creationTime, then a VarUpdate and a VarDelete",
-    expect="each of them is repeated, and the variable is summarised in between",
+    expect="each of them is forwarded, and the variable is summarised after its creation",
     window=16,
     needs=_V2_0,
 )
@@ -221,7 +233,7 @@ def revived(bench: Bench) -> None:
     var_id = taught(bench, peer, seqno=200)
     peer.send(peer.delete(var_id))
     if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
-        bench.inconclusive("the variable is deleted, which this case needs", "there is no VarDelete")
+        bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
     record = peer.create(var_id, value=b"anew")
     for what, kind in (
         (record, CREATES),
@@ -232,12 +244,12 @@ def revived(bench: Bench) -> None:
         peer.send(what)
         found = bench.check_repeated(kind, var_id, 1, since)
         wrong = [each for each in found if each.record != what]
-        bench.check(not wrong, f"the {kind.label} record is repeated as it came", f"{what}", frames=wrong, shown=True)
+        bench.check(not wrong, f"the {kind.label} record unchanged", f"{what}", frames=wrong, shown=True)
         if kind is CREATES and bench.bound("VARDISPAR_MAX_SUMMARIES"):
             summary = bench.until_instruction(ICType.SUMMARIES, var_id)
             bench.check(
                 summary is not None and summary.seqno == 0,
-                "it is summarised with number 0",
+                "a summary with sequence number 0",
                 f"{summary}",
                 shown=summary is not None,
             )
@@ -248,11 +260,13 @@ def revived(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRT_BO_02",
-    "A VarCreate that names the implementation as producer is ignored, also the answer to its own request (H2)",
+    "A VarCreate with the implementation as producer is ignored, even in answer to its own request (H2)",
     requirements="VD-PC-03",
-    stimulus="a summary of an unknown variable; the request is answered with a VarCreate whose prodId is the "
-    "implementation's; then the summary again",
-    expect="the VarCreate is not repeated; the second summary is answered with a request as the first was",
+    stimulus=(
+        "a summary of an unknown variable; the request is answered with a VarCreate with the implementation's "
+        "identifier as prodId; then the summary again"
+    ),
+    expect="the VarCreate is not forwarded; the second summary causes a request like the first",
     window=10,
 )
 def own_producer(bench: Bench) -> None:
@@ -261,22 +275,22 @@ def own_producer(bench: Bench) -> None:
     peer.send(peer.summary(var_id, 1))
     bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
     peer.send(peer.create(var_id, producer=own, seqno=1))
-    bench.require_alive("the VarCreate")
+    bench.require_alive("a VarCreate with its own identifier as prodId")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since, set(ICType) - {ICType.REQUEST_VARCREATES})
-    bench.check(not found, "the VarCreate is ignored", f"{named(found)} came", frames=found, shown=True)
+    bench.check(not found, "no record of the variable other than requests", f"{named(found)}", frames=found, shown=True)
     peer.send(peer.summary(var_id, 1))
     again = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
-    bench.check(again, "the variable is still unknown, and requested again", "it is not requested")
-    bench.info("H2: a restarted producer requests its own variable in vain", "shown" if again else "not shown")
+    bench.check(again, "a request for the variable, which is still unknown", "none in time")
+    bench.info("Does a restarted producer request its own variable without success? (H2)", "yes" if again else "no")
 
 
 @case(
     "TC_VD_CRT_BO_03",
-    "What is done with a VarCreate whose two identifiers differ is reported (X14)",
+    "A VarCreate with two different variable identifiers is ignored, or stored under the first (X14)",
     requirements="VD-PC-07",
-    stimulus="a VarCreate that names one variable in its specification and another one in its update",
-    expect="it is ignored, or taken for the variable of the specification",
+    stimulus="a VarCreate with one variable identifier in its specification and another one in its update",
+    expect="it is ignored, or stored under the identifier of its specification",
 )
 def two_identifiers(bench: Bench) -> None:
     peer, (spec, upd) = bench.peer(), bench.unknown_ids(2)
@@ -284,12 +298,12 @@ def two_identifiers(bench: Bench) -> None:
     record = bench.forge.container(peer.create(spec), lies={"records[0].upd.varId": upd})
     since = bench.mark()
     peer.send(record)
-    bench.require_alive("the VarCreate")
+    bench.require_alive("a VarCreate with two identifiers")
     bench.beacons(1, 1.5)
     taken = bench.instructions(CREATES, spec, since)
     wrong = traces(bench, upd, since, set(ICType) - {ICType.REQUEST_VARCREATES})
     right = bench.check(
-        not wrong, "the variable of the update does not become known", f"{named(wrong)} came", frames=wrong, shown=True
+        not wrong, "no record of the variable in the update", f"{named(wrong)}", frames=wrong, shown=True
     )
     if right:
         bench.reading("X14", "ignore-update-id" if taken else "drop-mismatch")
@@ -297,10 +311,13 @@ def two_identifiers(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRT_BO_04",
-    "Up to 1.3 a VarCreate of a known variable is ignored, whoever sends it",
+    "Up to 1.3, a VarCreate of a known variable is ignored, whichever node sends it",
     requirements="VD-PC-11 VD-SCP-03",
-    stimulus="VarCreates of a known variable by its producer and by another one, with newer numbers and other values",
-    expect="nothing is repeated, and the first one stays stored",
+    stimulus=(
+        "VarCreates of a known variable by its producer and by another node, with newer sequence numbers and other "
+        "values"
+    ),
+    expect="no forwarded record; the first VarCreate remains in the database",
     needs=Needs(until=SpecVersion.V1_3),
 )
 def known_in_1_x(bench: Bench) -> None:
@@ -310,8 +327,8 @@ def known_in_1_x(bench: Bench) -> None:
     since = bench.mark()
     for each in (peer, other):
         each.send(each.create(var_id, value=b"next", seqno=stepped(bench, 0, 1)))
-    bench.require_alive("the VarCreates")
+    bench.require_alive("VarCreates of a known variable")
     bench.beacons(1, 1.5)
     found = traces(bench, var_id, since)
-    bench.check(not found, "nothing is repeated", f"{named(found)} came", frames=found, shown=True)
-    _held(bench, var_id, first, "the first one stays stored")
+    bench.check(not found, "no record of the variable", f"{named(found)}", frames=found, shown=True)
+    _held(bench, var_id, first, "the first VarCreate in the database")

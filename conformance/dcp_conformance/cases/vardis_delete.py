@@ -32,10 +32,10 @@ _DELETE = Needs(ut=("RTDB-Create", "RTDB-Delete"))
 
 @case(
     "TC_VD_DEL_BV_01",
-    "A VarDelete is in as many beacons as repCnt says, and nothing else of the variable ({variant})",
+    "A VarDelete is sent in exactly repCnt beacons, and no other record of the variable ({variant})",
     requirements="VD-DEL-05",
-    stimulus="RTDB-Create with repCnt {variant}; when its repetitions are over, RTDB-Delete",
-    expect="OK; exactly that many beacons with one VarDelete, and no VarCreate, VarUpdate or summary with them",
+    stimulus="RTDB-Create with repCnt {variant}; after its repetitions RTDB-Delete",
+    expect="VARDIS-STATUS-OK; one VarDelete in each of exactly repCnt beacons, and no VarCreate, VarUpdate or summary",
     window=50,
     needs=_DELETE,
     variants={"1": "1", "2": "2", "most": "most"},
@@ -54,21 +54,27 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
     bench.check(
         len(frames) == count,
-        f"{count} beacons carry the VarDelete",
-        f"{len(frames)} do",
+        f"{count} beacons with the VarDelete",
+        f"{len(frames)} beacons",
         frames=frames,
         shown=len(frames) > count,
     )
     twice = [heard for heard in frames if len(heard.instructions(_D, var_id)) > 1]
-    bench.check(not twice, "no beacon carries it twice", f"{len(twice)} do", frames=twice, shown=True)
-    # What was prepared before the request may still leave.
+    bench.check(
+        not twice,
+        "at most one VarDelete of the variable in each beacon",
+        f"more in {len(twice)} beacons",
+        frames=twice,
+        shown=True,
+    )
+    # A beacon prepared before the request may still be sent.
     for kind in _OTHERS:
         others = bench.frames_with(kind, var_id, done)
         late = [heard for heard in others if frames and heard.time >= frames[0].time]
         bench.check(
             len(others) <= 1 and not late,
-            f"no {kind.label} record of the variable but in a beacon prepared before",
-            f"{len(others)} beacons, {len(late)} of them with or after the first VarDelete",
+            f"no {kind.label} record of the variable, except in a beacon prepared before the request",
+            f"in {len(others)} beacons, {len(late)} of them with or after the first VarDelete",
             frames=others,
             shown=True,
         )
@@ -76,10 +82,13 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
 
 @case(
     "TC_VD_DEL_BV_02",
-    "A deletion ends the repetitions of creation and update",
+    "A deletion cancels the repetitions of creation and update",
     requirements="VD-DEL-05",
-    stimulus="RTDB-Create and RTDB-Update with the most repetitions; after two beacons RTDB-Delete",
-    expect="OK; exactly repCnt beacons with the VarDelete, and no VarCreate, VarUpdate or summary with or after them",
+    stimulus="RTDB-Create and RTDB-Update with the maximum repCnt; after two beacons RTDB-Delete",
+    expect=(
+        "VARDIS-STATUS-OK; exactly repCnt beacons with the VarDelete, and no VarCreate, VarUpdate or summary with "
+        "or after them"
+    ),
     window=50,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete"), when=several_repetitions),
     smoke=True,
@@ -89,16 +98,16 @@ def ends_repetitions(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count)
     bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     if bench.until_instruction(ICType.UPDATES, var_id) is None:
-        bench.inconclusive("the update is heard", "it is not")
+        bench.inconclusive("a VarUpdate of the variable", "none in time")
     _check_deletion(bench, var_id, count)
 
 
 @case(
     "TC_VD_DEL_BV_03",
-    "The entry of a deleted variable is as the procedure says",
+    "The database entry of a deleted variable has the contents that the specification requires",
     requirements="VD-DEL-05",
-    stimulus="RTDB-Create, RTDB-Update and RTDB-Delete with the most repetitions, RTDB-DescribeVariable at once",
-    expect="isDeleted, countDelete at most two below repCnt, the other counters 0",
+    stimulus="RTDB-Create, RTDB-Update and RTDB-Delete with the maximum repCnt, then immediately RTDB-DescribeVariable",
+    expect="isDeleted true, countDelete at most two less than repCnt, the other counters 0",
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-DescribeVariable"), when=several_repetitions),
 )
 def entry(bench: Bench) -> None:
@@ -110,7 +119,7 @@ def entry(bench: Bench) -> None:
     found = entry_of(bench, var_id)
     least = least_left(bench, count, start)
     if found is None:
-        bench.fail("the variable is still described", "it is not", shown=True)
+        bench.fail("a database entry of the deleted variable", "no entry", shown=True)
     for name, low, high in (
         ("isDeleted", True, True),
         ("countDelete", least, count),
@@ -118,17 +127,15 @@ def entry(bench: Bench) -> None:
         ("countUpdate", 0, 0),
     ):
         if name in found:
-            bench.check(
-                low <= found[name] <= high, f"{name} is from {low} to {high}", f"it is {found[name]}", shown=True
-            )
+            bench.check(low <= found[name] <= high, f"{name} from {low} to {high}", f"{found[name]}", shown=True)
 
 
 @case(
     "TC_VD_DEL_BV_04",
-    "A deleted variable stays in the database",
+    "A deleted variable remains in the database",
     requirements="VD-DEL-06",
     stimulus="RTDB-Create and RTDB-Delete; after the last VarDelete RTDB-DescribeVariable",
-    expect="OK and the entry, marked as deleted",
+    expect="VARDIS-STATUS-OK and the entry, marked as deleted",
     window=20,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
 )
@@ -143,7 +150,7 @@ def stays(bench: Bench) -> None:
 
 @case(
     "TC_VD_DEL_BV_05",
-    "Up to 1.3 a deleted variable leaves the database after its last VarDelete",
+    "Up to 1.3, a deleted variable is removed from the database after its last VarDelete",
     requirements="VD-DEL-08",
     stimulus="RTDB-Create and RTDB-Delete; after the last VarDelete RTDB-DescribeVariable and RTDB-Delete",
     expect="VARIABLE-DOES-NOT-EXIST",
@@ -163,49 +170,49 @@ def leaves(bench: Bench) -> None:
 
 @case(
     "TC_VD_DEL_BI_01",
-    "A variable that does not exist cannot be deleted",
+    "RTDB-Delete rejects a variable that does not exist",
     requirements="VD-DEL-02",
-    stimulus="RTDB-Delete of an identifier that is not in use",
+    stimulus="RTDB-Delete for an identifier that is not in use",
     expect="VARIABLE-DOES-NOT-EXIST; no VarDelete",
     needs=Needs(ut=("RTDB-Delete",)),
 )
 def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
-    bench.require_alive("the deletion of an unknown variable")
+    bench.require_alive("RTDB-Delete for an unknown variable")
     frames = bench.frames_with(_D, var_id)
-    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames, shown=True)
+    bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
 
 
 @case(
     "TC_VD_DEL_BO_01",
-    "Another node's variable cannot be deleted",
+    "RTDB-Delete rejects a variable of another node",
     requirements="VD-DEL-03",
-    stimulus="a peer's variable is learnt; RTDB-Delete",
-    expect="NOT-PRODUCER; the variable can still be read, and no VarDelete is sent",
+    stimulus="a peer creates a variable; RTDB-Delete",
+    expect="NOT-PRODUCER; RTDB-Read still finds the variable, and no VarDelete is sent",
     needs=Needs(ut=("RTDB-Delete", "RTDB-Read")),
 )
 def foreign(bench: Bench) -> None:
     var_id = taught(bench, bench.peer(), value=b"theirs")
     bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=var_id)
-    bench.require_alive("the deletion of another node's variable")
+    bench.require_alive("RTDB-Delete for a variable of another node")
     answer = bench.call("RTDB-Read", varId=var_id)
     bench.check(
         answer.ok and answer.result.get("value") == bench.value(b"theirs").hex(),
-        "the variable is still there",
+        "the variable still exists",
         str(answer),
         shown=True,
     )
     frames = bench.frames_with(_D, var_id)
-    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", frames=frames, shown=True)
+    bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
 
 
 @case(
     "TC_VD_DEL_BO_02",
-    "Another node's deleted variable cannot be deleted either: not being the producer is checked first",
+    "RTDB-Delete rejects a deleted variable of another node, and checks the producer first",
     requirements="VD-DEL-03",
-    stimulus="a peer's variable is learnt and deleted by the peer; RTDB-Delete",
-    expect="NOT-PRODUCER; up to 1.3 VARIABLE-DOES-NOT-EXIST once it is gone",
+    stimulus="a peer creates and deletes a variable; RTDB-Delete",
+    expect="NOT-PRODUCER; up to 1.3 VARIABLE-DOES-NOT-EXIST once it has been removed",
     needs=Needs(ut=("RTDB-Delete",)),
 )
 def foreign_deleted(bench: Bench) -> None:
@@ -218,9 +225,11 @@ def foreign_deleted(bench: Bench) -> None:
 
 @case(
     "TC_VD_DEL_BO_03",
-    "A variable cannot be deleted twice, neither at once nor later",
+    "A second RTDB-Delete of a variable is rejected, both immediately and later",
     requirements="VD-DEL-04 VD-DEL-09",
-    stimulus="RTDB-Create with the most repetitions, RTDB-Delete, RTDB-Delete at once, and after the last VarDelete",
+    stimulus=(
+        "RTDB-Create with the maximum repCnt, RTDB-Delete, RTDB-Delete again immediately, and after the last VarDelete"
+    ),
     expect="VARIABLE-IS-DELETED both times, and no further VarDelete; up to 1.3 VARIABLE-BEING-DELETED, then "
     "VARIABLE-DOES-NOT-EXIST",
     window=30,
@@ -235,8 +244,8 @@ def twice(bench: Bench) -> None:
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
     bench.check(
         len(frames) == count,
-        f"{count} beacons carry the VarDelete",
-        f"{len(frames)} do",
+        f"{count} beacons with the VarDelete",
+        f"{len(frames)} beacons",
         frames=frames,
         shown=len(frames) > count,
     )

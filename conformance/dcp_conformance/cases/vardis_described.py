@@ -15,7 +15,7 @@ _OWN, _FOREIGN = "own", "received"
 
 
 def _made(bench: Bench, kind: str) -> VarCreate:
-    """A variable whose fields all differ from their usual values, as the implementation sends it."""
+    """Create a variable with an unusual value in every field; return its VarCreate as the implementation sends it."""
     count, timeout = bench.rep_cnt(2), min(60_000, bench.longest_timeout) if bench.features.creation_time else 0
     if kind == _FOREIGN:
         peer = bench.peer()
@@ -27,13 +27,13 @@ def _made(bench: Bench, kind: str) -> VarCreate:
     bench.must("RTDB-Create", **request)
     found = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     if not isinstance(found, VarCreate):
-        bench.inconclusive("the implementation sends its own variable, which this case needs", "it does not")
+        bench.inconclusive("a VarCreate of the node's own variable, which this case needs", "none in time")
     settled(bench, var_id)
     return found
 
 
 def _expected(spec: VarSpec) -> dict[str, Any]:
-    """The members of a VarSpecT in the answers of the upper tester."""
+    """Return the members of a VarSpecT as the upper tester returns them."""
     fields: dict[str, Any] = {
         "varId": spec.var_id,
         "prodId": spec.prod_id.hex(":"),
@@ -52,7 +52,7 @@ def _compare(bench: Bench, found: dict[str, Any], expected: dict[str, Any], *req
             observed, value = str(observed).replace(":", "").lower(), str(value).replace(":", "")
         bench.check(
             observed == value,
-            f"{name} is {value!r}",
+            f"{name} {value!r}",
             f"{observed!r}",
             *requirements,
             shown=True,
@@ -62,10 +62,10 @@ def _compare(bench: Bench, found: dict[str, Any], expected: dict[str, Any], *req
 
 @case(
     "TC_VD_DDB_BV_03",
-    "RTDB-DescribeDatabase tells every field of the specification of a variable ({variant})",
+    "RTDB-DescribeDatabase returns every field of the specification of a variable ({variant})",
     requirements="VD-DDB-02",
-    stimulus="a variable is created ({variant}) whose fields have unusual values; RTDB-DescribeDatabase",
-    expect="varId, prodId, repCnt, descr, and since 2.0 creationTime and timeout, as its VarCreate has them",
+    stimulus="a variable with an unusual value in every field ({variant}); RTDB-DescribeDatabase",
+    expect="varId, prodId, repCnt and descr, and from 2.0 on creationTime and timeout, as in its VarCreate",
     needs=Needs(ut=("RTDB-DescribeDatabase", "RTDB-Create")),
     variants={_OWN: _OWN, _FOREIGN: _FOREIGN},
 )
@@ -73,17 +73,19 @@ def rows(bench: Bench, kind: str) -> None:
     record = _made(bench, kind)
     row = listed(bench).get(record.spec.var_id)
     if row is None:
-        bench.fail("the variable is listed", "it is not", shown=True)
+        bench.fail("the variable in the list", "not in the list", shown=True)
     _compare(bench, row, _expected(record.spec))
 
 
 @case(
     "TC_VD_DVA_BV_02",
-    "RTDB-DescribeVariable tells every field of the entry of a variable ({variant})",
+    "RTDB-DescribeVariable returns every field of the entry of a variable ({variant})",
     requirements="VD-DVA-03",
-    stimulus="a variable is created ({variant}) whose fields have unusual values; after its repetitions "
-    "RTDB-DescribeVariable, and RTDB-Read",
-    expect="the fields as its VarCreate has them, counters of 0, not deleted, and the tStamp that RTDB-Read tells",
+    stimulus=(
+        "a variable with an unusual value in every field ({variant}); after its repetitions RTDB-DescribeVariable "
+        "and RTDB-Read"
+    ),
+    expect="the fields as in its VarCreate, counters 0, isDeleted false, and the same tStamp as RTDB-Read",
     needs=Needs(ut=("RTDB-DescribeVariable", "RTDB-Create", "RTDB-Read")),
     variants={_OWN: _OWN, _FOREIGN: _FOREIGN},
 )
@@ -95,16 +97,18 @@ def entry(bench: Bench, kind: str) -> None:
     _compare(bench, found, _expected(record.spec) | rest)
     read = bench.must("RTDB-Read", varId=record.spec.var_id).result.get("tStamp")
     told = found.get("tStamp")
-    bench.check(told == read, f"tStamp is {read}, as RTDB-Read tells", f"{told}", shown=True)
+    bench.check(told == read, f"tStamp {read}, as in RTDB-Read", f"{told}", shown=True)
 
 
 @case(
     "TC_VD_SRV_BV_02",
-    "Confirms of RTDB-Update, RTDB-Delete and RTDB-Read carry what they must, and what they say has happened",
+    ("Confirms of RTDB-Update, RTDB-Delete and RTDB-Read have the required fields, and follow the change they confirm"),
     requirements="VD-SRV-03",
-    stimulus="RTDB-Create; RTDB-Update and at once RTDB-Read; RTDB-Delete and at once RTDB-Read; RTDB-Read of an "
-    "unknown variable",
-    expect="the updated value, then a refusal; a value and a time stamp with VARDIS-STATUS-OK only",
+    stimulus=(
+        "RTDB-Create; RTDB-Update and immediately RTDB-Read; RTDB-Delete and immediately RTDB-Read; RTDB-Read for "
+        "an unknown variable"
+    ),
+    expect="the updated value, then a rejection; value and tStamp only together with VARDIS-STATUS-OK",
     needs=Needs(since=SpecVersion.V1_0, ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-Read")),
 )
 def confirms(bench: Bench) -> None:
@@ -115,11 +119,11 @@ def confirms(bench: Bench) -> None:
     answers = [bench.must("RTDB-Update", varId=var_id, value=value)]
     read = bench.must("RTDB-Read", varId=var_id)
     told = read.result.get("value")
-    bench.check(told == value, "RTDB-Read tells the value of the update before it", f"{told!r}", shown=True)
+    bench.check(told == value, "the value of the preceding RTDB-Update in RTDB-Read", f"{told!r}", shown=True)
     answers += [bench.must("RTDB-Delete", varId=var_id), bench.call("RTDB-Read", varId=var_id)]
-    bench.check(not answers[-1].ok, "RTDB-Read is refused after RTDB-Delete", f"{answers[-1]}", shown=True)
+    bench.check(not answers[-1].ok, "a rejection of RTDB-Read after RTDB-Delete", f"{answers[-1]}", shown=True)
     answers.append(bench.call("RTDB-Read", varId=bench.unknown_id()))
     for answer in answers:
         extra = sorted(set(answer.result) & {"value", "tStamp"})
-        what = f"{answer}: a status, and neither value nor tStamp"
+        what = f"for {answer} a status, and neither value nor tStamp"
         bench.check(not any(answer.result.get(each) is not None for each in extra), what, f"{extra}", shown=True)

@@ -1,6 +1,6 @@
 """dcp-vardis.md: Construction of Payloads, to the last octet.
 
-Where VARDISPAR_MAX_PAYLOAD_SIZE cannot be set, records are made that fit the size which the PIXIT tells.
+If VARDISPAR_MAX_PAYLOAD_SIZE cannot be set, the records are made to fit the size given in the PIXIT.
 """
 
 from __future__ import annotations
@@ -24,30 +24,32 @@ _CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUM
 _DELETE, _ASK = ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES
 _ASK_UPDATE = ICType.REQUEST_VARUPDATES
 
-#: Variables that are learnt at a time.
+#: Number of variables taught at a time.
 _FEW = 6
 
 
 def _fillable(bench: Bench) -> str | None:
-    """For ``Needs.when``: why no payload can be filled to the last octet."""
+    """Return why no payload can be filled to the last octet, or None; for ``Needs.when``."""
     if settable(bench) or bench.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
         return None
     return f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and is too small for two VarCreates"
 
 
 def largest_create(bench: Bench) -> int:
-    """The octets that a container with one VarCreate of the longest value and description has."""
+    """Return the size in octets of a container with one VarCreate of the longest value and description."""
     value, description = longest(bench)
     return bench.forge.container_header_size + bench.forge.record_size(bench.sample(value=value, descr=description))
 
 
 @case(
     "TC_VD_PAY_BV_07",
-    "Records that fill a payload to the last octet share it; with one octet less the last one does not ({variant})",
+    ("Records that exactly fill a payload share it; with one octet less the last one is sent separately ({variant})"),
     requirements="VD-PAY-02 VD-IC-05",
-    stimulus="records are requested in one beacon that need just VARDISPAR_MAX_PAYLOAD_SIZE octets, which is set where "
-    "that can be done",
-    expect="all in one payload; with one octet less the last of them in a second one",
+    stimulus=(
+        "in one beacon, requests for records that need exactly VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is "
+        "set if possible"
+    ),
+    expect="all records in one payload; with one octet less the last of them in a second one",
     window=10,
     needs=Needs(when=_fillable),
     variants={
@@ -80,14 +82,14 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
 
 
 def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
-    """Two variables that are learnt, and a payload size for two records of them, less so many octets, that is set."""
+    """Teach two variables and set the payload size to that of two records of them, minus ``less`` octets."""
     value, description = longest(bench)
     creates = [peer.create(each, value=value, descr=description, seqno=9) for each in bench.var_ids(2)]
     bench.learn(peer, *creates)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     records = creates if kind is _CREATE else [each.upd for each in creates]
     limit = bench.forge.container_header_size + sum(map(bench.forge.record_size, records)) - less
-    # The bounds of other parameters depend on the size of a payload.
+    # The limits of other parameters depend on the size of a payload.
     bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
     bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
     bench.wait(3)
@@ -95,16 +97,17 @@ def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[Va
 
 
 def _as_many_as_fit(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
-    """Variables that are learnt, whose records fill a payload of the known size, but for so many octets too much."""
+    """Teach variables whose records fill a payload of the known size, plus ``less`` octets."""
     limit = bench.bound(PAYLOAD_SIZE)
     creates = _learnt(bench, peer, kind, lambda before: limit - before + less)
     return creates, limit
 
 
 def _learnt(bench: Bench, peer: Peer, kind: ICType, octets: Callable[[int], int]) -> list[VarCreate]:
-    """Variables that are learnt, whose records of a kind have so many octets together.
+    """Teach variables whose records of a kind have a given total size, and return their VarCreates.
 
-    ``octets``: how many, after those that the container headers and what comes before take in a payload.
+    ``octets`` returns this size in octets; its argument is the size of the container headers and earlier containers in
+    the payload.
     """
     header = bench.forge.container_header_size
     before = header
@@ -112,15 +115,17 @@ def _learnt(bench: Bench, peer: Peer, kind: ICType, octets: Callable[[int], int]
         before += _summaries(bench, peer)
     creates = filling(bench, peer, kind, octets(before))
     if creates is None:
-        bench.inconclusive("records that fill a payload", "none of the lengths that it takes do")
-    # Few at a time: what happens when a payload is full is seen when they are requested.
+        bench.inconclusive(
+            "records that exactly fill a payload", "impossible with the lengths that the implementation accepts"
+        )
+    # A few at a time: how a full payload is composed is tested when the records are requested.
     for start in range(0, len(creates), _FEW):
         bench.learn(peer, *creates[start : start + _FEW])
     return creates
 
 
 def _summaries(bench: Bench, peer: Peer) -> int:
-    """The octets of the SUMMARIES container, when as many variables are known as a payload can summarise."""
+    """Return the size in octets of the SUMMARIES container after teaching as many variables as it can hold."""
     most = bench.bound(SUMMARIES)
     if not most:
         return 0
@@ -130,11 +135,13 @@ def _summaries(bench: Bench, peer: Peer) -> int:
 
 @case(
     "TC_VD_SUM_BV_05",
-    "Summaries behind a VarCreate need room for their container and one of them ({variant})",
+    "Summaries after a VarCreate need room for their container and one summary ({variant})",
     requirements="VD-CMP-01 VD-IC-05",
-    stimulus="VarCreates are requested that leave, in a payload of VARDISPAR_MAX_PAYLOAD_SIZE octets, which is set "
-    "where that can be done, room for just one summary, or one octet less",
-    expect="one summary beside the VarCreates; with one octet less no SUMMARIES container",
+    stimulus=(
+        "requests for VarCreates that leave room for exactly one summary, or one octet less, in a payload of "
+        "VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is set if possible"
+    ),
+    expect="one summary along with the VarCreates; with one octet less no SUMMARIES container",
     window=8,
     needs=Needs(when=lambda bench: summarises(bench) or _fillable(bench)),
     variants={"room": 0, "no-room": 1},
@@ -162,10 +169,10 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
 
     heard = bench.until(has_all)
     if heard is None:
-        bench.fail("the requested VarCreates in one payload", "there is none with all of them")
-    # 1.0 composes updates and summaries in another order, but creates come first in every version.
+        bench.fail("the requested VarCreates in one payload", "no payload with all of them")
+    # 1.0 composes updates and summaries in another order, but VarCreates come first in every version.
     count = len(heard.instructions(_SUMMARY))
-    bench.check(count == 1 - less, f"{1 - less} summaries behind them", f"{count}", frames=[heard], shown=True)
+    bench.check(count == 1 - less, f"{1 - less} summaries after the VarCreates", f"{count}", frames=[heard], shown=True)
     octets = size_of(bench, heard)
     bench.check(
         octets <= limit, f"a payload of at most {limit} octets", f"{octets}", "VD-IC-05", frames=[heard], shown=True
@@ -173,22 +180,24 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
 
 
 def _never_fits(bench: Bench) -> str | None:
-    """For ``Needs.when``: why no VarCreate can be larger than a payload."""
+    """Return why no VarCreate can be larger than a payload, or None; for ``Needs.when``."""
     if settable(bench) or largest_create(bench) > bench.parameter(PAYLOAD_SIZE):
         return None
     return (
-        f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and the PIXIT tells no maximum sizes with which a "
-        "VarCreate can be larger than a payload"
+        f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and with the maximum sizes in the PIXIT no "
+        "VarCreate is larger than a payload"
     )
 
 
 @case(
     "TC_VD_CMP_BV_12",
-    "When the record at the head does not fit, its container is left out and others follow",
+    "If the record at the head of a queue does not fit, its container is omitted and others follow",
     requirements="VD-CMP-08",
-    stimulus="a VarCreate is requested that is larger than VARDISPAR_MAX_PAYLOAD_SIZE, which is set where that can be "
-    "done, with a summary of an unknown variable",
-    expect="a request for the unknown variable, no VarCreate of the other, no container without records",
+    stimulus=(
+        "requests for a VarCreate larger than VARDISPAR_MAX_PAYLOAD_SIZE (set if possible), and a summary of an "
+        "unknown variable"
+    ),
+    expect="a request for the unknown variable, no VarCreate of the other one, no container without records",
     window=10,
     needs=Needs(when=_never_fits),
 )
@@ -208,19 +217,23 @@ def head_does_not_fit(bench: Bench) -> None:
             bench.must("VD-SetParameter", name=name, value=least)
     else:
         limit = bench.bound(PAYLOAD_SIZE)
-        # Whether it has learnt it cannot be seen: it could only pass it on in a VarCreate.
+        # Whether the implementation learnt it cannot be observed: a forwarded VarCreate would be the only sign.
         peer.send(create)
     bench.wait(3)
     mark = bench.mark()
     peer.send(peer.request_create(large), peer.summary(unknown, 1))
     asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
-    bench.check(asked, "other containers, although the head of createQ does not fit", "no request for the unknown one")
+    bench.check(
+        asked,
+        "other containers, although the VarCreate at the head of createQ does not fit",
+        "no request for the unknown variable",
+    )
     bench.beacons(3)
     if bench.instructions(ICType.REQUEST_VARCREATES, large, mark):
-        bench.inconclusive("the implementation learns a variable, which this case needs", "it requests it")
+        bench.inconclusive("an implementation that knows the variable, which this case needs", "a request for it")
     found = bench.instructions(_CREATE, large, mark)
-    what = f"no VarCreate that needs more than {limit} octets"
-    bench.check(not found, what, f"{len(found)} came", frames=found[:4], shown=True)
+    what = f"no VarCreate of more than {limit} octets"
+    bench.check(not found, what, f"{len(found)} VarCreates", frames=found[:4], shown=True)
     broken = [each for each in bench.heard[mark:] if each.vardis_problems]
     bench.check(
         not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4], shown=True
@@ -229,10 +242,12 @@ def head_does_not_fit(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAY_BV_09",
-    "A record that fills a payload alone, to the last octet, is sent: {variant}",
+    "A single record that exactly fills a payload is sent ({variant})",
     requirements="VD-PAY-02 VD-CMP-13",
-    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one {variant}, which is then requested",
-    expect="the record, alone in its payload",
+    stimulus=(
+        "VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one {variant}, which a peer then requests"
+    ),
+    expect="a payload with this record only",
     window=8,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
     variants={"VarCreate": _CREATE, "VarUpdate": _UPDATE},
@@ -245,15 +260,17 @@ def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     _lower(bench, bench.forge.record_size(create if kind is _CREATE else create.upd))
     mark = request(bench, peer, kind, [create])
     found = bench.until_instruction(kind, create.spec.var_id)
-    bench.check(found, "the record, which fills a payload", "it is not sent")
+    bench.check(found, "the record, which exactly fills a payload", "none in time")
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
     others = [named for each in frames for named in each.containers if named.ic_type != bench.forge.ic_type(kind)]
-    bench.check(not others, "it is alone in its payload", f"{len(others)} more containers", frames=frames, shown=True)
+    bench.check(
+        not others, "no other container in its payload", f"{len(others)} more containers", frames=frames, shown=True
+    )
 
 
 def _lower(bench: Bench, octets: int) -> None:
-    """Set the payload size to that of a container with one record of so many octets."""
-    # The bounds of other parameters depend on the size of a payload.
+    """Set the payload size to that of a container with one record of ``octets`` octets."""
+    # The limits of other parameters depend on the size of a payload.
     bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
     bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=bench.forge.container_header_size + octets)
     bench.wait(3)
@@ -261,11 +278,16 @@ def _lower(bench: Bench, octets: int) -> None:
 
 @case(
     "TC_VD_PAY_BV_10",
-    "Records without a value fill a payload to the last octet; with one octet less the last one waits ({variant})",
+    (
+        "Records without a value share a payload they exactly fill; with one octet less the last is sent "
+        "separately ({variant})"
+    ),
     requirements="VD-PAY-02 VD-IC-05",
-    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with eight records, or one octet less; the "
-    "eight records become due at once",
-    expect="all in one payload; with one octet less the last of them in a second one",
+    stimulus=(
+        "VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with eight records, or one octet less; a "
+        "stimulus causes all eight records"
+    ),
+    expect="all records in one payload; with one octet less the last of them in a second one",
     window=10,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
     variants={
@@ -301,11 +323,13 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
 
 @case(
     "TC_VD_CRE_BV_09",
-    "RTDB-Create takes a variable whose VarCreate fills a payload to the last octet ({variant})",
+    "RTDB-Create accepts a variable whose VarCreate exactly fills a payload ({variant})",
     requirements="VD-CRE-14 VD-PAY-02",
-    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one VarCreate, with a value of "
-    "{variant}; RTDB-Create of that variable",
-    expect="OK, and the VarCreate",
+    stimulus=(
+        "VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one VarCreate (value: {variant}); "
+        "RTDB-Create of that variable"
+    ),
+    expect="VARDIS-STATUS-OK, and the VarCreate",
     window=8,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter", "RTDB-Create")),
     variants={"one-octet": 1, "the-longest": 0},
@@ -318,16 +342,18 @@ def created_to_the_last_octet(bench: Bench, length: int) -> None:
     _lower(bench, bench.forge.record_size(sample))
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
     found = bench.until_instruction(_CREATE, var_id)
-    bench.check(found, "its VarCreate, which fills a payload", "it is not sent", "VD-PAY-02")
+    bench.check(found, "its VarCreate, which exactly fills a payload", "none in time", "VD-PAY-02")
 
 
 @case(
     "TC_VD_UPD_BV_08",
-    "RTDB-Update takes a value whose VarUpdate fills a payload to the last octet",
+    "RTDB-Update accepts a value whose VarUpdate exactly fills a payload",
     requirements="VD-UPD-07 VD-PAY-02",
-    stimulus="RTDB-Create with a short value; VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one "
-    "VarUpdate of the longest value; RTDB-Update with that value",
-    expect="OK, and the VarUpdate",
+    stimulus=(
+        "RTDB-Create with a short value; VARDISPAR_MAX_PAYLOAD_SIZE is set to the size of a container with one "
+        "VarUpdate of the longest value; RTDB-Update with that value"
+    ),
+    expect="VARDIS-STATUS-OK, and the VarUpdate",
     window=8,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter", "RTDB-Create", "RTDB-Update")),
 )
@@ -339,4 +365,6 @@ def updated_to_the_last_octet(bench: Bench) -> None:
     _lower(bench, bench.forge.record_size(bench.sample(value=value).upd))
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=value.hex())
     found = bench.until_instruction(_UPDATE, var_id)
-    bench.check(found and found.value == value, "its VarUpdate, which fills a payload", "it is not sent", "VD-PAY-02")
+    bench.check(
+        found and found.value == value, "its VarUpdate, which exactly fills a payload", "none in time", "VD-PAY-02"
+    )

@@ -1,7 +1,7 @@
 """dcp-vardis.md: Global vs. Local Dissemination.
 
-Repetitions are counted per beacon, from the stimulus until the instruction has stopped, so that it does not matter when
-an implementation composes its payloads.
+Repetitions are counted per beacon, from the stimulus until the last one, so the time at which an implementation
+composes its payloads does not matter.
 """
 
 from __future__ import annotations
@@ -34,31 +34,33 @@ _COUNT_VARIANTS = {name: Variant(count, needs=Needs() if name == "r1" else _TWO)
 
 
 def _learnt(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
-    """A variable with a repetition count that the implementation has learnt and repeated to the end."""
+    """Teach a variable with a repetition count, wait for the last repetition of its VarCreate, and return its
+    identifier.
+    """
     var_id = bench.var_id()
     bench.learn(peer, peer.create(var_id, rep_cnt=rep_cnt, seqno=seqno))
     return var_id
 
 
 def _taught(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
-    """As :func:`_learnt`, while the VarCreate is still being repeated."""
+    """As :func:`_learnt`, but do not wait for the repetitions of the VarCreate."""
     return taught(bench, peer, rep_cnt=rep_cnt, seqno=seqno)
 
 
 def _require_left(bench: Bench, kind: ICType, var_id: int, count: int, since: int) -> int:
-    """How often a record was repeated until now; inconclusive if the last of ``count`` may have left."""
+    """Return the number of repetitions so far; inconclusive if the last of ``count`` may already have been sent."""
     sent = bench.now()
     bench.mark()
     before = sum(each.heard.time <= sent for each in bench.instructions(kind, var_id, since))
     if before > max(1, count - 2):
-        said = f"{before} of {count} had left when the next frame was sent"
-        bench.inconclusive("repetitions that are still to come", said)
+        said = f"{before} of {count} sent before the next stimulus"
+        bench.inconclusive("remaining repetitions", said)
     return before
 
 
 def _nothing_else(bench: Bench, var_id: int, since: int, *kinds: ICType) -> None:
     found = traces(bench, var_id, since, [each for each in INSTRUCTIONS if each not in kinds])
-    bench.check(not found, "nothing else is sent about the variable", f"{named(found)} came", frames=found, shown=True)
+    bench.check(not found, "no other record of the variable", f"{named(found)}", frames=found, shown=True)
 
 
 # -- exactly r ---------------------------------------------------------------------------------------------------------
@@ -66,10 +68,10 @@ def _nothing_else(bench: Bench, var_id: int, since: int, *kinds: ICType) -> None
 
 @case(
     "TC_VD_FWD_BV_01",
-    "A new variable's VarCreate is repeated in exactly repCnt beacons ({variant}), and then summarised",
+    "The VarCreate of a new variable is sent in exactly repCnt beacons, and summaries follow ({variant})",
     requirements="VD-SCP-02 VD-PC-09",
     stimulus="a VarCreate of an unknown variable with repCnt {variant}",
-    expect="exactly so many beacons with one VarCreate each, as it was sent; summaries with its number",
+    expect="one unchanged VarCreate in each of exactly repCnt beacons; summaries with its sequence number",
     window=20,
     variants=_COUNT_VARIANTS,
 )
@@ -79,26 +81,29 @@ def creation(bench: Bench, count: Count) -> None:
     peer.send(record)
     found = bench.check_repeated(CREATES, var_id, count(bench), since)
     wrong = [each for each in found if each.record != record]
-    bench.check(
-        not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
-    )
+    bench.check(not wrong, "the record unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
     _nothing_else(bench, var_id, since, CREATES)
     if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.until_instruction(ICType.SUMMARIES, var_id)
         summaries = bench.instructions(ICType.SUMMARIES, var_id, since)
-        bench.check(summaries, "summaries of the variable follow", "there are none", "VD-PC-09")
+        bench.check(summaries, "summaries of the variable", "none in time", "VD-PC-09")
         numbers = {each.record.seqno for each in summaries} or {9}
         bench.check(
-            numbers == {9}, "they carry its number 9", f"{sorted(numbers)}", "VD-PC-09", frames=summaries, shown=True
+            numbers == {9},
+            "sequence number 9 in the summaries",
+            f"{sorted(numbers)}",
+            "VD-PC-09",
+            frames=summaries,
+            shown=True,
         )
 
 
 @case(
     "TC_VD_FWD_BV_02",
-    "A newer VarUpdate is repeated in exactly repCnt beacons ({variant})",
+    "A newer VarUpdate is sent in exactly repCnt beacons ({variant})",
     requirements="VD-SCP-02 VD-PU-07",
     stimulus="a newer VarUpdate of a variable with repCnt {variant}",
-    expect="exactly so many beacons with one VarUpdate each, as it was sent",
+    expect="one unchanged VarUpdate in each of exactly repCnt beacons",
     window=20,
     variants=_COUNT_VARIANTS,
 )
@@ -109,18 +114,16 @@ def update(bench: Bench, count: Count) -> None:
     peer.send(record)
     found = bench.check_repeated(UPDATES, var_id, count(bench), since)
     wrong = [each for each in found if each.record != record]
-    bench.check(
-        not wrong, "the record is repeated as it came", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
-    )
+    bench.check(not wrong, "the record unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
     _nothing_else(bench, var_id, since, UPDATES, CREATES)
 
 
 @case(
     "TC_VD_FWD_BV_03",
-    "A VarDelete is repeated in exactly repCnt beacons ({variant}), and nothing else of the variable is sent any more",
+    "A VarDelete is sent in exactly repCnt beacons, and no other record of the variable after it ({variant})",
     requirements="VD-SCP-02 VD-PD-04",
     stimulus="a VarDelete of a variable with repCnt {variant}",
-    expect="exactly so many beacons with one VarDelete each, and no other instruction of the variable from then on",
+    expect="one VarDelete in each of exactly repCnt beacons; no other record of the variable after the first",
     window=20,
     variants=_COUNT_VARIANTS,
 )
@@ -130,11 +133,16 @@ def deletion(bench: Bench, count: Count) -> None:
     since = bench.mark()
     peer.send(peer.delete(var_id))
     found = bench.check_repeated(DELETES, var_id, count(bench), since)
-    # A summary that was composed before the deletion may still go out.
+    # A summary composed before the deletion may still be sent.
     first = bench.heard.index(found[0].heard) if found else since
     others = traces(bench, var_id, first, set(ICType) - {DELETES})
     bench.check(
-        not others, "nothing else is sent from then on", f"{named(others)} came", "VD-PD-04", frames=others, shown=found
+        not others,
+        "no other record of the variable after the first VarDelete",
+        f"{named(others)}",
+        "VD-PD-04",
+        frames=others,
+        shown=found,
     )
 
 
@@ -142,19 +150,19 @@ _Trigger = Callable[[Bench, Peer, int], VardisRecord]
 _TRIGGERS: dict[str, tuple[str, str, ICType, _Trigger]] = {
     "request-create": ("a VarReqCreate", "VD-RC-03", CREATES, lambda _, peer, var_id: peer.request_create(var_id)),
     "request-update": (
-        "a VarReqUpdate that is behind",
+        "a VarReqUpdate with an older number",
         "VD-RU-04",
         UPDATES,
         lambda bench, peer, var_id: peer.request_update(var_id, stepped(bench, 5, -1)),
     ),
     "older-summary": (
-        "an older summary",
+        "a summary with an older number",
         "VD-PS-03",
         UPDATES,
         lambda bench, peer, var_id: peer.summary(var_id, stepped(bench, 5, -1)),
     ),
     "older-update": (
-        "an older VarUpdate",
+        "a VarUpdate with an older number",
         "VD-PU-06",
         UPDATES,
         lambda bench, peer, var_id: peer.update(var_id, stepped(bench, 5, -1)),
@@ -168,12 +176,12 @@ def _answers() -> dict[str, Variant]:
             (trigger, kind, number),
             purpose=f"{words[0].upper()}{words[1:]} is answered in exactly repCnt beacons ({count})",
             requirements=requirement,
-            stimulus=f"{words} for a variable with repCnt {count}",
+            stimulus=f"{words} of a variable with repCnt {count}",
             needs=Needs() if count == "r1" else _TWO,
         )
         for name, (words, requirement, kind, trigger) in _TRIGGERS.items()
         for count, number in _COUNTS.items()
-        # The counters are the same ones as above: the largest count is tried where it takes least time.
+        # These use the same counters as the cases above: the largest count is tested where it takes the least time.
         if count != "max" or name == "request-update"
     }
 
@@ -183,14 +191,14 @@ def _answers() -> dict[str, Variant]:
     "{variant}",
     requirements="VD-RC-03",
     stimulus="{variant}",
-    expect="exactly repCnt beacons with one record of the kind that was asked for, with what is stored",
+    expect="one record of the requested kind, with the stored contents, in each of exactly repCnt beacons",
     window=20,
     variants=_answers(),
 )
 def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
     trigger, kind, count = what
     peer = bench.peer()
-    # Repetitions of the VarCreate itself are not to be counted.
+    # Repetitions of the VarCreate itself must not be counted.
     learn = _learnt if kind is CREATES else _taught
     var_id = learn(bench, peer, count(bench), 5)
     since = bench.mark()
@@ -198,7 +206,7 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
     found = bench.check_repeated(kind, var_id, count(bench), since)
     numbers = {each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found} or {5}
     bench.check(
-        numbers == {5}, "the answer carries the stored number 5", f"{sorted(numbers)}", frames=found, shown=True
+        numbers == {5}, "the stored sequence number 5 in the answer", f"{sorted(numbers)}", frames=found, shown=True
     )
     _nothing_else(bench, var_id, since, kind, CREATES)
 
@@ -208,10 +216,10 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
 
 @case(
     "TC_VD_FWD_BV_05",
-    "A newer VarUpdate in the middle of repetitions starts the counting again, with the newer value only",
+    "A newer VarUpdate restarts the repetitions, with the newer value only",
     requirements="VD-PU-07",
     stimulus="a newer VarUpdate, and after its first repetition another one",
-    expect="repCnt beacons with the second one, one VarUpdate of the variable in a beacon at most",
+    expect="repCnt beacons with the second VarUpdate; at most one VarUpdate of the variable in each beacon",
     window=20,
     needs=_TWO,
 )
@@ -226,29 +234,29 @@ def update_again(bench: Bench) -> None:
     beacons = {id(each.heard) for each in found}
     bench.check(
         len(found) == len(beacons),
-        "one VarUpdate of a variable in a beacon",
-        f"{len(found)} in {len(beacons)}",
+        "at most one VarUpdate of the variable in each beacon",
+        f"{len(found)} in {len(beacons)} beacons",
         shown=True,
     )
     second = [each for each in found if each.record.seqno == 2]
     bench.check(
         len(second) == count,
-        f"{count} beacons with the second update",
+        f"{count} beacons with the second VarUpdate",
         f"{len(second)} beacons",
         frames=second,
         shown=len(second) > count,
     )
     after = [each for each in found if each.record.seqno == 1 and second and each.heard.number > second[0].heard.number]
     bench.check(
-        not after, "the first update does not come again", "it comes behind the second one", frames=after, shown=True
+        not after, "no repetition of the first VarUpdate after the second", "at least one", frames=after, shown=True
     )
 
 
 @case(
     "TC_VD_FWD_BV_06",
-    "While an update is being repeated, older information does not start the counting again ({variant})",
+    "While a VarUpdate is being repeated, older information does not restart the repetitions ({variant})",
     requirements="VD-PU-06",
-    stimulus="a newer VarUpdate, and after its first repetition older information ({variant})",
+    stimulus="a newer VarUpdate, and after its first repetition an older {variant}",
     expect="exactly repCnt beacons with the VarUpdate",
     window=20,
     needs=_TWO,
@@ -258,7 +266,7 @@ def update_again(bench: Bench) -> None:
     },
 )
 def not_again(bench: Bench, stimulus: Callable[[Peer, int], VardisRecord]) -> None:
-    # With four or more, one repetition at least is still queued when the first one is heard.
+    # With four or more, at least one repetition is still queued when the first one is heard.
     peer, count = bench.peer(), min(5, max_repetitions(bench))
     var_id = _learnt(bench, peer, count, seqno=5)
     since = bench.mark()
@@ -271,15 +279,20 @@ def not_again(bench: Bench, stimulus: Callable[[Peer, int], VardisRecord]) -> No
         bench.check_repeated(UPDATES, var_id, count, since)
         return
     came = len(bench.repeated(UPDATES, var_id, since))
-    bench.info("repetitions with older information in between", f"{came} for repCnt {count}: it may have come too late")
+    bench.info(
+        "How many repetitions are there if older information arrives between them?",
+        f"{came} for repCnt {count}: the older information may have arrived too late",
+    )
 
 
 @case(
     "TC_VD_FWD_BV_07",
-    "A request while the answer is being repeated starts the counting again ({variant})",
+    "A request received while its answer is being repeated restarts the repetitions ({variant})",
     requirements="VD-RU-04",
     stimulus="a request, and after the first repetition of the answer the same request again",
-    expect="the repetitions heard until then and repCnt more; one that was composed already counts for either",
+    expect=(
+        "the repetitions until the second request, and repCnt more; a payload composed before it may count for either"
+    ),
     window=20,
     needs=_TWO,
     variants={
@@ -298,17 +311,23 @@ def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
     other.send(trigger(bench, peer, var_id))
     before = _require_left(bench, kind, var_id, count, since)
     found = bench.repeated(kind, var_id, since)
-    # Payloads may be composed up to two beacons before they leave, and a slow implementation takes the request later.
+    # Payloads may be composed up to two beacons before they are sent, and a slow implementation processes the request
+    # later.
     most = before + count + bench.ahead
     bench.check(
         before + count <= len(found) <= most,
-        f"{before} and {count} repetitions more",
-        f"{len(found)} in all",
+        f"{before} repetitions and {count} more",
+        f"{len(found)} in total",
         frames=found,
         shown=len(found) > most,
     )
     beacons = {id(each.heard) for each in found}
-    bench.check(len(found) == len(beacons), "one in a beacon", f"{len(found)} in {len(beacons)} beacons", shown=True)
+    bench.check(
+        len(found) == len(beacons),
+        "at most one record in each beacon",
+        f"{len(found)} in {len(beacons)} beacons",
+        shown=True,
+    )
 
 
 # -- nothing new -------------------------------------------------------------------------------------------------------
@@ -316,10 +335,10 @@ def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
 
 @case(
     "TC_VD_FWD_BV_08",
-    "Information that is not new is not repeated",
+    "Information that is not new is not forwarded",
     requirements="VD-SCP-03",
-    stimulus="a VarCreate, a VarUpdate and a VarDelete, each again when the repetitions of the first are over",
-    expect="the second ones lead to nothing",
+    stimulus="a VarCreate, a VarUpdate and a VarDelete, each sent again after the repetitions of the first",
+    expect="no record after the second of each",
     window=16,
 )
 def nothing_new(bench: Bench) -> None:
@@ -336,24 +355,24 @@ def nothing_new(bench: Bench) -> None:
         found = traces(bench, var_id, start, (CREATES, UPDATES, DELETES))
         bench.check(
             not found,
-            f"the same {kind.label} record leads to nothing",
-            f"{named(found)} came",
+            f"no record after the same {kind.label} record again",
+            f"{named(found)}",
             frames=found,
             shown=True,
         )
     bench.check(
         len(bench.instructions(CREATES, var_id, since)) == 1,
-        "one VarCreate in all",
-        "there are more",
+        "one VarCreate in total",
+        "more than one",
         shown=len(bench.instructions(CREATES, var_id, since)) > 1,
     )
 
 
 @case(
     "TC_VD_FWD_BV_09",
-    "The same VarUpdate from several neighbours is repeated repCnt times in all",
+    "The same VarUpdate from several neighbours is forwarded repCnt times in total",
     requirements="VD-SCP-03",
-    stimulus="one newer VarUpdate from five peers behind each other",
+    stimulus="the same newer VarUpdate from five peers in succession",
     expect="exactly repCnt beacons with it",
     window=20,
 )
@@ -368,10 +387,10 @@ def from_all_sides(bench: Bench) -> None:
 
 @case(
     "TC_VD_FWD_BV_10",
-    "A VarCreate that is repeated after an update carries the newer value and number",
+    "A VarCreate requested after an update has the newer value and sequence number",
     requirements="VD-RC-03",
-    stimulus="a newer VarUpdate and a VarReqCreate; then a VarCreate of the first value",
-    expect="a VarCreate with the value and the number of the update; the old VarCreate changes nothing",
+    stimulus="a newer VarUpdate and a VarReqCreate; then a VarCreate with the first value",
+    expect="a VarCreate with the value and sequence number of the VarUpdate; the old VarCreate changes nothing",
     window=10,
 )
 def newest_value(bench: Bench) -> None:
@@ -380,11 +399,13 @@ def newest_value(bench: Bench) -> None:
     bench.learn(peer, create)
     peer.send(peer.update(var_id, 1, b"newer"))
     updated = bench.until_instruction(UPDATES, var_id)
-    for what in ("after the update", "after its VarCreate came again"):
+    for what in ("after the update", "after a VarCreate with the first value"):
         held = ask(bench, var_id)
         upd = held.record.upd if held.record is not None else None
         right = upd is not None and (upd.seqno, upd.value) == (1, bench.value(b"newer"))
-        bench.check(right, f"{what}, number and value of the update", str(held), shown=updated and held.record)
+        bench.check(
+            right, f"{what}: sequence number and value of the VarUpdate", str(held), shown=updated and held.record
+        )
         specs = held.record is None or held.record.spec == create.spec
-        bench.check(specs, "the specification as it was sent", f"{held.record.spec if held.record else ''}", shown=True)
+        bench.check(specs, "the specification as sent", f"{held.record.spec if held.record else ''}", shown=True)
         peer.send(create)

@@ -1,6 +1,6 @@
-"""dcp-vardis.md: Data Types: identifiers at their bounds.
+"""dcp-vardis.md: Data Types: identifiers at their limits.
 
-Octets that are read with a sign, a table with one place too few, or 0 taken for "none" go wrong with these only.
+Only these identifiers reveal a node that decodes them as signed, has one table entry too few, or treats 0 as "none".
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ _ASK_CREATE, _ASK_UPDATE = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 
 
 def _usable(name: str) -> Callable[[Bench], str | None]:
-    """For ``Needs.when``: the range of identifiers that the tester may use (PIXIT) must include it."""
+    """Return a condition for ``Needs.when``: the identifier must be in the range that the tester may use (PIXIT)."""
 
     def when(bench: Bench) -> str | None:
         number, allowed = bench.session.boundaries[name], bench.pixit.var_ids
         if allowed is None or allowed[0] <= number <= allowed[1]:
             return None
-        return f"the tester may use the identifiers {allowed[0]} to {allowed[1]} (pixit.var_ids)"
+        return f"the tester may only use the identifiers {allowed[0]} to {allowed[1]} (pixit.var_ids)"
 
     return when
 
 
 def _each(*methods: str) -> dict[str, Variant]:
-    """The boundary values by name."""
+    """Return a variant for each boundary value."""
     return {
         name: Variant(name, needs=Needs(ut=methods, when=_usable(name)))
         for name in ("lowest", "below-half", "half", "highest")
@@ -42,10 +42,12 @@ def _each(*methods: str) -> dict[str, Variant]:
 
 @case(
     "TC_VD_ID_BV_01",
-    "A variable of another node has the {variant} identifier: it is learnt, updated, told, requested and deleted",
+    "A variable of another node with the {variant} identifier can be learnt, updated, requested and deleted",
     requirements="VD-TYP-01 VD-PS-01 VD-PC-09 VD-PU-07 VD-PS-04 VD-RC-03 VD-PD-04",
-    stimulus="identifier {variant} (of one octet: 0, 127, 128, 255): a summary, VarCreate, VarUpdate, a newer summary, "
-    "VarReqCreate, VarDelete of it",
+    stimulus=(
+        "with the {variant} identifier (of 0, 127, 128, 255 for one octet): a summary, VarCreate, VarUpdate, a "
+        "newer summary, VarReqCreate, VarDelete"
+    ),
     expect="VarReqCreate, VarCreate, VarUpdate, VarReqUpdate, VarCreate and VarDelete with this identifier",
     window=24,
     variants=_each(),
@@ -67,10 +69,10 @@ def consumer(bench: Bench, name: str) -> None:
 
 @case(
     "TC_VD_ID_BV_02",
-    "A variable of the implementation's application has the {variant} identifier: all services and records know it",
+    "All services and records accept the {variant} identifier for a node's own variable",
     requirements="VD-TYP-01 VD-CRE-14 VD-CRE-12",
-    stimulus="RTDB-Create, -Read, -Update and -Delete with identifier {variant} (of one octet: 0, 127, 128, 255)",
-    expect="OK each time; VarCreate, summary, VarUpdate and VarDelete with this identifier",
+    stimulus="RTDB-Create, -Read, -Update, -Delete with the {variant} identifier (of 0, 127, 128, 255 for one octet)",
+    expect="VARDIS-STATUS-OK each time; VarCreate, summary, VarUpdate and VarDelete with this identifier",
     window=24,
     variants=_each("RTDB-Create", "RTDB-Update", "RTDB-Read", "RTDB-Delete"),
 )
@@ -86,23 +88,21 @@ def producer(bench: Bench, name: str) -> None:
     _check_answer(bench, lambda: served("RTDB-Create", **request), _CREATE, var_id, "VD-CRE-12")
     if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         told = bench.until_instruction(_SUMMARY, var_id, 2 * bench.reaction)
-        bench.check(told, f"a summary of variable {var_id}", "none came", "VD-CRE-12", "VD-TYP-01")
+        bench.check(told, f"a summary of variable {var_id}", "none in time", "VD-CRE-12", "VD-TYP-01")
     _check_answer(
         bench, lambda: served("RTDB-Update", value=bench.value(b"second").hex()), _UPDATE, var_id, "VD-TYP-01"
     )
     answer = bench.expect_status(OK, "RTDB-Read", "VD-TYP-01", varId=var_id)
     value = answer.result.get("value")
-    bench.check(
-        value == bench.value(b"second").hex(), "the value is that of the update", f"{value}", "VD-TYP-01", shown=True
-    )
+    bench.check(value == bench.value(b"second").hex(), "the value of the update", f"{value}", "VD-TYP-01", shown=True)
     _check_answer(bench, lambda: served("RTDB-Delete"), _DELETE, var_id, "VD-TYP-01")
 
 
 def _check_answer(bench: Bench, act: Callable[[], object], kind: ICType, var_id: int, requirement: str) -> None:
-    """Check that a record of this kind about the variable follows; goes on when it has stopped."""
+    """Check that a record of this kind about the variable follows, and wait until its repetitions end."""
     since = bench.mark()
     act()
     found = bench.until_instruction(kind, var_id)
     what = f"a {kind.label} record of variable {var_id}"
-    bench.require(found is not None, what, "none came", requirement, "VD-TYP-01")
+    bench.require(found is not None, what, "none in time", requirement, "VD-TYP-01")
     bench.until_quiet(lambda heard: heard.instructions(kind, var_id), 8, since)

@@ -1,4 +1,4 @@
-"""dcp-vardis.md: Receive Path, payloads that are larger than the receiver's own may be."""
+"""dcp-vardis.md: Receive Path, payloads larger than the receiver's own maximum."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LIMITS = {"own-payload": "VARDISPAR_MAX_PAYLOAD_SIZE", "own-beacon": "BPPAR_MAX
 
 
 def _octets(bench: Bench, limit: str) -> int:
-    """The VarDis payload that is larger by one octet than a parameter of the implementation allows its own."""
+    """Return the size in octets of a VarDis payload one octet larger than the implementation's own may be."""
     headers = header_octets(bench) + block_header_octets(bench) if limit.startswith("BP") else 0
     return bench.parameter(limit) + 1 - headers
 
@@ -27,7 +27,7 @@ def _carried(limit: str) -> Needs:
     def when(bench: Bench) -> str | None:
         size = _octets(bench, limit) + header_octets(bench) + block_header_octets(bench)
         if size > _LARGEST:
-            return f"{limit} allows the implementation all that a frame carries"
+            return f"{limit} is as large as a frame"
         return areas_of_fixed_size(bench)
 
     return Needs(when=when)
@@ -35,11 +35,14 @@ def _carried(limit: str) -> Needs:
 
 @case(
     "TC_VD_ROB_BV_01",
-    "A payload that is larger than the implementation's own may be is survived ({variant})",
+    "A receiver survives a payload larger than its own maximum ({variant})",
     requirements="VD-ROB-01 VD-RX-04",
-    stimulus="a payload one octet larger than the implementation's own may be: the summaries of two unknown variables "
-    "as the first and the last container, and many equal ones of a known variable between them; then a good payload",
-    expect="VarDis goes on, and what it has stored is unchanged; whether it takes the large payload is reported",
+    stimulus=(
+        "a payload one octet larger than the implementation's own maximum, with summaries of two unknown variables "
+        "in its first and last container, and many equal summaries of a known variable between them; then a valid "
+        "payload"
+    ),
+    expect="VarDis continues, and its database is unchanged; the case reports whether it processes the large payload",
     window=14,
     variants={name: Variant(limit, needs=_carried(limit)) for name, limit in _LIMITS.items()},
     destructive=True,
@@ -51,21 +54,19 @@ def larger_than_own(bench: Bench, limit: str) -> None:
     first, last = bench.unknown_ids(2)
     since = bench.mark()
     peer.send(bench.forge.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
-    bench.require_alive("a payload that is larger than its own may be", "VD-ROB-01")
+    bench.require_alive("a payload larger than its own maximum", "VD-ROB-01")
     bench.beacons(1, 1.5)
     asked = [bool(bench.instructions(ICType.REQUEST_VARCREATES, each, since)) for each in (first, last)]
-    said = {(True, True): "it is processed", (False, False): "it is ignored", (True, False): "only its beginning is"}
-    question = f"What becomes of a payload larger than {limit} allows the own ones?"
-    bench.info(question, said.get((asked[0], asked[1]), "only its end is"), "VD-RX-04")
+    said = {(True, True): "yes", (False, False): "no", (True, False): "only its first container"}
+    question = f"Is a payload processed that is larger than {limit} allows the implementation's own?"
+    bench.info(question, said.get((asked[0], asked[1]), "only its last container"), "VD-RX-04")
     held = ask(bench, known)
     value = None if held.record is None else held.record.upd.value
-    bench.check(
-        value == bench.value(b"stays"), "what is stored has not changed", str(held), "VD-ROB-01", shown=held.shown
-    )
+    bench.check(value == bench.value(b"stays"), "an unchanged database", str(held), "VD-ROB-01", shown=held.shown)
 
 
 def _filled(bench: Bench, peer: Peer, first: int, last: int, known: int, octets: int) -> list[bytes]:
-    """Containers of so many octets in all, or a few more."""
+    """Return containers with ``octets`` octets in total, or a few more."""
     container = bench.forge.container
     ends = [container(peer.summary(first, 1)), container(peer.summary(last, 1))]
     left = octets - sum(map(len, ends))

@@ -1,4 +1,4 @@
-"""dcp-vardis.md: Configurable Parameters, limits of values and of descriptions when they differ."""
+"""dcp-vardis.md: Configurable Parameters, different maximum lengths of values and descriptions."""
 
 from __future__ import annotations
 
@@ -34,16 +34,19 @@ _SET = ("VD-SetParameter",)
 
 
 def _nul(bench: Bench) -> int:
-    """The parameter of 1.0 counts the NUL at the end of a description."""
+    """Return 1 if the parameter counts the NUL at the end of a description (1.0), else 0."""
     return 1 if bench.features.string_format == "nul-terminated" else 0
 
 
 @case(
     "TC_VD_LEN_BV_02",
-    "Values and descriptions that are received have limits of their own ({variant})",
+    "Lengths of received values and descriptions are each compared with their own maximum ({variant})",
     requirements="VD-PC-04 VD-PC-05 VD-PU-04",
-    stimulus="the two maximum lengths are set to 8 and 20 octets; VarCreates and VarUpdates on both sides of each",
-    expect="what fits its own limit is stored, whatever the other one is; what does not is ignored",
+    stimulus=(
+        "the two maximum lengths are set to 8 and 20 octets; VarCreates and VarUpdates with lengths up to and "
+        "above each"
+    ),
+    expect="records are stored if each length is within its own maximum, and ignored otherwise",
     window=30,
     needs=Needs(since=SpecVersion.V1_1, ut=_SET),
     variants={"short-values": _SHORT_VALUES, "short-descriptions": _SHORT_DESCRIPTIONS},
@@ -65,16 +68,21 @@ def received(bench: Bench, limits: Limits) -> None:
                 bench.require_alive(what)
                 bench.beacons(1, 1.5)
                 found = bench.instructions(ICType.CREATE_VARIABLES, record.spec.var_id)
-                bench.check(not found, f"{what} is ignored", "it is sent on", *wrong, frames=found, shown=True)
+                bench.check(not found, f"{what} is ignored", "it was forwarded", *wrong, frames=found, shown=True)
             else:
                 sent_on = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
-                bench.check(sent_on, f"{what} is stored", "it is not sent on", *wrong)
+                bench.check(sent_on, f"{what} is forwarded", "not forwarded in time", *wrong)
         known = peer.create(bench.unknown_id(), value=b"v", descr=b"d")
         bench.learn(peer, known)
         name = known.spec.var_id
         peer.send(peer.update(name, 1, b"v" * limits.value, exact=True))
         stored = bench.until_instruction(ICType.UPDATES, name)
-        bench.check(stored, f"a VarUpdate with a value of {limits.value} octets is stored", "it is not", "VD-PU-04")
+        bench.check(
+            stored,
+            f"a VarUpdate with a value of {limits.value} octets is forwarded",
+            "not forwarded in time",
+            "VD-PU-04",
+        )
         mark = bench.mark()
         peer.send(peer.update(name, 2, b"v" * (limits.value + 1), exact=True))
         held = ask(bench, name)
@@ -86,10 +94,15 @@ def received(bench: Bench, limits: Limits) -> None:
 
 @case(
     "TC_VD_LEN_BV_03",
-    "Values and descriptions of an application have limits of their own ({variant})",
+    "Lengths of an application's values and descriptions are each compared with their own maximum ({variant})",
     requirements="VD-CRE-04 VD-CRE-05",
-    stimulus="the two maximum lengths are set to 8 and 20 octets; RTDB-Create and RTDB-Update on both sides of each",
-    expect="VARDIS-STATUS-OK for what fits its own limit, VALUE-TOO-LONG or DESCRIPTION-TOO-LONG for what does not",
+    stimulus=(
+        "the two maximum lengths are set to 8 and 20 octets; RTDB-Create and RTDB-Update with lengths up to and "
+        "above each"
+    ),
+    expect=(
+        "VARDIS-STATUS-OK if each length is within its own maximum, otherwise VALUE-TOO-LONG or DESCRIPTION-TOO-LONG"
+    ),
     window=10,
     needs=Needs(ut=(*_SET, "RTDB-Create")),
     variants={

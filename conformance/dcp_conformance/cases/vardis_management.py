@@ -27,10 +27,10 @@ def _needs(*methods: str) -> Needs:
 
 @case(
     "TC_VD_MGT_BV_01",
-    "VarDis can be deactivated and activated, also when it is so already",
+    "VarDis can be deactivated and activated, even repeatedly",
     requirements="VD-MGT-01 VD-MGT-05",
     stimulus="VD-MGMT-Deactivate twice, VD-MGMT-Activate twice",
-    expect="VARDIS-STATUS-OK each time; afterwards VarDis answers again",
+    expect="VARDIS-STATUS-OK each time; VarDis answers afterwards",
     needs=_needs(),
     smoke=True,
 )
@@ -41,49 +41,57 @@ def on_and_off(bench: Bench) -> None:
     finally:
         for _ in range(2):
             bench.expect_status(OK, _ON, "VD-MGT-05")
-    bench.require_alive("being inactive", "VD-MGT-05")
+    bench.require_alive("a time of inactivity", "VD-MGT-05")
 
 
 @case(
     "TC_VD_MGT_BO_01",
-    "An inactive VarDis generates no payloads",
+    "Inactive VarDis generates no payloads",
     requirements="VD-MGT-02 VD-MGT-05",
-    stimulus="RTDB-Create with the most repetitions; VD-MGMT-Deactivate after the first VarCreate; later Activate",
-    expect="after at most one beacon, whose payload BP had already, no VarDis block; once active, blocks again",
+    stimulus=(
+        "RTDB-Create with the maximum repCnt; VD-MGMT-Deactivate after the first VarCreate; VD-MGMT-Activate after "
+        "six periods"
+    ),
+    expect=(
+        "no VarDis block after at most one beacon, whose payload BP had already buffered; blocks again after activation"
+    ),
     window=20,
     needs=_needs("RTDB-Create"),
 )
 def no_payloads(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
     if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
-        bench.inconclusive("VarDis payloads are heard", "they are not")
+        bench.inconclusive("beacons with VarDis payloads", "none in time")
     with bench.deactivated("VD"):
         mark = bench.mark()
         bench.wait(6)
         frames = [heard for heard in bench.heard[mark:] if heard.has_vardis]
-        observed = f"{len(frames)} beacons have VarDis blocks"
+        observed = f"{len(frames)} beacons with VarDis blocks"
         bench.check(
             len(frames) <= 1,
-            "no VarDis payload but one that BP had already",
+            "no VarDis payload, except one that BP had already buffered",
             observed,
             "VD-MGT-02",
             frames=frames,
             shown=True,
         )
     again = bench.until(lambda heard: heard.has_vardis and heard)
-    # All repetitions may have gone, and summaries may be switched off.
+    # The repetitions may be over, and summaries may be switched off.
     if not again and not bench.bound("VARDISPAR_MAX_SUMMARIES"):
-        bench.require_alive("being inactive", "VD-MGT-05")
+        bench.require_alive("a time of inactivity", "VD-MGT-05")
     else:
-        bench.check(bool(again), "active again, VarDis generates payloads", "none came", "VD-MGT-05")
+        bench.check(bool(again), "VarDis payloads after activation", "none in time", "VD-MGT-05")
 
 
 @case(
     "TC_VD_MGT_BO_02",
-    "What is received while VarDis is inactive is never processed",
+    "Payloads received while VarDis is inactive are never processed",
     requirements="VD-MGT-03",
-    stimulus="while inactive: a VarCreate, an update of a known variable, a summary of an unknown one; then Activate",
-    expect="the new variable is unknown, the known one unchanged, and the summary brings no request",
+    stimulus=(
+        "while VarDis is inactive, a VarCreate, an update of a known variable and a summary of an unknown one; "
+        "then VD-MGMT-Activate"
+    ),
+    expect="the new variable is unknown, the known one unchanged, and the summary causes no request",
     window=16,
     needs=_needs("RTDB-Read"),
 )
@@ -95,12 +103,10 @@ def discards(bench: Bench) -> None:
         mark = bench.mark()
         peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
         bench.wait(2)
-    bench.require_alive("being inactive")
+    bench.require_alive("a time of inactivity")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
     value = bench.call("RTDB-Read", varId=known).result.get("value")
-    bench.check(
-        value == bench.value(b"before").hex(), "the known variable is unchanged", f"its value is {value}", shown=True
-    )
+    bench.check(value == bench.value(b"before").hex(), "the known variable unchanged", f"value {value}", shown=True)
     for kind, var_id in (
         (ICType.CREATE_VARIABLES, created),
         (ICType.UPDATES, known),
@@ -108,16 +114,20 @@ def discards(bench: Bench) -> None:
     ):
         frames = bench.frames_with(kind, var_id, mark)
         bench.check(
-            not frames, f"no {kind.label} record follows from it", f"{len(frames)} beacons", frames=frames, shown=True
+            not frames,
+            f"no {kind.label} record as a reaction",
+            f"{len(frames)} beacons with one",
+            frames=frames,
+            shown=True,
         )
 
 
 @case(
     "TC_VD_MGT_BV_02",
-    "The database survives being inactive",
+    "Deactivation does not change the database",
     requirements="VD-MGT-05",
-    stimulus="an own and a learnt variable; VD-MGMT-Deactivate, VD-MGMT-Activate",
-    expect="both are read with their values; summaries of both appear again",
+    stimulus="one of the node's own variables and one of a peer; VD-MGMT-Deactivate, VD-MGMT-Activate",
+    expect="RTDB-Read returns both values; summaries of both variables continue",
     window=16,
     needs=_needs("RTDB-Create", "RTDB-Read"),
 )
@@ -130,21 +140,19 @@ def database_kept(bench: Bench) -> None:
     for var_id, value in ((mine, b"mine"), (theirs, b"theirs")):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
         shown = answer.result.get("value")
-        bench.check(
-            shown == bench.value(value).hex(), f"the value is {bench.value(value)!r}", f"it is {shown}", shown=True
-        )
+        bench.check(shown == bench.value(value).hex(), f"value {bench.value(value)!r}", f"{shown}", shown=True)
     if bench.bound("VARDISPAR_MAX_SUMMARIES"):
         wanted = {mine, theirs}
         bench.until(lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}, 12)
         seen = {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}
-        bench.check(wanted <= seen, "summaries of both variables appear", f"those of {sorted(seen & wanted)} do")
+        bench.check(wanted <= seen, "summaries of both variables", f"summaries of {sorted(seen & wanted)}")
 
 
 # -- services of an inactive VarDis ------------------------------------------------------------------------------------
 
 
 def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dict[str, Any]:
-    """The service must answer INACTIVE between deactivation and activation; what it returned."""
+    """Check that a service answers INACTIVE while VarDis is inactive; return the fields of its answer."""
     with bench.deactivated("VD"):
         answer = bench.call(method, **params)
         bench.check_status(answer, (INACTIVE,), method, requirement, "VD-MGT-04")
@@ -153,10 +161,10 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
 
 @case(
     "TC_VD_MGT_BO_03",
-    "An inactive VarDis creates no variable, neither now nor later",
+    "Inactive VarDis creates no variable, neither immediately nor after activation",
     requirements="VD-MGT-04 VD-CRE-01 VD-CRE-13",
-    stimulus="while inactive RTDB-Create, once good and once with an empty value; then Activate",
-    expect="VARDIS-STATUS-INACTIVE both times, even before the value is looked at; later no variable and no VarCreate",
+    stimulus="while VarDis is inactive, RTDB-Create, valid and with an empty value; then VD-MGMT-Activate",
+    expect="VARDIS-STATUS-INACTIVE both times, whatever the value; no variable and no VarCreate after activation",
     needs=_needs("RTDB-Create", "RTDB-Read"),
 )
 def create(bench: Bench) -> None:
@@ -164,56 +172,54 @@ def create(bench: Bench) -> None:
     mark = bench.mark()
     _inactive(bench, "RTDB-Create", "VD-CRE-01", **create_request(bench, good))
     _inactive(bench, "RTDB-Create", "VD-CRE-13", **create_request(bench, bad, value=b""))
-    bench.require_alive("being inactive")
+    bench.require_alive("a time of inactivity")
     bench.expect_status(UNKNOWN, "RTDB-Read", "VD-MGT-04", varId=good)
     frames = bench.frames_with(ICType.CREATE_VARIABLES, good, mark)
-    bench.check(not frames, "no VarCreate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames, shown=True)
+    bench.check(not frames, "no VarCreate", f"{len(frames)} beacons with one", "VD-MGT-04", frames=frames, shown=True)
 
 
 @case(
     "TC_VD_MGT_BO_04",
-    "An inactive VarDis updates no variable, neither now nor later",
+    "Inactive VarDis updates no variable, neither immediately nor after activation",
     requirements="VD-MGT-04 VD-UPD-01",
-    stimulus="while inactive RTDB-Update; then Activate",
-    expect="VARDIS-STATUS-INACTIVE; later the old value, and no VarUpdate",
+    stimulus="RTDB-Update while VarDis is inactive; then VD-MGMT-Activate",
+    expect="VARDIS-STATUS-INACTIVE; the old value and no VarUpdate after activation",
     needs=_needs("RTDB-Create", "RTDB-Update", "RTDB-Read"),
 )
 def update(bench: Bench) -> None:
     var_id = produced(bench, value=b"before")
     mark = bench.mark()
     _inactive(bench, "RTDB-Update", "VD-UPD-01", varId=var_id, value=bench.value(b"while").hex())
-    bench.require_alive("being inactive")
+    bench.require_alive("a time of inactivity")
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(
-        value == bench.value(b"before").hex(), "the value is unchanged", f"it is {value}", "VD-MGT-04", shown=True
-    )
+    bench.check(value == bench.value(b"before").hex(), "the value unchanged", f"{value}", "VD-MGT-04", shown=True)
     frames = bench.frames_with(ICType.UPDATES, var_id, mark)
-    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames, shown=True)
+    bench.check(not frames, "no VarUpdate", f"{len(frames)} beacons with one", "VD-MGT-04", frames=frames, shown=True)
 
 
 @case(
     "TC_VD_MGT_BO_05",
-    "An inactive VarDis deletes no variable, neither now nor later",
+    "Inactive VarDis deletes no variable, neither immediately nor after activation",
     requirements="VD-MGT-04 VD-DEL-01",
-    stimulus="while inactive RTDB-Delete; then Activate",
-    expect="VARDIS-STATUS-INACTIVE; later the variable is there, and no VarDelete is sent",
+    stimulus="RTDB-Delete while VarDis is inactive; then VD-MGMT-Activate",
+    expect="VARDIS-STATUS-INACTIVE; the variable exists and no VarDelete is sent after activation",
     needs=_needs("RTDB-Create", "RTDB-Delete", "RTDB-Read"),
 )
 def delete(bench: Bench) -> None:
     var_id = produced(bench)
     mark = bench.mark()
     _inactive(bench, "RTDB-Delete", "VD-DEL-01", varId=var_id)
-    bench.require_alive("being inactive")
+    bench.require_alive("a time of inactivity")
     bench.expect_status(OK, "RTDB-Read", "VD-MGT-04", varId=var_id)
     frames = bench.frames_with(ICType.DELETE_VARIABLES, var_id, mark)
-    bench.check(not frames, "no VarDelete is sent", f"{len(frames)} are", "VD-MGT-04", frames=frames, shown=True)
+    bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", "VD-MGT-04", frames=frames, shown=True)
 
 
 @case(
     "TC_VD_MGT_BO_06",
-    "An inactive VarDis lets no variable be read",
+    "Inactive VarDis rejects RTDB-Read",
     requirements="VD-MGT-04 VD-REA-01",
-    stimulus="while inactive RTDB-Read, of a variable that is there and of one that is not",
+    stimulus="RTDB-Read while VarDis is inactive, for an existing variable and for an unknown one",
     expect="VARDIS-STATUS-INACTIVE and no value both times",
     needs=_needs("RTDB-Create", "RTDB-Read"),
 )
@@ -225,25 +231,29 @@ def read(bench: Bench) -> None:
 
 @case(
     "TC_VD_MGT_BO_07",
-    "An inactive VarDis does not describe its database",
+    "Inactive VarDis rejects RTDB-DescribeDatabase",
     requirements="VD-MGT-04 VD-DDB-01",
-    stimulus="while inactive RTDB-DescribeDatabase",
-    expect="VARDIS-STATUS-INACTIVE and no data",
+    stimulus="RTDB-DescribeDatabase while VarDis is inactive",
+    expect="VARDIS-STATUS-INACTIVE and no variables",
     needs=_needs("RTDB-Create", "RTDB-DescribeDatabase"),
 )
 def describe_database(bench: Bench) -> None:
     produced(bench)
     result = _inactive(bench, "RTDB-DescribeDatabase", "VD-DDB-01")
     bench.check(
-        not result.get("variables"), "no data", f"{len(result.get('variables', []))} variables", "VD-DDB-01", shown=True
+        not result.get("variables"),
+        "no variables",
+        f"{len(result.get('variables', []))} variables",
+        "VD-DDB-01",
+        shown=True,
     )
 
 
 @case(
     "TC_VD_MGT_BO_08",
-    "An inactive VarDis does not describe a variable",
+    "Inactive VarDis rejects RTDB-DescribeVariable",
     requirements="VD-MGT-04 VD-DVA-01",
-    stimulus="while inactive RTDB-DescribeVariable, of a variable that is there and of one that is not",
+    stimulus="RTDB-DescribeVariable while VarDis is inactive, for an existing variable and for an unknown one",
     expect="VARDIS-STATUS-INACTIVE and no entry both times",
     needs=_needs("RTDB-Create", "RTDB-DescribeVariable"),
 )

@@ -1,6 +1,7 @@
 """dcp-vardis.md: Configurable Parameters.
 
-A value is taken when VD-GetParameters shows it afterwards; how a refusal is reported is left to the implementation.
+A value counts as accepted if VD-GetParameters returns it afterwards; how a rejection is reported is up to the
+implementation.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ _GET, _SET = "VD-GetParameters", "VD-SetParameter"
 _PARAMETERS = Needs(ut=(_GET, _SET))
 
 
-#: The least maximum length that can be lowered, also where it counts a NUL.
+#: The smallest maximum length that can be reduced, even if it counts a NUL.
 _LOWERED = 3
-#: How far beyond a bound the values are that must not be taken.
+#: How far beyond the limit a rejected value may be at most.
 _BEYOND = 3
 
 
@@ -49,7 +50,7 @@ def _in_force(bench: Bench, name: str) -> Any:
 
 @contextmanager
 def _kept(bench: Bench, name: str) -> Iterator[None]:
-    """Whatever is tried with the parameter, it has its old value afterwards."""
+    """Restore the old value of a parameter at the end of the block."""
     old = bench.parameter(name)
     try:
         yield
@@ -61,7 +62,7 @@ def _check_taken(bench: Bench, name: str, *values: int) -> None:
     for value in values:
         answer = bench.call(_SET, name=name, value=value)
         shown = _in_force(bench, name)
-        bench.check(shown == value, f"{name} = {value} is taken", f"{answer}; it is {shown}", shown=True)
+        bench.check(shown == value, f"{name} = {value} is accepted", f"{answer}; its value is {shown}", shown=True)
 
 
 def _check_refused(bench: Bench, name: str, *values: float) -> None:
@@ -69,22 +70,22 @@ def _check_refused(bench: Bench, name: str, *values: float) -> None:
         before = _in_force(bench, name)
         answer = bench.call(_SET, name=name, value=value)
         shown = _in_force(bench, name)
-        # What is refused here lies just beyond a bound; further, where it is open whether a NUL counts.
+        # Rejected values are just beyond a limit; one further if it is open whether a NUL counts.
         nearest = shown != before and shown != value and abs(shown - value) <= _BEYOND
         if nearest and name.startswith("VARDISPAR_"):
             bench.reading("X39", "nearest-value")
             continue
-        what = f"{name} = {value} is not taken"
-        bench.check(shown == before, what, f"{answer}; it is {shown}, was {before}", shown=True)
+        what = f"{name} = {value} is rejected"
+        bench.check(shown == before, what, f"{answer}; its value is {shown}, before it was {before}", shown=True)
 
 
 def _is_least(bench: Bench, name: str) -> str | None:
-    """For ``Needs.when``: why a maximum length cannot be lowered."""
-    return f"{name} is {bench.parameter(name)}, and cannot be lowered" if bench.parameter(name) < _LOWERED else None
+    """Return why a maximum length cannot be reduced, or None; for ``Needs.when``."""
+    return f"{name} is {bench.parameter(name)} and cannot be reduced" if bench.parameter(name) < _LOWERED else None
 
 
 def _no_way_to_learn(bench: Bench) -> str | None:
-    """For ``Needs.when``: why the longest value and description cannot be found out."""
+    """Return why the maximum lengths of value and description cannot be determined, or None; for ``Needs.when``."""
     upper = bench.session.upper
     if upper is not None and ({_GET} <= upper.methods or {"RTDB-Create"} <= upper.methods):
         return None
@@ -92,9 +93,9 @@ def _no_way_to_learn(bench: Bench) -> str | None:
 
 
 def _tried(bench: Bench, name: str) -> str | int:
-    """32 if so many octets are taken and 33 are not; else what happens."""
+    """Return 32 if RTDB-Create accepts 32 octets and rejects 33; otherwise describe the answers."""
     answers = []
-    # In 1.0 the length of a description counts the NUL at its end.
+    # In 1.0 the length of a description includes the NUL at its end.
     nul = name == _DESCR and bench.features.string_format == "nul-terminated"
     for length in (32 - nul, 33 - nul):
         request = {"value": b"v" * length} if name == _VALUE else {"descr": "d" * length}
@@ -109,39 +110,44 @@ def _ic_header(bench: Bench) -> int:
 
 
 def _bare_create(bench: Bench) -> int:
-    """Octets of a container with a VarCreate without description and value, up to their lengths."""
+    """Return the size in octets of a container with a VarCreate without description and value, up to their length
+    fields.
+    """
     bare = len(bench.forge.container(bench.sample(descr=b"", value=b"")))
     return bare - (1 if bench.profile.types.string.terminated else 0)
 
 
 def _largest_length(bench: Bench) -> int:
-    """The largest VarLenT."""
+    """Return the largest VarLenT."""
     return int((1 << (8 * bench.profile.types.value.lengths[0].width)) - 1)
 
 
 @case(
     "TC_VD_PAR_BV_01",
-    "The longest value and description are 32 octets unless it was configured otherwise",
+    "The maximum lengths of value and description are 32 octets by default",
     requirements="VD-PAR-02 VD-PAR-03",
     stimulus="VD-GetParameters; without it, RTDB-Create with 32 octets and with 33",
-    expect="32 for both; another value is reported, for it may have been configured",
+    expect="32 for both; another value may have been configured and is reported",
     needs=Needs(when=_no_way_to_learn),
 )
 def defaults(bench: Bench) -> None:
     for name, requirement in ((_VALUE, "VD-PAR-02"), (_DESCR, "VD-PAR-03")):
         shown = _in_force(bench, name) if _GET in bench.ut.methods else _tried(bench, name)
         if shown in (None, 32):
-            bench.check(shown == 32, f"{name} is 32", "it is not told", requirement, shown=True)
+            bench.check(shown == 32, f"{name} is 32", "not returned by VD-GetParameters", requirement, shown=True)
         else:
-            bench.info(f"{name}, by default 32", f"{shown}", requirement)
+            bench.info(f"Is {name} 32 octets, the default?", f"{shown}", requirement)
 
 
 @case(
     "TC_VD_PAR_BI_01",
-    "The bounds of VARDISPAR_MAX_VALUE_LENGTH",
+    "The limits of VARDISPAR_MAX_VALUE_LENGTH",
     requirements="VD-PAR-02",
-    stimulus="set 1, the largest that VarLenT and payload allow, 0 and one more than the largest",
-    expect="the first two are taken, the others not (1.0 has no bound by the payload)",
+    stimulus=(
+        "VD-SetParameter with 1, with the largest value that VarLenT and payload size allow, with 0 and with one "
+        "more than the largest"
+    ),
+    expect="the first two values are accepted, the others rejected (in 1.0 the payload size does not matter)",
     needs=_PARAMETERS,
 )
 def value_length(bench: Bench) -> None:
@@ -150,31 +156,34 @@ def value_length(bench: Bench) -> None:
         largest = min(largest, bench.parameter(_PAYLOAD) - _ic_header(bench))
     fits = bench.parameter(_PAYLOAD) - _bare_create(bench) - bench.parameter(_DESCR)
     with _kept(bench, _VALUE):
-        # Beyond what fits beside the longest description the bound is disputed (X23).
+        # Whether values may be longer than the room beside the longest description is disputed (X23).
         _check_taken(bench, _VALUE, 1, min(largest, fits))
         _check_refused(bench, _VALUE, 0, largest + 1)
 
 
 @case(
     "TC_VD_PAR_BI_02",
-    "VARDISPAR_MAX_VALUE_LENGTH is below the payload size without a container header",
+    "VARDISPAR_MAX_VALUE_LENGTH is limited by the payload size minus a container header",
     requirements="VD-PAR-02",
-    stimulus="lower VARDISPAR_MAX_PAYLOAD_SIZE; set the bound, and one more",
-    expect="the bound is taken, or refused because no VarCreate would fit (X23); one more is refused",
+    stimulus="VARDISPAR_MAX_PAYLOAD_SIZE is reduced; VD-SetParameter with the limit and with one more",
+    expect="the limit is accepted, or rejected because no VarCreate would fit (X23); one more is rejected",
     needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
 )
 def value_length_and_payload(bench: Bench) -> None:
     payload = _bare_create(bench) + bench.parameter(_DESCR) + bench.parameter(_VALUE) + 8
     bound = payload - _ic_header(bench)
     if bound + 1 > _largest_length(bench):
-        bench.inconclusive("a payload size whose bound is below the largest VarLenT", f"{payload} is not")
+        bench.inconclusive("a payload size whose limit is below the largest VarLenT", f"impossible with {payload}")
     with parameters_set(bench, "VD", **{_PAYLOAD: payload}), _kept(bench, _VALUE):
         answer = bench.call(_SET, name=_VALUE, value=bound)
         taken = _in_force(bench, _VALUE) == bound
         bench.check(
-            taken == answer.ok, f"{_VALUE} = {bound} is taken exactly if the confirm says so", str(answer), shown=True
+            taken == answer.ok,
+            f"{_VALUE} = {bound} is accepted if and only if the status is OK",
+            str(answer),
+            shown=True,
         )
-        # The longest value for which a VarCreate with the longest description fits.
+        # The longest value with which a VarCreate with the longest description fits.
         fits = bench.parameter(_VALUE) + 8
         if taken:
             bench.reading("X23", "literal-bound")
@@ -185,16 +194,19 @@ def value_length_and_payload(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BI_03",
-    "The bounds of VARDISPAR_MAX_DESCRIPTION_LENGTH",
+    "The limits of VARDISPAR_MAX_DESCRIPTION_LENGTH",
     requirements="VD-PAR-03",
-    stimulus="lower VARDISPAR_MAX_PAYLOAD_SIZE so that it decides; set 1, the bound, 0 and one more than the bound",
-    expect="the first two are taken, the others not",
+    stimulus=(
+        "VARDISPAR_MAX_PAYLOAD_SIZE is reduced to determine the limit; VD-SetParameter with 1, the limit, 0 and "
+        "one more than the limit"
+    ),
+    expect="the first two values are accepted, the others rejected",
     needs=_PARAMETERS,
 )
 def description_length(bench: Bench) -> None:
     bound = bench.parameter(_DESCR) + 8
     payload = _bare_create(bench) + bench.parameter(_VALUE) + bound
-    # In 1.0 it is not said whether the NUL counts.
+    # In 1.0 the specification does not say whether the NUL counts.
     slack = 1 if bench.features.string_format == "nul-terminated" else 0
     with parameters_set(bench, "VD", **{_PAYLOAD: payload}), _kept(bench, _DESCR):
         _check_taken(bench, _DESCR, 1, bound - slack)
@@ -203,11 +215,13 @@ def description_length(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BI_09",
-    "The bound of VARDISPAR_MAX_DESCRIPTION_LENGTH follows the value length that is set",
+    "The limit of VARDISPAR_MAX_DESCRIPTION_LENGTH depends on the current maximum value length",
     requirements="VD-PAR-03",
-    stimulus="lower VARDISPAR_MAX_PAYLOAD_SIZE so that it decides, set another VARDISPAR_MAX_VALUE_LENGTH, then "
-    "another VARDISPAR_MAX_REPETITIONS; set the bound, and one more",
-    expect="the bound is taken, one more is not",
+    stimulus=(
+        "VARDISPAR_MAX_PAYLOAD_SIZE is reduced to determine the limit; VARDISPAR_MAX_VALUE_LENGTH and "
+        "VARDISPAR_MAX_REPETITIONS are changed; VD-SetParameter with one more than the limit, then the limit"
+    ),
+    expect="the limit is accepted, one more is rejected",
     needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
 )
 def description_length_beside_values(bench: Bench) -> None:
@@ -221,10 +235,10 @@ def description_length_beside_values(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BI_04",
-    "The bounds of VARDISPAR_MAX_REPETITIONS",
+    "The limits of VARDISPAR_MAX_REPETITIONS",
     requirements="VD-PAR-04 VD-PAR-10",
-    stimulus="set 1, 15, 0 and 16",
-    expect="the first two are taken, the others not; 1.1 has no upper bound (X25)",
+    stimulus="VD-SetParameter with 1, 15, 0 and 16",
+    expect="the first two values are accepted, the others rejected; 1.1 has no upper limit (X25)",
     needs=_PARAMETERS,
 )
 def repetitions(bench: Bench) -> None:
@@ -240,12 +254,12 @@ def repetitions(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BI_05",
-    "The bounds of VARDISPAR_MAX_PAYLOAD_SIZE",
+    "The limits of VARDISPAR_MAX_PAYLOAD_SIZE",
     requirements="VD-PAR-05",
-    stimulus="set what fits into a packet beside both headers, one more, and 0",
-    expect="the first is taken, the others not; 1.0 has only the lower bound",
+    stimulus="VD-SetParameter with 0, with the room in a packet after both headers, and with one more",
+    expect="only the second value is accepted; 1.0 has a lower limit only",
     needs=_PARAMETERS,
-    # It may be registered for larger payloads afterwards.
+    # VarDis may be registered with a larger payload size afterwards.
     destructive=True,
 )
 def payload_size(bench: Bench) -> None:
@@ -260,10 +274,10 @@ def payload_size(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BI_06",
-    "The bounds of VARDISPAR_MAX_SUMMARIES",
+    "The limits of VARDISPAR_MAX_SUMMARIES",
     requirements="VD-PAR-06",
-    stimulus="set 0, what fits into a payload, one more, and -1",
-    expect="the first two are taken, the others not; 1.0 has only the lower bound",
+    stimulus="VD-SetParameter with 0, with the number that fits into a payload, with one more, and with -1",
+    expect="the first two values are accepted, the others rejected; 1.0 has a lower limit only",
     needs=_PARAMETERS,
 )
 def summaries(bench: Bench) -> None:
@@ -280,12 +294,12 @@ def summaries(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BI_07",
-    "The bounds of VARDISPAR_SCRUBBING_PERIOD",
+    "The limits of VARDISPAR_SCRUBBING_PERIOD",
     requirements="VD-PAR-07",
-    stimulus="set 1, 65000, 0, 65001 and 1.5",
-    expect="the first two are taken, the others not",
+    stimulus="VD-SetParameter with 1, 65000, 0, 65001 and 1.5",
+    expect="the first two values are accepted, the others rejected",
     needs=Needs(since=SpecVersion.V2_0, ut=(_GET, _SET)),
-    # A period of a minute may have begun before the old one is set again.
+    # A period of one minute may have begun before the old value is restored.
     destructive=True,
 )
 def scrubbing_period(bench: Bench) -> None:
@@ -296,10 +310,10 @@ def scrubbing_period(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BI_08",
-    "The bounds of VARDISPAR_BUFFER_CHECK_PERIOD",
+    "The limits of VARDISPAR_BUFFER_CHECK_PERIOD",
     requirements="VD-PAR-08",
-    stimulus="set 1, 65000, 0 and 65001",
-    expect="the first two are taken, the others not; up to 1.1 there is only the lower bound",
+    stimulus="VD-SetParameter with 1, 65000, 0 and 65001",
+    expect="the first two values are accepted, the others rejected; up to 1.1 there is a lower limit only",
     needs=_PARAMETERS,
     destructive=True,
 )
@@ -316,10 +330,13 @@ def buffer_check_period(bench: Bench) -> None:
 
 @case(
     "TC_VD_PAR_BV_02",
-    "A lower maximum description length counts for new variables, not for those there are",
+    "A reduced maximum description length applies to new variables, not to existing ones",
     requirements="VD-PAR-01",
-    stimulus="RTDB-Create with the longest description; one octet less as maximum; the same again, and one octet less",
-    expect="the second is refused, the third created; the first is still there, described in full",
+    stimulus=(
+        "RTDB-Create with the longest description; the maximum is reduced by one; RTDB-Create with the same length "
+        "and with one octet less"
+    ),
+    expect="the second is rejected, the third created; the first still has its full description",
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-DescribeVariable"), when=lambda bench: _is_least(bench, _DESCR)),
 )
 def description_effect(bench: Bench) -> None:
@@ -332,15 +349,18 @@ def description_effect(bench: Bench) -> None:
         bench.expect_status(OK, "RTDB-Create", **request)
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=old)
         shown = described(answer).get("descr")
-        bench.check(shown == "d" * longest, "the old variable has its description", f"{shown}", shown=True)
+        bench.check(shown == "d" * longest, "the full description of the old variable", f"{shown}", shown=True)
 
 
 @case(
     "TC_VD_PAR_BV_03",
-    "A lower maximum value length counts for new values, not for those there are",
+    "A reduced maximum value length applies to new values, not to stored ones",
     requirements="VD-PAR-01",
-    stimulus="RTDB-Create with the longest value; one octet less as maximum; an update as long, and one octet shorter",
-    expect="the old value is read in full, the first update refused, the second made",
+    stimulus=(
+        "RTDB-Create with the longest value; the maximum is reduced by one; an update of the same length, and one "
+        "an octet shorter"
+    ),
+    expect="RTDB-Read returns the full old value; the first update is rejected, the second accepted",
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update", "RTDB-Read"), when=lambda bench: _is_least(bench, _VALUE)),
 )
 def value_effect(bench: Bench) -> None:
@@ -349,17 +369,20 @@ def value_effect(bench: Bench) -> None:
     with parameters_set(bench, "VD", **{_VALUE: longest - 1}):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
         shown = answer.result.get("value")
-        bench.check(shown == (b"v" * longest).hex(), "the old value is kept", f"{shown}", shown=True)
+        bench.check(shown == (b"v" * longest).hex(), "the old value unchanged", f"{shown}", shown=True)
         bench.expect_status(VALUE_TOO_LONG, "RTDB-Update", varId=var_id, value=(b"w" * longest).hex())
         bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"w" * (longest - 1)).hex())
 
 
 @case(
     "TC_VD_PAR_BV_04",
-    "A lower maximum of repetitions counts for new variables",
+    "A reduced maximum repetition count applies to new variables",
     requirements="VD-PAR-01",
-    stimulus="RTDB-Create with repCnt 3; a maximum of 2; RTDB-Create with 3 and with 2; an update of the first",
-    expect="3 is refused, 2 created; the old variable keeps repCnt 3",
+    stimulus=(
+        "RTDB-Create with repCnt 3; the maximum is set to 2; RTDB-Create with 3 and with 2; an update of the first "
+        "variable"
+    ),
+    expect="repCnt 3 is rejected, 2 accepted; the old variable keeps repCnt 3",
     window=25,
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update"), when=several_repetitions),
 )
@@ -372,23 +395,26 @@ def repetitions_effect(bench: Bench) -> None:
         mark = bench.mark()
         bench.must("RTDB-Update", varId=old, value=bench.value(b"newer").hex())
         frames = bench.until_quiet(lambda heard: heard.instructions(ICType.UPDATES, old), since=mark)
-        # That the parameter bounds what goes into beacons can also be read as a limit of 2 from now on.
+        # The parameter limits the contents of beacons, which can also be read as a limit of 2 from now on.
         bench.check(
             len(frames) in (2, 3),
-            "3 beacons carry its VarUpdate (or 2)",
+            "3 beacons with its VarUpdate (or 2)",
             f"{len(frames)}",
             frames=frames,
             shown=len(frames) > 3,
         )
-        bench.info("repetitions of a variable with more than the new maximum", f"{len(frames)} of 3")
+        bench.info("How many repetitions does a variable with more than the new maximum get?", f"{len(frames)} of 3")
 
 
 @case(
     "TC_VD_PAR_BV_05",
-    "With a maximum of {variant} summaries no payload has more",
+    "Payloads have at most VARDISPAR_MAX_SUMMARIES summaries ({variant})",
     requirements="VD-PAR-06 VD-PAR-01",
     stimulus="five variables; VARDISPAR_MAX_SUMMARIES = {variant}",
-    expect="after at most one beacon that was prepared before, no more than {variant} summaries; with 0 no container",
+    expect=(
+        "after at most one beacon prepared before, at most {variant} summaries in each payload; with 0 no "
+        "SUMMARIES container"
+    ),
     window=16,
     needs=Needs(ut=(_SET, "RTDB-Create")),
     variants={"0": 0, "2": 2},
@@ -397,7 +423,7 @@ def summaries_effect(bench: Bench, most: int) -> None:
     for _ in range(5):
         produced(bench)
     with parameters_set(bench, "VD", **{_SUMMARIES: most}):
-        # The new variables keep beacons coming for a while; then only summaries do.
+        # The new variables cause beacons for a while; after that there are only summaries.
         for _ in range(2):
             produced(bench, rep_cnt=bench.rep_cnt(3))
         bench.mark()
@@ -407,20 +433,24 @@ def summaries_effect(bench: Bench, most: int) -> None:
         frames = bench.heard[mark:]
         over = [heard for heard in frames if len(heard.instructions(ICType.SUMMARIES)) > most]
         bench.check(
-            not over, f"at most {most} summaries in a beacon", f"{len(over)} beacons have more", frames=over, shown=True
+            not over,
+            f"at most {most} summaries in each beacon",
+            f"{len(over)} beacons with more",
+            frames=over,
+            shown=True,
         )
         if most:
             some = any(heard.instructions(ICType.SUMMARIES) for heard in frames)
-            bench.check(some, "there are summaries", f"none in {len(frames)} beacons")
-    bench.require_alive("a limit of summaries")
+            bench.check(some, "at least one summary", f"none in {len(frames)} beacons")
+    bench.require_alive("a new maximum number of summaries")
 
 
 @case(
     "TC_VD_PAR_BV_06",
     "All configurable parameters of the version exist and can be set",
     requirements="VD-PAR-09",
-    stimulus="VD-GetParameters; each parameter that the version names is set to the value that it has",
-    expect="each is told, and has that value afterwards",
+    stimulus="VD-GetParameters; VD-SetParameter for each parameter of the version, with its current value",
+    expect="VD-GetParameters returns each parameter, with the same value afterwards",
     needs=_PARAMETERS,
 )
 def complete(bench: Bench) -> None:
@@ -428,8 +458,8 @@ def complete(bench: Bench) -> None:
     named = [name for name, each in parameters().items() if each.protocol == "VD" and each.since <= version]
     told = bench.must(_GET).result.get("parameters", {})
     for name in named:
-        bench.check(name in told, f"{name} exists", "VD-GetParameters does not tell it", shown=True)
+        bench.check(name in told, f"{name} exists", "not returned by VD-GetParameters", shown=True)
         if name in told:
             bench.must(_SET, name=name, value=told[name])
             shown = _in_force(bench, name)
-            bench.check(shown == told[name], f"{name} = {told[name]} is taken", f"it is {shown}", shown=True)
+            bench.check(shown == told[name], f"{name} = {told[name]} is accepted", f"its value is {shown}", shown=True)

@@ -1,4 +1,4 @@
-"""dcp-vardis.md: Application Service Interface: reading, describing, several applications."""
+"""dcp-vardis.md: Application Service Interface: RTDB-Read, the describe services, several applications."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from dcp_conformance.stamps import check_later
 
 @case(
     "TC_VD_REA_BV_01",
-    "A variable of the own node is read with its value and the time of its last change",
+    "RTDB-Read returns value and time of the last change of a node's own variable",
     requirements="VD-REA-04",
     stimulus="RTDB-Create, RTDB-Read; three beacon periods later RTDB-Update, RTDB-Read",
-    expect="OK with the values; tStamp is now, and three periods later after the update",
+    expect="VARDIS-STATUS-OK with the values; tStamp is the current time, and three periods later after the update",
     window=6,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read")),
     smoke=True,
@@ -46,7 +46,7 @@ def own(bench: Bench) -> None:
     first = _read(bench, var_id, bench.value(b"first"))
     slack, stamp = bench.pixit.clock_tolerance_ms * MS, first.get("tStamp")
     near = isinstance(stamp, int) and begun - slack <= stamp <= bench.lower.wall() + slack
-    bench.check(near, f"tStamp is within {slack / 1e6:.0f} ms of the tester's clock", f"it is {stamp}", shown=True)
+    bench.check(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", f"{stamp}", shown=True)
 
     def update(value: bytes) -> None:
         bench.must("RTDB-Update", varId=var_id, value=value.hex())
@@ -57,12 +57,12 @@ def own(bench: Bench) -> None:
 def _read(bench: Bench, var_id: int, value: bytes) -> dict[str, Any]:
     answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
     shown = answer.result.get("value")
-    bench.check(shown == value.hex(), f"the value is {value!r}", f"it is {shown}", shown=True)
+    bench.check(shown == value.hex(), f"value {value!r}", f"{shown}", shown=True)
     return answer.result
 
 
 def _check_renewed(bench: Bench, var_id: int, update: Callable[[bytes], None]) -> None:
-    """Check that an update renews value and time stamp of a variable that has the value ``first``."""
+    """Check that an update renews value and time stamp of a variable whose value is ``first``."""
     values = itertools.cycle((bench.value(b"second"), bench.value(b"first")))
     held = bench.value(b"first")
 
@@ -74,15 +74,15 @@ def _check_renewed(bench: Bench, var_id: int, update: Callable[[bytes], None]) -
         update(held)
         return int((_read(bench, var_id, held).get("tStamp") or 0) - before)
 
-    check_later(bench, "tStamp is that of the change", 2 * bench.period, measure)
+    check_later(bench, "the time of the change in tStamp", 2 * bench.period, measure)
 
 
 @case(
     "TC_VD_REA_BV_02",
-    "A variable of another node is read with its newest value and the local time of its reception",
+    "RTDB-Read returns the newest value of another node's variable, and the local time of its reception",
     requirements="VD-REA-04",
-    stimulus="a peer's variable is learnt, RTDB-Read; three beacon periods later its update, RTDB-Read",
-    expect="OK with the values, tStamp three periods later",
+    stimulus="a peer creates a variable, RTDB-Read; three beacon periods later the peer updates it, RTDB-Read",
+    expect="VARDIS-STATUS-OK with the values; tStamp three periods later",
     window=12,
     needs=Needs(ut=("RTDB-Read",)),
 )
@@ -94,16 +94,16 @@ def foreign(bench: Bench) -> None:
     def update(value: bytes) -> None:
         peer.send(peer.update(var_id, next(numbers), value))
         if bench.until_instruction(ICType.UPDATES, var_id) is None:
-            bench.inconclusive("the update is learnt", "the implementation does not repeat it")
+            bench.inconclusive("a VarUpdate of the variable", "the implementation does not forward it")
 
     _check_renewed(bench, var_id, update)
 
 
 @case(
     "TC_VD_REA_BI_01",
-    "A variable that does not exist cannot be read",
+    "RTDB-Read rejects a variable that does not exist",
     requirements="VD-REA-02",
-    stimulus="RTDB-Read of an identifier that is not in use",
+    stimulus="RTDB-Read for an identifier that is not in use",
     expect="VARIABLE-DOES-NOT-EXIST and no value",
     needs=Needs(ut=("RTDB-Read",)),
 )
@@ -114,9 +114,9 @@ def unknown(bench: Bench) -> None:
 
 @case(
     "TC_VD_REA_BO_01",
-    "A deleted variable cannot be read",
+    "RTDB-Read rejects a deleted variable",
     requirements="VD-REA-03 VD-REA-06",
-    stimulus="an own variable is deleted, and a peer's by the peer; RTDB-Read of both",
+    stimulus="one of the node's own variables is deleted, and one of a peer by the peer; RTDB-Read for both",
     expect="VARIABLE-IS-DELETED and no value (up to 1.3 VARIABLE-BEING-DELETED)",
     window=12,
     needs=Needs(ut=("RTDB-Create", "RTDB-Delete", "RTDB-Read")),
@@ -130,7 +130,10 @@ def deleted(bench: Bench) -> None:
     untaught(bench, peer, theirs)
     answers.append(expect_any(bench, statuses_after_deletion(bench), "RTDB-Read", varId=theirs))
     bench.check(
-        not any("value" in answer.result for answer in answers), "no value comes with it", "one does", shown=True
+        not any("value" in answer.result for answer in answers),
+        "no value in the rejections",
+        "a value in at least one",
+        shown=True,
     )
 
 
@@ -139,10 +142,10 @@ def deleted(bench: Bench) -> None:
 
 @case(
     "TC_VD_DDB_BV_01",
-    "The description of the database lists the specifications of own and foreign variables",
+    "RTDB-DescribeDatabase lists the specifications of the node's own and other nodes' variables",
     requirements="VD-DDB-02",
-    stimulus="RTDB-Create of two variables, a third learnt from a peer; RTDB-DescribeDatabase",
-    expect="OK and the three, each with identifier, producer, repCnt and description",
+    stimulus="RTDB-Create of two variables; a peer creates a third; RTDB-DescribeDatabase",
+    expect="VARDIS-STATUS-OK and the three variables, each with identifier, producer, repCnt and description",
     needs=Needs(ut=("RTDB-Create", "RTDB-DescribeDatabase")),
 )
 def database(bench: Bench) -> None:
@@ -160,12 +163,12 @@ def database(bench: Bench) -> None:
     ):
         found = table.get(var_id)
         if found is None:
-            bench.check(False, f"variable {var_id} is listed", "it is not", shown=True)
+            bench.check(False, f"variable {var_id} in the list", "not in the list", shown=True)
             continue
         shown = (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr"))
         bench.check(
             shown == (producer.hex(), 1, bench.descr(descr.encode()).decode()),
-            f"prodId, repCnt, descr of {var_id}",
+            f"prodId, repCnt and descr of variable {var_id} as created",
             f"{shown}",
             shown=True,
         )
@@ -173,10 +176,10 @@ def database(bench: Bench) -> None:
 
 @case(
     "TC_VD_DDB_BV_02",
-    "Which further fields the description of the database has",
+    "Reports additional fields in RTDB-DescribeDatabase",
     requirements="VD-DDB-03",
     stimulus="RTDB-Create; RTDB-DescribeDatabase",
-    expect="nothing: it is reported; a claim of the PICS must be true",
+    expect="any result: it is reported; claims of the PICS must be true",
     needs=Needs(ut=("RTDB-Create", "RTDB-DescribeDatabase")),
 )
 def extra_fields(bench: Bench) -> None:
@@ -184,7 +187,9 @@ def extra_fields(bench: Bench) -> None:
     found = listed(bench).get(var_id, {})
     spec = {"varId", "prodId", "repCnt", "descr", "descrHex", "creationTime", "timeout"}
     extra, claimed = sorted(set(found) - spec), bench.pics.describe_extra_fields
-    bench.info("fields of RTDB-DescribeDatabase beside the VarSpec", ", ".join(extra) or "none")
+    bench.info(
+        "Which fields does RTDB-DescribeDatabase have in addition to those of VarSpecT?", ", ".join(extra) or "none"
+    )
     if claimed is not None:
         bench.check(
             bool(extra) == claimed, f"[pics] describe_extra_fields = {str(claimed).lower()}", f"{extra}", shown=True
@@ -193,10 +198,10 @@ def extra_fields(bench: Bench) -> None:
 
 @case(
     "TC_VD_DDB_BO_01",
-    "The description of the database lists a deleted variable, too",
+    "RTDB-DescribeDatabase also lists deleted variables",
     requirements="VD-DDB-02",
-    stimulus="RTDB-Create of two variables, RTDB-Delete of one with the most repetitions; RTDB-DescribeDatabase",
-    expect="both are listed; up to 1.3 the deleted one until its last VarDelete",
+    stimulus="RTDB-Create of two variables, RTDB-Delete of one with the maximum repCnt; RTDB-DescribeDatabase",
+    expect="both variables in the list; up to 1.3 the deleted one until its last VarDelete",
     window=25,
     needs=Needs(ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeDatabase")),
 )
@@ -205,23 +210,30 @@ def database_with_deleted(bench: Bench) -> None:
     gone, kept = produced(bench, rep_cnt=count), produced(bench)
     bench.must("RTDB-Delete", varId=gone)
     table = listed(bench)
-    bench.check(kept in table, "the live variable is listed", "it is not", shown=True)
+    bench.check(kept in table, "the existing variable in the list", "not in the list", shown=True)
     if not bench.features.removed_after_deletion or count > 2:
-        bench.check(gone in table, "the deleted variable is listed", "it is not", shown=True)
+        bench.check(gone in table, "the deleted variable in the list", "not in the list", shown=True)
     bench.until_quiet(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, gone))
     later = listed(bench)
     if bench.features.removed_after_deletion:
-        bench.check(gone not in later, "after its last VarDelete it is not listed", "it still is", shown=True)
+        bench.check(
+            gone not in later,
+            "the deleted variable not in the list after its last VarDelete",
+            "still in the list",
+            shown=True,
+        )
     else:
-        bench.check(gone in later, "after its last VarDelete it is still listed", "it is not", shown=True)
-    bench.check(kept in later, "the live variable is still listed", "it is not", shown=True)
+        bench.check(
+            gone in later, "the deleted variable in the list after its last VarDelete", "not in the list", shown=True
+        )
+    bench.check(kept in later, "the existing variable still in the list", "not in the list", shown=True)
 
 
 @case(
     "TC_VD_DVA_BI_01",
-    "A variable that does not exist cannot be described",
+    "RTDB-DescribeVariable rejects a variable that does not exist",
     requirements="VD-DVA-02",
-    stimulus="RTDB-DescribeVariable of an identifier that is not in use",
+    stimulus="RTDB-DescribeVariable for an identifier that is not in use",
     expect="VARIABLE-DOES-NOT-EXIST and no entry",
     needs=Needs(ut=("RTDB-DescribeVariable",)),
 )
@@ -232,10 +244,10 @@ def describe_unknown(bench: Bench) -> None:
 
 @case(
     "TC_VD_DVA_BV_01",
-    "A live variable is described with its database entry, whoever produces it",
+    "RTDB-DescribeVariable returns the database entry of an existing variable, whichever node produces it",
     requirements="VD-DVA-03",
-    stimulus="RTDB-Create, and a variable learnt from a peer with seqno 7; RTDB-DescribeVariable of both",
-    expect="OK; identifier, producer, repCnt, description, value, seqno, not deleted",
+    stimulus="RTDB-Create, and a variable of a peer with seqno 7; RTDB-DescribeVariable for both",
+    expect="VARDIS-STATUS-OK; identifier, producer, repCnt, description, value and seqno as created; isDeleted false",
     needs=Needs(ut=("RTDB-Create", "RTDB-DescribeVariable")),
 )
 def describe(bench: Bench) -> None:
@@ -266,10 +278,12 @@ def describe(bench: Bench) -> None:
 
 @case(
     "TC_VD_DVA_BO_01",
-    "A deleted variable is still described",
+    "RTDB-DescribeVariable returns the entry of a deleted variable",
     requirements="VD-DVA-03",
-    stimulus="RTDB-Create with the most repetitions and RTDB-Delete; RTDB-DescribeVariable at once",
-    expect="OK and the entry, marked as deleted (X33); up to 1.3 it may be gone after its last VarDelete",
+    stimulus="RTDB-Create with the maximum repCnt and RTDB-Delete; immediately RTDB-DescribeVariable",
+    expect=(
+        "VARDIS-STATUS-OK and the entry, marked as deleted (X33); up to 1.3 it may be removed after its last VarDelete"
+    ),
     needs=Needs(ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
 )
 def describe_deleted(bench: Bench) -> None:
@@ -280,7 +294,7 @@ def describe_deleted(bench: Bench) -> None:
     answer = expect_any(bench, (OK, *gone), "RTDB-DescribeVariable", varId=var_id)
     if answer.ok:
         flag = described(answer).get("isDeleted", True)
-        bench.check(flag is True, "isDeleted is true", f"it is {flag}", shown=True)
+        bench.check(flag is True, "isDeleted is true", f"{flag}", shown=True)
 
 
 # -- applications ------------------------------------------------------------------------------------------------------
@@ -297,16 +311,16 @@ def _single_client(bench: Bench) -> str | None:
 
 @case(
     "TC_VD_SRV_BV_01",
-    "Two applications at the same time get the confirms of their own requests",
+    "Two simultaneous applications get the confirms of their own requests",
     requirements="VD-SRV-02",
-    stimulus="two clients take turns: each creates, updates and reads a variable, and asks for one that is not there",
-    expect="each request is confirmed to its client with its own outcome; both see the same database",
+    stimulus="two clients in turn create, update and read a variable each, and request one that does not exist",
+    expect="each client gets the confirms of its own requests; both see the same database",
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"), when=_single_client),
 )
 def two_clients(bench: Bench) -> None:
     second = bench.ut.another()
     if second is None:
-        bench.inconclusive("a second connection", "there is none")
+        bench.inconclusive("a second connection", "none available")
     try:
         clients = (bench.ut, second)
         mine = bench.own_var_id(), bench.own_var_id()
@@ -326,7 +340,7 @@ def two_clients(bench: Bench) -> None:
                     answer = bench.call_on(reader, "RTDB-Read", varId=var_id)
                     bench.check(
                         answer.ok and answer.result.get("value") == value.hex(),
-                        f"RTDB-Read answers {OK} with {value!r}",
+                        f"{OK} with {value!r} in the answer to RTDB-Read",
                         f"{answer}, {answer.result.get('value')}",
                         shown=True,
                     )
@@ -336,10 +350,10 @@ def two_clients(bench: Bench) -> None:
 
 @case(
     "TC_VD_SRV_BO_01",
-    "VarDis does not serve while it is not registered with BP",
+    "VarDis rejects requests while it is not registered with BP",
     requirements="VD-SRV-01",
-    stimulus="a variable is created; BP-DeregisterProtocol of protocol 2; then the six services",
-    expect="VARDIS-STATUS-INACTIVE each time, or no response (X30, since 1.2), within two beacon periods",
+    stimulus="a variable is created; BP-DeregisterProtocol for protocol 2; then the six VarDis services",
+    expect="VARDIS-STATUS-INACTIVE each time, or no response (X30, from 1.2 on), within two beacon periods",
     window=8,
     needs=Needs(
         ut=(
@@ -359,7 +373,7 @@ def not_registered(bench: Bench) -> None:
     var_id, unused = produced(bench), bench.own_var_id()
     bench.must("BP-DeregisterProtocol", protId=int(BP_PROTID_VARDIS))
     try:
-        # It may only find out when it asks BP for its buffers the next time.
+        # VarDis may notice the deregistration only when it next queries its buffer in BP.
         bench.wait(2)
         for method, params in (
             ("RTDB-Read", {"varId": var_id}),
@@ -377,18 +391,18 @@ def not_registered(bench: Bench) -> None:
 
 
 def _answers(bench: Bench, method: str, params: dict[str, Any]) -> bool:
-    """Check that the service is not carried out; whether there was any answer."""
-    # Up to 1.1 the request has to be rejected.
+    """Check that a service is not executed; return whether there was an answer."""
+    # Up to 1.1 the request must be rejected.
     may_be_silent = bench.profile.spec_version >= SpecVersion.V1_2
     try:
         answer = bench.call(method, **params)
     except NoAnswerError as error:
         bench.reading("X30", "no-response")
-        bench.check(may_be_silent, f"{method} answers {INACTIVE}", str(error))
+        bench.check(may_be_silent, f"{INACTIVE} in the answer to {method}", str(error))
         return False
     if answer.code == NO_RESPONSE:
         bench.reading("X30", "no-response")
-        bench.check(may_be_silent, f"{method} answers {INACTIVE}", "it is not answered")
+        bench.check(may_be_silent, f"{INACTIVE} in the answer to {method}", "no answer")
     else:
         inactive = bench.check_status(answer, (INACTIVE,), method)
         if inactive:
@@ -398,10 +412,10 @@ def _answers(bench: Bench, method: str, params: dict[str, Any]) -> bool:
 
 @case(
     "TC_DCP_DATA_BI_01",
-    "A service of VarDis that refuses confirms the request with a status, too",
+    "VarDis services confirm rejected requests with a status",
     requirements="DATA-10",
-    stimulus="RTDB-Update, -Delete, -Read and -DescribeVariable of a variable that does not exist, as far as there are",
-    expect="one confirm for each, with a status other than OK",
+    stimulus="RTDB-Update, -Delete, -Read, -DescribeVariable, as far as available, for a variable that does not exist",
+    expect="one confirm for each request, with a status other than VARDIS-STATUS-OK",
     needs=Needs(ut=("RTDB-Read",)),
 )
 def refusals_confirmed(bench: Bench) -> None:
@@ -415,6 +429,6 @@ def refusals_confirmed(bench: Bench) -> None:
     for method, params in requests.items():
         if method in bench.ut.methods:
             answer = bench.call(method, **params)
-            bench.require_asked(answer, f"{method} is confirmed with a refusal")
+            bench.require_asked(answer, f"a confirm of {method} with a rejection")
             confirmed = answer.code is None and bool(answer.status)
-            bench.check(confirmed and not answer.ok, f"{method} is confirmed with a refusal", str(answer), shown=True)
+            bench.check(confirmed and not answer.ok, f"a confirm of {method} with a rejection", str(answer), shown=True)

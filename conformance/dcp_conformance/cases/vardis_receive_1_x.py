@@ -1,4 +1,4 @@
-"""dcp-vardis.md: Processing Order of Instruction Containers, bad ones up to 1.1, which says what becomes of them."""
+"""dcp-vardis.md: Processing Order of Instruction Containers, invalid containers in versions up to 1.1."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _IN_1_0 = Needs(until=_V1_0)
 
 @case(
     "TC_VD_RX_BV_12",
-    "Up to 1.1 the containers before a bad one are processed ({variant})",
+    "Up to 1.1, containers before an invalid one are processed ({variant})",
     requirements="VD-RX-11",
-    stimulus="a payload of a good container and a bad one: {variant}",
-    expect="what the good one asks for",
+    stimulus="a payload with a valid container and an invalid one ({variant})",
+    expect="the reaction to the valid container",
     window=8,
     needs=Needs(since=_V1_1, until=_V1_1),
     variants={
@@ -53,15 +53,15 @@ def before_the_error(bench: Bench, bad: _Bad) -> None:
     bench.created.add(spoilt)
     peer.send(bench.forge.container(peer.summary(wanted, 1)), bad(bench, peer, spoilt))
     found = bench.until_instruction(_REQUEST, wanted)
-    bench.check(found, "the container before the bad one is processed: its variable is requested", "it is not")
+    bench.check(found, "a request for the variable in the container before the invalid one", "none in time")
 
 
 @case(
     "TC_VD_RX_BV_13",
-    "In 1.1 what comes after a bad container is not processed ({variant})",
+    "In 1.1, containers after an invalid one are not processed ({variant})",
     requirements="VD-RX-11",
-    stimulus="a payload of a bad container ({variant}) and a good one",
-    expect="nothing that the good one asks for",
+    stimulus="a payload with an invalid container ({variant}) and a valid one",
+    expect="no reaction to the valid container",
     window=8,
     needs=Needs(since=_V1_1, until=_V1_1),
     variants={"unknown-type": _unknown_type, "no-records": _no_records},
@@ -73,4 +73,10 @@ def after_the_error(bench: Bench, bad: _Bad) -> None:
     bench.require_alive("the payload")
     bench.beacons(1, 1.5)
     found = bench.instructions(_REQUEST, wanted, since)
-    bench.check(not found, "the rest of the payload is dropped", "its variable is requested", frames=found, shown=True)
+    bench.check(
+        not found,
+        "no request for the variable in the container after the invalid one",
+        "a request for it",
+        frames=found,
+        shown=True,
+    )

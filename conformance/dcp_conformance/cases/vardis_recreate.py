@@ -1,4 +1,4 @@
-"""dcp-vardis.md: Service RTDB-Create, of an identifier that the database holds."""
+"""dcp-vardis.md: Service RTDB-Create, for an identifier that is in the database."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ _UPDATE = ICType.UPDATES
 
 @case(
     "TC_VD_CRE_BO_01",
-    "The identifier of another node's variable is refused",
+    "RTDB-Create rejects the identifier of another node's variable",
     requirements="VD-CRE-02",
-    stimulus="a peer's variable is learnt; RTDB-Create with its identifier",
-    expect="VARIABLE-EXISTS, and the peer's variable as it was",
+    stimulus="a peer creates a variable; RTDB-Create with its identifier",
+    expect="VARIABLE-EXISTS; the variable of the peer is unchanged",
     needs=Needs(ut=("RTDB-Create", "RTDB-Read")),
 )
 def foreign(bench: Bench) -> None:
     var_id = taught(bench, bench.peer(), value=b"theirs")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"ours"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == bench.value(b"theirs").hex(), "the variable keeps its value", f"it is {value}", shown=True)
+    bench.check(value == bench.value(b"theirs").hex(), "the value unchanged", f"{value}", shown=True)
 
 
 @case(
     "TC_VD_CRE_BO_02",
-    "The identifier of another node's deleted variable is refused as well",
+    "RTDB-Create rejects the identifier of another node's deleted variable",
     requirements="VD-CRE-02",
-    stimulus="a peer's variable is learnt and deleted by the peer; RTDB-Create with its identifier",
-    expect="VARIABLE-EXISTS; the description of the service can be read to permit it (X20)",
+    stimulus="a peer creates and deletes a variable; RTDB-Create with its identifier",
+    expect="VARIABLE-EXISTS; according to the description of the service, VARDIS-STATUS-OK is also possible (X20)",
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
 def foreign_deleted(bench: Bench) -> None:
@@ -63,25 +63,28 @@ def foreign_deleted(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRE_BO_03",
-    "Up to 1.3 an identifier of the own node is refused while its variable exists",
+    "Up to 1.3, RTDB-Create rejects the identifier of an existing variable of the node itself",
     requirements="VD-CRE-16 VD-CRE-02",
     stimulus="RTDB-Create twice with the same identifier",
-    expect="OK, then VARIABLE-EXISTS; the value is the first",
+    expect="VARDIS-STATUS-OK, then VARIABLE-EXISTS; the first value is kept",
     needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Read")),
 )
 def own_exists(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == bench.value(b"first").hex(), "the variable keeps its value", f"it is {value}", shown=True)
+    bench.check(value == bench.value(b"first").hex(), "the value unchanged", f"{value}", shown=True)
 
 
 @case(
     "TC_VD_CRE_BO_04",
-    "A variable of the own node can be created anew: a later creationTime, sequence number 0",
+    "A node can create its own variable again, with a later creationTime and sequence number 0",
     requirements="VD-CRE-03 VD-CRE-09",
     stimulus="RTDB-Create, RTDB-Update, and RTDB-Create again with another value",
-    expect="OK, and a VarCreate with the new value, seqno 0 and a later creationTime (X20: may be refused as active)",
+    expect=(
+        "VARDIS-STATUS-OK, and a VarCreate with the new value, seqno 0 and a later creationTime (X20: "
+        "VARIABLE-EXISTS is also possible)"
+    ),
     window=14,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
 )
@@ -89,10 +92,10 @@ def own_anew(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
-        bench.inconclusive("the first VarCreate is heard", "it is not")
+        bench.inconclusive("the first VarCreate", "none in time")
     bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     bench.wait(2)
-    # A clock may be coarser than that.
+    # The resolution of the clock may be coarser than this.
     bench.wait_ns(nanoseconds(bench, 1))
     mark = bench.mark()
     answer = expect_any(
@@ -107,16 +110,18 @@ def own_anew(bench: Bench) -> None:
 
 
 def _check_anew(bench: Bench, var_id: int, mark: int, before: int, value: bytes) -> None:
-    """The VarCreate of the second creation; one of the first may have been prepared already."""
+    """Check the VarCreate of the second creation; one of the first creation may have been prepared before."""
     record = bench.until(lambda heard: _anew(heard.about(_CREATE, var_id), before))
     frames = bench.instructions(_CREATE, var_id, mark)
     if record is None:
         observed = "none" if not frames else f"creationTime {frames[-1].record.spec.creation_time}"
         bench.fail(f"a VarCreate with a creationTime after {before}", observed, "VD-CRE-09", frames=frames)
-    bench.check(record.upd.seqno == 0, "its seqno is 0", f"{record.upd.seqno}", "VD-CRE-03", frames=frames, shown=True)
+    bench.check(
+        record.upd.seqno == 0, "seqno 0 in the VarCreate", f"{record.upd.seqno}", "VD-CRE-03", frames=frames, shown=True
+    )
     bench.check(
         record.upd.value == value,
-        f"its value is {value!r}",
+        f"value {value!r} in the VarCreate",
         f"{record.upd.value!r}",
         "VD-CRE-03",
         frames=frames,
@@ -131,10 +136,12 @@ def _anew(record: Any | None, before: int) -> Any | None:
 
 @case(
     "TC_VD_CRE_BO_05",
-    "A creation right after a deletion ends the deletion",
+    "A creation right after a deletion cancels the deletion",
     requirements="VD-CRE-11 VD-CRE-03",
-    stimulus="RTDB-Create, RTDB-Delete with the most repetitions to come, and RTDB-Create at once",
-    expect="after at most one VarDelete exactly repCnt VarCreates of the new variable, and no VarDelete among them",
+    stimulus="RTDB-Create, RTDB-Delete with the maximum repCnt, and immediately RTDB-Create",
+    expect=(
+        "after at most one more VarDelete, exactly repCnt VarCreates of the new variable, and no VarDelete among them"
+    ),
     window=40,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
 )
@@ -143,15 +150,15 @@ def ends_deletion(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count, value=b"first")
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
-        bench.inconclusive("the first VarCreate is heard", "it is not")
+        bench.inconclusive("the first VarCreate", "none in time")
     bench.must("RTDB-Delete", varId=var_id)
     if bench.until_instruction(_DELETE, var_id) is None:
-        bench.inconclusive("the deletion is heard", "it is not")
+        bench.inconclusive("a VarDelete", "none in time")
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
     done = bench.mark()
     if len(bench.frames_with(_DELETE, var_id)) > count - 2:
-        bench.inconclusive("a deletion that is still to be repeated", "it was over when the variable was created anew")
+        bench.inconclusive("remaining repetitions of the VarDelete", "none left when the variable was created again")
     bench.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
@@ -159,8 +166,8 @@ def ends_deletion(bench: Bench) -> None:
     late = [heard for heard in deletions if not made or heard.time >= made[0].time]
     bench.check(
         len(deletions) <= 1 and not late,
-        "no VarDelete but one that was prepared before",
-        f"{len(deletions)}, {len(late)} of them with or after the new VarCreate",
+        "no VarDelete, except one prepared before the creation",
+        f"{len(deletions)} VarDeletes, {len(late)} of them with or after the new VarCreate",
         "VD-CRE-11",
         frames=deletions,
         shown=True,
@@ -177,9 +184,9 @@ def ends_deletion(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRE_BO_06",
-    "A creation takes the place of what was still to be sent of the variable before",
+    "A second creation cancels the pending records of the variable",
     requirements="VD-CRE-11",
-    stimulus="RTDB-Create and RTDB-Update with the most repetitions; one beacon later RTDB-Create again",
+    stimulus="RTDB-Create and RTDB-Update with the maximum repCnt; one beacon later RTDB-Create again",
     expect="exactly repCnt VarCreates of the new variable, one per beacon, and no VarUpdate among them",
     window=40,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"), when=several_repetitions),
@@ -189,10 +196,10 @@ def ends_repetitions(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count, value=b"first")
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
-        bench.inconclusive("the first VarCreate is heard", "it is not")
+        bench.inconclusive("the first VarCreate", "none in time")
     bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     if bench.until_instruction(_UPDATE, var_id) is None:
-        bench.inconclusive("the update is heard", "it is not")
+        bench.inconclusive("a VarUpdate", "none in time")
     mark = bench.mark()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
     if same_status(answer, EXISTS):
@@ -211,20 +218,28 @@ def ends_repetitions(bench: Bench) -> None:
     )
     twice = [heard for heard in made if len(heard.instructions(_CREATE, var_id)) > 1]
     bench.check(
-        not twice, "no beacon with two VarCreates of the variable", f"{len(twice)} came", frames=twice, shown=True
+        not twice,
+        "at most one VarCreate of the variable in each beacon",
+        f"more in {len(twice)} beacons",
+        frames=twice,
+        shown=True,
     )
     late = [heard for heard in bench.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
     bench.check(
-        not late, "no VarUpdate with or after the new VarCreate", f"{len(late)} beacons", frames=late, shown=True
+        not late,
+        "no VarUpdate with or after the new VarCreate",
+        f"{len(late)} beacons with one",
+        frames=late,
+        shown=True,
     )
 
 
 @case(
     "TC_VD_CRE_BO_07",
-    "Up to 1.3 an identifier can be used again once its variable is gone",
+    "Up to 1.3, an identifier can be used again after its variable was removed",
     requirements="VD-DEL-08 VD-CRE-02",
     stimulus="RTDB-Create, RTDB-Delete; after the last VarDelete RTDB-Create again",
-    expect="OK, and a VarCreate with seqno 0",
+    expect="VARDIS-STATUS-OK, and a VarCreate with seqno 0",
     window=20,
     needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete")),
 )
@@ -246,9 +261,9 @@ def used_again(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRE_BO_08",
-    "Up to 1.3 an identifier is refused while its variable is being deleted",
+    "Up to 1.3, RTDB-Create rejects an identifier while its variable is being deleted",
     requirements="VD-CRE-16 VD-CRE-02",
-    stimulus="RTDB-Create and RTDB-Delete with the most repetitions, and RTDB-Create at once",
+    stimulus="RTDB-Create and RTDB-Delete with the maximum repCnt, and immediately RTDB-Create",
     expect="VARIABLE-EXISTS",
     needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
 )
@@ -260,10 +275,10 @@ def being_deleted(bench: Bench) -> None:
 
 @case(
     "TC_VD_CRE_BV_08",
-    "An application that creates a variable ends the request for it",
+    "RTDB-Create cancels a pending request for the variable",
     requirements="VD-CRE-11",
-    stimulus="a summary of an unknown variable, and at once RTDB-Create with its identifier; up to three times",
-    expect="at least once no VarReqCreate follows",
+    stimulus="a summary of an unknown variable, and immediately RTDB-Create with its identifier; up to three times",
+    expect="no VarReqCreate in at least one attempt",
     window=10,
     needs=Needs(since=SpecVersion.V1_1, ut=("RTDB-Create",)),
 )
@@ -275,12 +290,20 @@ def request_ended(bench: Bench) -> None:
         since = bench.mark()
         peer.send(peer.summary(var_id, 1))
         bench.must("RTDB-Create", **create_request(bench, var_id))
-        bench.require_alive("summary and creation")
+        bench.require_alive("a summary and RTDB-Create")
         bench.beacons(1, 1.5)
         late = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
         if not late:
             break
     if late and bench.session.slow_call > bench.period // 2:
-        bench.inconclusive("no VarReqCreate for an own variable", "calls take so long that it may come before them")
-    text = "there is one every time"
-    bench.check(not late, "at least once no VarReqCreate for an own variable", text, frames=late, shown=True)
+        bench.inconclusive(
+            "no VarReqCreate for the node's own variable", "calls take so long that it may be sent before them"
+        )
+    text = "one in every attempt"
+    bench.check(
+        not late,
+        "no VarReqCreate for the node's own variable in at least one of 3 attempts",
+        text,
+        frames=late,
+        shown=True,
+    )

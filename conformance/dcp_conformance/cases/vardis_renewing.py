@@ -1,6 +1,6 @@
 """dcp-vardis.md: Real-Time Database, the time stamp of a variable.
 
-What renews tStamp, and what must not: a variable times out so long after it.
+Events that renew tStamp, and events that must not: the timeout of a variable starts from it.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _OWN = Needs(ut=("RTDB-Create", "RTDB-DescribeVariable"))
 
 
 def _stamp(bench: Bench, var_id: int) -> int:
-    """The time stamp of a variable. Stops the case as failed if it is no number."""
+    """Return the time stamp of a variable; fails and stops the case if it is not a number."""
     found = described(bench.must("RTDB-DescribeVariable", varId=var_id)).get("tStamp")
     if not isinstance(found, int):
-        bench.fail("tStamp is a number of nanoseconds", f"{found!r}", "VD-DB-03", shown=True)
+        bench.fail("a number of nanoseconds as tStamp", f"{found!r}", "VD-DB-03", shown=True)
     return found
 
 
@@ -56,9 +56,12 @@ _IGNORED: dict[str, _Made | Variant] = {
 
 @case(
     "TC_VD_DB_BV_05",
-    "A received record that stores nothing does not renew tStamp: {variant}",
+    "A received record that stores nothing does not renew tStamp ({variant})",
     requirements="VD-DB-03",
-    stimulus="a VarCreate; two beacon periods later {variant}; RTDB-DescribeVariable before and after",
+    stimulus=(
+        "a VarCreate; two beacon periods later a record that stores nothing ({variant}); RTDB-DescribeVariable "
+        "before and after it"
+    ),
     expect="the same tStamp",
     window=12,
     needs=_DESCRIBE,
@@ -71,9 +74,9 @@ def not_renewed(bench: Bench, make: _Made) -> None:
     before = _stamp(bench, var_id)
     bench.wait(2)
     peer.send(make(record, peer, stepped(bench, 5, -1)))
-    bench.require_alive("the record")
+    bench.require_alive("a record that stores nothing")
     after = _stamp(bench, var_id)
-    bench.check(after == before, "tStamp is as before", f"{after - before} ns later", shown=True)
+    bench.check(after == before, "tStamp unchanged", f"{after - before} ns later", shown=True)
 
 
 def _summary_of(_bench: Bench, peer: Peer, held: VarCreate) -> None:
@@ -100,7 +103,7 @@ def _read(bench: Bench, _peer: Peer, held: VarCreate) -> None:
 
 def _refused(bench: Bench, _peer: Peer, held: VarCreate) -> None:
     answer = bench.call("RTDB-Update", varId=held.spec.var_id, value="")
-    bench.require_asked(answer, "RTDB-Update answers")
+    bench.require_asked(answer, "an answer to RTDB-Update")
 
 
 def _activated(bench: Bench, _peer: Peer, _held: VarCreate) -> None:
@@ -114,9 +117,12 @@ def _with(*methods: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
 
 @case(
     "TC_VD_DB_BV_06",
-    "tStamp of an own variable is not renewed by {variant}",
+    "tStamp of a node's own variable is not renewed by an event that stores nothing ({variant})",
     requirements="VD-DB-03",
-    stimulus="RTDB-Create; after its repetitions {variant}; RTDB-DescribeVariable before and after",
+    stimulus=(
+        "RTDB-Create; after its repetitions an event that stores nothing ({variant}); RTDB-DescribeVariable before "
+        "and after it"
+    ),
     expect="the same tStamp",
     window=16,
     needs=_OWN,
@@ -136,14 +142,14 @@ def own_not_renewed(bench: Bench, act: Callable[[Bench, Peer, VarCreate], None])
     var_id = produced(bench)
     held = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     if held is None:
-        bench.inconclusive("the implementation sends its own variable, which this case needs", "it does not")
+        bench.inconclusive("a VarCreate of the node's own variable, which this case needs", "none in time")
     settled(bench, var_id)
     before = _stamp(bench, var_id)
     bench.wait(2)
     act(bench, bench.peer(), held)
-    bench.require_alive("that")
+    bench.require_alive("an event that stores nothing")
     after = _stamp(bench, var_id)
-    bench.check(after == before, "tStamp is as before", f"{after - before} ns later", shown=True)
+    bench.check(after == before, "tStamp unchanged", f"{after - before} ns later", shown=True)
 
 
 def _created_by_application(bench: Bench, var_id: int, _peer: Peer) -> None:
@@ -158,7 +164,7 @@ def _created_by_peer(bench: Bench, var_id: int, peer: Peer) -> None:
     "TC_VD_DB_BV_07",
     "A creation that replaces a variable renews tStamp ({variant})",
     requirements="VD-DB-03",
-    stimulus="a variable is created ({variant}), and two beacon periods later again, with a later creationTime",
+    stimulus="a variable is created ({variant}), and again two beacon periods later with a later creationTime",
     expect="a later tStamp",
     window=12,
     needs=_V2,

@@ -1,6 +1,6 @@
-"""dcp-vardis.md: Extraction Step, payloads with errors in them.
+"""dcp-vardis.md: Extraction Step, payloads with errors.
 
-How an implementation reacts is its own choice since 1.2 (X34): the reaction is reported, survival is required.
+From 1.2 on, the reaction is up to the implementation (X34): the cases report it and require survival.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def _of_type(number: int) -> _Bad:
 
 
 def _with_count(kind: Callable[[Peer, int], object], count: int) -> _Bad:
-    """A container of two records that claims another number of them."""
+    """Return a builder of a container with two records and a wrong number of records in its header."""
 
     def build(bench: Bench, peer: Peer, var_id: int) -> bytes:
         records = (kind(peer, var_id), kind(peer, var_id))
@@ -50,7 +50,7 @@ def _long_value_in_create(bench: Bench, peer: Peer, var_id: int) -> bytes:
 def _long_description(bench: Bench, peer: Peer, var_id: int) -> bytes:
     record = peer.create(var_id)
     if bench.features.string_format == "nul-terminated":
-        # Without its NUL, the description has no end.
+        # Without its NUL the description has no end.
         octets = bench.forge.container(record)
         return octets.replace(record.spec.descr + b"\0", record.spec.descr + b"\x01")
     return bench.forge.container(record, lies={"records[0].spec.descr.length": 255})
@@ -83,16 +83,16 @@ _BAD: dict[str, tuple[str, _Bad]] = {
     "header-only": ("VD-RX-07", lambda bench, peer, var_id: bench.forge.empty_container(1, 1)),  # noqa: ARG005
 }
 
-#: Errors by which octets of other containers become records, so that traces of these say nothing of a policy.
+#: Errors that turn octets of other containers into records: records about these do not show a policy.
 _UNCLEAR = {name for name in _BAD if "count" in name and name not in ("count-0", "count-0-creates")} | {"header-only"}
 
 
 @case(
     "TC_VD_ROB_BI_01",
-    "A container with an error ({variant}) does no harm, wherever it stands in a payload",
+    "A receiver survives a container with an error at any position in a payload ({variant})",
     requirements="VD-ROB-01",
-    stimulus="payloads with the container alone, before, behind and between good ones, and then a probe",
-    expect="VarDis goes on; which of the good containers are processed is reported",
+    stimulus="payloads with this container alone, before, after and between valid ones; then a probe",
+    expect="VarDis continues; the case reports which valid containers are processed",
     window=8,
     variants={
         name: Variant((bad, name), requirements=f"{requirement} VD-ROB-01") for name, (requirement, bad) in _BAD.items()
@@ -122,13 +122,13 @@ def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
 
     seen = {
         "the container before the error": processed(before),
-        "the one behind it": processed(behind),
+        "the container after the error": processed(behind),
         "the first of three": processed(first),
         "the last of three": processed(last),
     }
     kept = ", ".join(where for where, done in seen.items() if done) or "nothing"
     requirement = bench.case.requirements[0]
-    bench.info("what is processed of a payload with this error", kept, requirement)
+    bench.info("Which containers of a payload with this error are processed?", kept, requirement)
     policies = {
         (True, False): "keep-prefix",
         (False, False): "drop-payload",
@@ -142,8 +142,8 @@ def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
 
 
 def _works(bench: Bench) -> None:
-    """A functional check: learn a variable, an update and a deletion."""
-    # Not one that a damaged record may have created with another creationTime.
+    """Check that VarDis works: teach it a variable, an update and a deletion."""
+    # Must not be a variable that a damaged record may have created with another creationTime.
     peer, var_id = bench.peer(), bench.unknown_id()
     bench.created.add(var_id)
     for record, kind in (
@@ -159,7 +159,7 @@ def _works(bench: Bench) -> None:
                 break
         bench.require(
             came == record,
-            f"a {kind.label} record is processed afterwards",
+            f"a {kind.label} record is forwarded unchanged after the error",
             f"{came}",
             "VD-ROB-01",
             shown=came is not None,
@@ -168,10 +168,10 @@ def _works(bench: Bench) -> None:
 
 @case(
     "TC_VD_ROB_BI_02",
-    "A payload that is cut off at any octet does no harm",
+    "A receiver survives a payload truncated after any octet",
     requirements="VD-RX-07 VD-ROB-01",
-    stimulus="a payload of containers of all six types, cut off at each of its octets; then a probe",
-    expect="VarDis goes on, and no variable is stored of which octets were missing",
+    stimulus="a payload with containers of all six types, truncated after each of its octets; then a probe",
+    expect="VarDis continues, and a variable with missing octets is not stored",
     window=12,
     destructive=True,
     robustness=True,
@@ -189,7 +189,7 @@ def cut_off(bench: Bench) -> None:
         bench.forge.container(peer.create(created, value=b"value", descr=b"cut")),
     ]
     whole = b"".join(containers)
-    # Cut off between two containers it is a good payload.
+    # Truncated between two containers, the payload is valid.
     good = set(itertools.accumulate(map(len, containers)))
     since = bench.mark()
     for size in range(1, len(whole)):
@@ -198,19 +198,19 @@ def cut_off(bench: Bench) -> None:
         peer.send(Block(BP_PROTID_VARDIS, whole[:size]))
         if size % 16 == 0:
             bench.until(bool, 1.5)
-    bench.require_alive("payloads that are cut off", "VD-ROB-01")
+    bench.require_alive("truncated payloads", "VD-ROB-01")
     bench.beacons(1, 1.5)
     kept = bool(bench.instructions(ICType.REQUEST_VARCREATES, first, since))
     bench.info(
-        "what is processed of a payload that is cut off",
-        "the containers before" if kept else "nothing",
+        "Which containers of a truncated payload are processed?",
+        "the containers before the error" if kept else "nothing",
         "VD-RX-07",
     )
     bench.reading("X34", "keep-prefix" if kept else "drop-payload")
     held = ask(bench, created)
     bench.check(
         held.state == "unknown",
-        "a variable of which octets were missing is not stored",
+        "no entry of a variable with missing octets",
         str(held),
         "VD-ROB-01",
         shown=held.shown,
@@ -219,7 +219,7 @@ def cut_off(bench: Bench) -> None:
 
 
 def _mutated(rng: random.Random, octets: bytes) -> bytes:
-    """Octets with a few things changed: values, lengths, order."""
+    """Return the octets with a few random changes of values, lengths and order."""
     found = bytearray(octets)
     for _ in range(rng.randint(1, 4)):
         place = rng.randrange(len(found)) if found else 0
@@ -241,18 +241,20 @@ def _mutated(rng: random.Random, octets: bytes) -> bytes:
 
 @case(
     "TC_VD_ROB_BI_03",
-    "Payloads with random errors do no harm (seed {variant})",
+    "A receiver survives payloads with random errors (seed {variant})",
     requirements="VD-ROB-01",
-    stimulus="160 payloads of all kinds of containers with octets changed, removed, repeated and added; then a "
-    "functional check",
-    expect="VarDis goes on: a new variable is learnt, updated and deleted",
+    stimulus=(
+        "160 payloads of all kinds of containers with octets changed, removed, repeated and added; then a "
+        "functional check"
+    ),
+    expect="VarDis continues: a new variable is learnt, updated and deleted",
     window=20,
     variants={str(seed): seed for seed in (1, 2)},
     destructive=True,
     robustness=True,
 )
 def random_errors(bench: Bench, seed: int) -> None:
-    # The same payloads in every run with the same seed of the session.
+    # The payloads depend only on the seed of the session and the variant.
     rng = random.Random(f"{bench.session.seed}/{seed}")  # noqa: S311 - no secret
     peer, known = bench.peer(), taught(bench, bench.peer())
     own_id(bench)

@@ -1,6 +1,6 @@
-"""dcp-vardis.md: Construction of Payloads, records for which there is no room.
+"""dcp-vardis.md: Construction of Payloads, records that do not fit.
 
-VarCreates come first in every payload. As many as fill one to the last octet keep everything else out of it.
+VarCreates come first in every payload: if they fill it to the last octet, no other record fits.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from .vardis_summaries import SUMMARIES, summarises
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SUMMARY, _ASK, _ASK_UPDATE = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 _COUNTED = (_CREATE, _UPDATE, _DELETE)
-_FULL = "a payload that is full of VarCreates, which this case needs"
+_FULL = "a payload full of VarCreates, which this case needs"
 
 
 def _fillable(bench: Bench) -> str | None:
-    """For ``Needs.when``: why VarCreates cannot fill a payload to the last octet."""
+    """Return why VarCreates cannot fill a payload to the last octet, or None; for ``Needs.when``."""
     if bench.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
         value, description = longest(bench)
         if len(value) + len(description) > bench.forge.record_size(bench.sample(value=b"v", descr=b"d")):
             return None
-        # A few lengths between shortest and longest do not add up to every sum.
-        return "values and descriptions are so short that VarCreates may not fill a payload to the last octet"
+        # With only a few different lengths, some sizes cannot be reached.
+        return "values and descriptions are too short for VarCreates to fill a payload to the last octet"
     return f"{PAYLOAD_SIZE} is too small for two VarCreates of the longest value and description"
 
 
 def _fillable_without_summaries(bench: Bench) -> str | None:
-    """For kinds that come after the summaries, which would take what room is left."""
+    """As :func:`_fillable`, for records after the summaries, which would fill the remaining room."""
     if not settable(bench):
         return f"{SUMMARIES} cannot be set (VD-SetParameter, UT-Reset)"
     return _fillable(bench)
 
 
 def _fillers(bench: Bench, peer: Peer, left: int) -> list[VarCreate]:
-    """Variables that are learnt, whose VarCreates leave so many octets of a payload."""
+    """Teach variables whose VarCreates leave ``left`` octets of a payload, and return the VarCreates."""
     octets = bench.bound(PAYLOAD_SIZE) - bench.forge.container_header_size - left
     creates = filling(bench, peer, _CREATE, octets)
     if creates is None:
-        bench.inconclusive("VarCreates that fill a payload", f"none have {octets} octets together")
+        bench.inconclusive("VarCreates that fill a payload", f"no combination has {octets} octets")
     for first in range(0, len(creates), 6):
         taught_all(bench, peer, creates[first : first + 6])
     return creates
@@ -59,19 +59,19 @@ def _fillers(bench: Bench, peer: Peer, left: int) -> list[VarCreate]:
 
 @dataclass
 class _Pending:
-    """Records that the implementation has to send, and what makes it."""
+    """Records that the implementation must send, and the stimuli that cause them."""
 
     kind: ICType
     names: list[int]
     stimuli: list[VardisRecord]
     count: int
-    """Payloads that each of the records is due in."""
+    """Number of payloads that must contain each of the records."""
     since: int = 0
-    """Where in what was heard the stimuli were sent."""
+    """Mark at which the stimuli were sent."""
 
 
 def _pending(bench: Bench, peer: Peer, kind: ICType, number: int) -> _Pending:
-    """So many variables of which a record of this kind is about to be due."""
+    """Prepare ``number`` variables for which the stimuli cause a record of this kind."""
     if kind is _ASK:
         names = bench.unknown_ids(number)
         return _Pending(kind, names, [peer.summary(each, 1) for each in names], 1)
@@ -90,34 +90,34 @@ def _pending(bench: Bench, peer: Peer, kind: ICType, number: int) -> _Pending:
 
 
 def _overflow(bench: Bench, peer: Peer, fillers: Sequence[VarCreate], kind: ICType, number: int) -> _Pending:
-    """Make so many records of a kind due that have no room beside the fillers. Inconclusive if there was room.
+    """Cause ``number`` records of a kind that do not fit in addition to the fillers; inconclusive if they do.
 
-    Tried again if no payload had all of the fillers: an application on the node may have had something to say.
+    Repeated if no payload had all of the fillers: an application on the node may have sent something.
     """
     for _ in range(3):
         pending = _pending(bench, peer, kind, number)
         pending.since = bench.mark()
         peer.send(*(peer.request_create(each.spec.var_id) for each in fillers), *pending.stimuli)
-        # A VarCreate of the case's own may come among the fillers.
+        # A VarCreate of the case itself may be between the fillers.
         if kind is _CREATE or _has_all(bench, fillers) is not None:
             break
         _await_end(bench, fillers)
     else:
-        bench.inconclusive(_FULL, "there is none")
+        bench.inconclusive(_FULL, "none in time")
     return pending
 
 
 def _await_end(bench: Bench, creates: Sequence[VarCreate]) -> None:
-    """Wait until they are repeated no more."""
+    """Wait until these VarCreates are no longer repeated."""
     names = {each.spec.var_id for each in creates}
     bench.until_quiet(lambda heard: any(each.var_id in names for each in heard.instructions(_CREATE)))
 
 
 def _full(bench: Bench, fillers: Sequence[VarCreate]) -> Heard:
-    """The beacon that all of them fill. Stops as inconclusive if there is none."""
+    """Return the beacon that has all fillers; inconclusive if there is none."""
     found = _has_all(bench, fillers)
     if found is None:
-        bench.inconclusive(_FULL, "there is none")
+        bench.inconclusive(_FULL, "none in time")
     return found
 
 
@@ -132,11 +132,13 @@ def _has_all(bench: Bench, fillers: Sequence[VarCreate]) -> Heard | None:
 
 @case(
     "TC_VD_ROOM_BV_01",
-    "What a payload has no room for stays queued ({variant})",
+    "A record that does not fit into a payload stays in its queue ({variant})",
     requirements="VD-CMP-13",
-    stimulus="in one beacon: requests for VarCreates that fill a payload to the last octet, and what makes {variant} "
-    "due",
-    expect="a payload of VarCreates alone; after it the records as often as if there had been room",
+    stimulus=(
+        "in one beacon, requests for VarCreates that fill a payload to the last octet, and a stimulus that causes "
+        "{variant}"
+    ),
+    expect="a payload with VarCreates only; after it the record as often as if there had been room",
     window=20,
     needs=Needs(when=_fillable),
     variants={
@@ -156,9 +158,11 @@ def stays_queued(bench: Bench, kind: ICType) -> None:
 
 @case(
     "TC_VD_ROOM_BV_02",
-    "Of two records one of which has room the other one stays queued ({variant})",
+    "Of two records, the one that does not fit stays in its queue ({variant})",
     requirements="VD-CMP-13",
-    stimulus="in one beacon: requests for VarCreates that leave room for one record, and what makes two {variant} due",
+    stimulus=(
+        "in one beacon, requests for VarCreates that leave room for one record, and stimuli that cause two {variant}"
+    ),
     expect="each of them as often as if there had been room for both",
     window=20,
     needs=Needs(when=_fillable),
@@ -191,10 +195,10 @@ def rest_stays_queued(bench: Bench, kind: ICType) -> None:
 
 @case(
     "TC_VD_ROOM_BV_03",
-    "A payload without room for summaries takes no variable out of the turn",
+    "A payload without room for summaries does not remove variables from the rotation of summaries",
     requirements="VD-CMP-13 VD-CMP-03",
-    stimulus="VarCreates are requested that fill a payload to the last octet",
-    expect="a payload of VarCreates alone; after it summaries of all variables, as before",
+    stimulus="requests for VarCreates that fill a payload to the last octet",
+    expect="a payload with VarCreates only; after it summaries of all variables",
     window=20,
     needs=Needs(when=lambda bench: summarises(bench) or _fillable(bench)),
 )
@@ -212,16 +216,18 @@ def summaries_stay_queued(bench: Bench) -> None:
 
     bench.until(lambda _: not missing(), bench.reaction + turn)
     left = sorted(missing())
-    bench.check(not left, f"summaries of all {len(wanted)} variables", f"none of {left}")
+    bench.check(not left, f"summaries of all {len(wanted)} variables", f"none of variables {left}")
 
 
 @case(
     "TC_VD_SCR_TI_15",
-    "A timeout takes back a request for an update that had no room",
+    "A timeout cancels a request for an update that did not fit",
     requirements="VD-SCR-04",
-    stimulus="a variable with a timeout is created, and a newer summary of it comes; until the variable has timed out "
-    "VarCreates are requested that fill all payloads",
-    expect="when there is room again, no VarReqUpdate of it",
+    stimulus=(
+        "a variable with a timeout is created, and a newer summary of it arrives; until its timeout, requests for "
+        "VarCreates that fill all payloads"
+    ),
+    expect="no VarReqUpdate of the variable when there is room again",
     window=60,
     needs=Needs(since=SpecVersion.V2_0, when=_fillable),
 )
@@ -240,15 +246,19 @@ def request_taken_back(bench: Bench) -> None:
         peer.send(*requests)
     early = bench.instructions(_ASK_UPDATE, name, since)
     if early:
-        bench.inconclusive("payloads that are full of VarCreates, which this case needs", "there was room")
+        bench.inconclusive("payloads full of VarCreates, which this case needs", "room for a VarReqUpdate")
     bench.until_instruction(_DELETE, name)
     bench.beacons(2)
     late = bench.instructions(_ASK_UPDATE, name, since)
     deleted = bench.instructions(_DELETE, name, since)
     if not deleted:
-        # Only producers scrub (X26): nothing has taken the request back.
-        bench.info("whether a consumer deletes a variable whose time has run out", "no VarDelete came")
+        # Only producers scrub (X26): no deletion cancelled the request.
+        bench.info("Does a consumer delete a variable after its timeout?", "no VarDelete in time")
         return
     bench.check(
-        not late, "no VarReqUpdate of a variable that has timed out", f"{len(late)} came", frames=late, shown=True
+        not late,
+        "no VarReqUpdate of a variable after its timeout",
+        f"{len(late)} VarReqUpdates",
+        frames=late,
+        shown=True,
     )

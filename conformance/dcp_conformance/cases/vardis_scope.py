@@ -1,4 +1,4 @@
-"""dcp-vardis.md: Global vs. Local Dissemination: what stays with the neighbours."""
+"""dcp-vardis.md: Global vs. Local Dissemination: records that are not forwarded."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 
 @case(
     "TC_VD_SCP_BO_01",
-    "Summaries are not passed on: a node summarises what it has itself",
+    "Summaries are not forwarded: a node summarises only its own database",
     requirements="VD-SCP-01 VD-TYP-08",
     stimulus="a newer summary of a known variable, and one of an unknown variable",
-    expect="the node's summaries carry its own number; there is none of the unknown variable",
+    expect="summaries with the node's own sequence number, and none of the unknown variable",
 )
 def summaries_stay(bench: Bench) -> None:
     peer = bench.peer()
@@ -28,13 +28,18 @@ def summaries_stay(bench: Bench) -> None:
     bench.beacons(3)
     wrong = [each for each in bench.instructions(ICType.SUMMARIES, var_id, since) if each.record.seqno != 5]
     bench.check(
-        not wrong, "summaries carry the stored number 5", "the received number 9", "VD-SCP-01", frames=wrong, shown=True
+        not wrong,
+        "the stored sequence number 5 in summaries",
+        "the received sequence number 9",
+        "VD-SCP-01",
+        frames=wrong,
+        shown=True,
     )
     wrong = bench.instructions(ICType.SUMMARIES, unknown, since)
     bench.check(
         not wrong,
-        "no summary of a variable that it does not have",
-        "there is one",
+        "no summary of a variable that the node does not know",
+        "at least one",
         "VD-TYP-08",
         frames=wrong,
         shown=True,
@@ -43,10 +48,10 @@ def summaries_stay(bench: Bench) -> None:
 
 @case(
     "TC_VD_SCP_BO_02",
-    "Requests are not passed on",
+    "Requests are not forwarded",
     requirements="VD-SCP-01",
-    stimulus="a VarReqCreate and VarReqUpdates, behind, equal and ahead, of known variables",
-    expect="no request for any of these variables in the node's beacons",
+    stimulus="a VarReqCreate, and VarReqUpdates with an older, the same and a newer number, for known variables",
+    expect="no request for any of these variables in the beacons of the implementation",
 )
 def requests_stay(bench: Bench) -> None:
     peer = bench.peer()
@@ -60,15 +65,15 @@ def requests_stay(bench: Bench) -> None:
     bench.beacons(2)
     for var_id in ids:
         found = traces(bench, var_id, since, (_RC, _RU))
-        bench.check(not found, f"no request for variable {var_id}", f"{named(found)} came", frames=found, shown=True)
+        bench.check(not found, f"no request for variable {var_id}", f"{named(found)}", frames=found, shown=True)
 
 
 @case(
     "TC_VD_SCP_BV_01",
-    "A request that is due is sent once, however often its cause comes",
+    "A pending request is sent once, however often its cause occurs",
     requirements="VD-PS-01 VD-PS-04 VD-PU-01",
-    stimulus="summaries and updates of an unknown variable, and newer summaries of a known one, from five peers",
-    expect="one VarReqCreate for the one, one VarReqUpdate for the other",
+    stimulus="summaries and updates of unknown variables, and newer summaries of a known one, five of each",
+    expect="one VarReqCreate for each unknown variable, one VarReqUpdate for the known one",
     window=8,
     smoke=True,
 )
@@ -76,8 +81,9 @@ def requests_once(bench: Bench) -> None:
     peer, unknown, updated = bench.peer(), bench.unknown_id(), bench.unknown_id()
     known = taught(bench, peer, seqno=5)
     since = bench.mark()
-    # All about one variable in one payload: several frames could be processed before and after a payload is composed.
-    # And nothing else in it, so that who loses a second container is not blamed for its requests.
+    # All records about one variable in one payload: otherwise some could be processed before and some after the
+    # composition of a payload. No other container in it, so that an implementation that loses a second container is not
+    # reported for its requests.
     peer.send(*(peer.update(updated, seqno) for seqno in range(5)))
     peer.send(*(peer.summary(unknown, seqno) for seqno in range(5)))
     peer.send(*(peer.summary(known, 6 + step) for step in range(5)))
@@ -91,7 +97,7 @@ _SINCE_1_1 = Needs(since=SpecVersion.V1_1)
 
 @case(
     "TC_VD_SCP_BV_02",
-    "A request for a variable that the node does not know either makes it ask itself, once for each that comes",
+    "A node that gets a request for an unknown variable requests the variable itself, once per payload",
     requirements="VD-RU-01 VD-RC-01",
     stimulus="both kinds of requests for unknown variables",
     expect="one VarReqCreate for each of the variables",
@@ -107,8 +113,8 @@ def asks_too(bench: Bench) -> None:
     found = traces(bench, two, since, [_RU])
     bench.check(
         not found,
-        "it does not ask for an update of what it does not know",
-        "it does",
+        "no VarReqUpdate for an unknown variable",
+        "at least one",
         "VD-RU-01",
         frames=found,
         shown=True,

@@ -1,6 +1,6 @@
 """dcp-vardis.md: Scrubbing Process.
 
-What is deleted, when, and what is left of it.
+Which variables are deleted, when, and which of their records are still sent.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
 
 @case(
     "TC_VD_SCR_TI_01",
-    "A consumer deletes a variable with timeout {variant} ms when that and at most a scrubbing period has passed",
+    "A consumer deletes a variable with timeout {variant} ms at most one scrubbing period after the timeout",
     requirements="VD-SCR-01 VD-SCR-04 VD-SCR-05",
-    stimulus="a variable with a timeout is created; then silence",
-    expect="VarDeletes in exactly repCnt beacons, the first in time; no summary behind it",
+    stimulus="a variable with a timeout is created; then no more records",
+    expect="VarDeletes in exactly repCnt beacons, the first within the time allowed; no summary after it",
     window=30,
     needs=_WIRE,
     variants={"200": 200, "1500": 1500},
@@ -48,7 +48,7 @@ def consumer(bench: Bench, timeout_ms: int) -> None:
         not_by_consumers(bench, name)
         return
     bench.reading("X26", "every-node")
-    bench.check(True, "consumers delete variables whose time has run out", "", "VD-SCR-05", frames=[found])
+    bench.check(True, "consumers delete variables after their timeout", "", "VD-SCR-05", frames=[found])
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
     bench.check_repeated(_DELETE, name, count, 0, "VD-SCR-04")
     _check_no_trace(bench, name, found)
@@ -58,16 +58,16 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
     begun = bench.heard.index(found.heard)
     for kind in (ICType.SUMMARIES, ICType.CREATE_VARIABLES, ICType.UPDATES):
         late = bench.instructions(kind, name, begun)
-        what = f"no {kind.label} record behind the first VarDelete"
-        bench.check(not late, what, f"{len(late)} came", "VD-SCR-04", frames=late[:4], shown=True)
+        what = f"no {kind.label} record after the first VarDelete"
+        bench.check(not late, what, f"{len(late)} records", "VD-SCR-04", frames=late[:4], shown=True)
 
 
 @case(
     "TC_VD_SCR_TI_02",
-    "The producer deletes its own variable when its timeout and at most a scrubbing period has passed",
+    "A producer deletes its own variable at most one scrubbing period after its timeout",
     requirements="VD-SCR-01 VD-SCR-04 VD-SCR-05 VD-INI-06",
-    stimulus="the application creates a variable with timeout 300 ms and never updates it",
-    expect="VarDeletes in exactly repCnt beacons, the first in time; no summary behind it",
+    stimulus="the application creates a variable with timeout 300 ms and does not update it",
+    expect="VarDeletes in exactly repCnt beacons, the first within the time allowed; no summary after it",
     window=30,
     needs=_OWN,
 )
@@ -76,8 +76,8 @@ def producer(bench: Bench) -> None:
     since = create_own(bench, name, timeout_ms, count)
     found = deleted(bench, name, since, timeout_ms)
     if found is None:
-        bench.fail("a VarDelete of the own variable", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
-    bench.check(True, "scrubbing runs without further action", "", "VD-INI-06", frames=[found])
+        bench.fail("a VarDelete of the node's own variable", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+    bench.check(True, "scrubbing runs from the start", "", "VD-INI-06", frames=[found])
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
     bench.check_repeated(_DELETE, name, count, 0, "VD-SCR-04")
     _check_no_trace(bench, name, found)
@@ -87,8 +87,8 @@ def producer(bench: Bench) -> None:
     "TC_VD_SCR_TI_03",
     "A variable with timeout 0 is never deleted",
     requirements="VD-SCR-02",
-    stimulus="two variables are created at once, one with timeout 0 and one with 300 ms; then silence",
-    expect="when the other has been deleted and two more scrubbing periods have passed, it is still summarised",
+    stimulus="two variables are created at the same time, with timeouts of 0 and 300 ms; then no more records",
+    expect="the first variable still exists two scrubbing periods after the other was deleted",
     window=40,
     needs=_WIRE,
 )
@@ -101,25 +101,25 @@ def timeout_zero(bench: Bench) -> None:
     bench.wait_ns(2 * period_ms * MS)
     found = bench.instructions(_DELETE, name)
     bench.check(
-        not found, "no VarDelete of a variable with timeout 0", f"{len(found)} came", frames=found[:4], shown=True
+        not found, "no VarDelete of a variable with timeout 0", f"{len(found)} VarDeletes", frames=found[:4], shown=True
     )
     _check_known(bench, name, "VD-SCR-02")
 
 
 def _check_known(bench: Bench, name: int, *requirements: str) -> None:
-    """Whether a variable lives: who requests it gets its VarCreate."""
+    """Check that a variable exists: a request for it is answered with its VarCreate."""
     peer = bench.peer()
     peer.send(peer.request_create(name))
     found = bench.until_instruction(ICType.CREATE_VARIABLES, name)
-    bench.check(found, "the variable lives: its VarCreate answers a request", "no answer", *requirements)
+    bench.check(found, "a VarCreate of the variable in answer to a request", "no answer", *requirements)
 
 
 @case(
     "TC_VD_SCR_TI_07",
-    "A deleted variable is not deleted again when its timeout has passed",
+    "A deleted variable is not deleted again after its timeout",
     requirements="VD-SCR-02",
-    stimulus="two variables with timeout 400 ms are created, and one of them is at once deleted by a VarDelete",
-    expect="exactly repCnt VarDeletes of it, also when the other one has been deleted by scrubbing",
+    stimulus="two variables with timeout 400 ms are created; one of them is deleted immediately by a VarDelete",
+    expect="exactly repCnt VarDeletes of it, even after the other one was deleted by scrubbing",
     window=30,
     needs=_WIRE,
 )
@@ -137,7 +137,7 @@ def deleted_skipped(bench: Bench) -> None:
     text = f"{len(found)}"
     bench.check(
         len(found) == count,
-        f"{count} VarDeletes, none for the timeout",
+        f"{count} VarDeletes, and none after the timeout",
         text,
         frames=found[-4:],
         shown=len(found) > count,
@@ -146,10 +146,10 @@ def deleted_skipped(bench: Bench) -> None:
 
 @case(
     "TC_VD_SCR_TI_09",
-    "A timeout takes back what is still to be repeated",
+    "A timeout cancels remaining repetitions",
     requirements="VD-SCR-04",
     stimulus="a variable with many repetitions and timeout 1 ms is created",
-    expect="behind the first VarDelete neither VarCreate nor summary; exactly repCnt VarDeletes",
+    expect="after the first VarDelete no VarCreate and no summary; exactly repCnt VarDeletes",
     window=40,
     needs=_WIRE,
 )
@@ -166,10 +166,12 @@ def takes_back(bench: Bench) -> None:
 
 @case(
     "TC_VD_SCR_TI_10",
-    "Scrubbing looks at all variables: several that time out together are all deleted",
+    "Scrubbing checks all variables: several that time out together are all deleted",
     requirements="VD-SCR-01 VD-SCR-05",
-    stimulus="twelve variables of four producers with timeouts of 100 to 650 ms are created, and three with timeout 0",
-    expect="a VarDelete of each of the twelve in time, none of the three",
+    stimulus=(
+        "twelve variables of four producers with timeouts from 100 ms to 650 ms are created, and three with timeout 0"
+    ),
+    expect="a VarDelete of each of the twelve within the time allowed, and of none of the three",
     window=40,
     needs=_WIRE,
 )
@@ -195,26 +197,28 @@ def all_variables(bench: Bench) -> None:
         return
     missing = sorted(set(names) - deleted)
     text = f"none of {', '.join(map(str, missing))}"
-    bench.check(not missing, "a VarDelete of every variable whose time has run out", text, "VD-SCR-05")
+    bench.check(not missing, "a VarDelete of each variable after its timeout", text, "VD-SCR-05")
     for name in sorted(deleted & set(names)):
         check_time(bench, bench.instructions(_DELETE, name)[0], since, timeouts[name], "VD-SCR-01")
     wrong = sorted(deleted & set(kept))
-    bench.check(not wrong, "no VarDelete of the others", f"of {wrong}", "VD-SCR-05", shown=True)
+    bench.check(
+        not wrong, "no VarDelete of the variables with timeout 0", f"VarDeletes of {wrong}", "VD-SCR-05", shown=True
+    )
 
 
 @case(
     "TC_VD_SCR_TI_11",
-    "With a short scrubbing period a variable lives not much longer than its timeout",
+    "With a short scrubbing period a variable exists only slightly longer than its timeout",
     requirements="VD-SCR-01 VD-SCR-03",
     stimulus="VARDISPAR_SCRUBBING_PERIOD = 100 ms; the application creates a variable with timeout 1000 ms",
-    expect="the first VarDelete 1000 ms to 1100 ms later, plus tolerance and a reaction",
+    expect="the first VarDelete 1000 ms to 1100 ms after the creation, plus tolerance and reaction time",
     window=60,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "UT-Reset", "VD-SetParameter")),
 )
 def not_much_longer(bench: Bench) -> None:
     first, scale = scrubbing_period_ms(bench), bench.session.timing_scale
     bench.must("VD-SetParameter", name="VARDISPAR_SCRUBBING_PERIOD", value=round(100 * scale))
-    # The period that has begun may run to its end.
+    # The current scrubbing period may still run to its end.
     bench.wait_ns(first * MS)
     name, timeout_ms = bench.own_var_id(), round(1000 * scale)
     since = create_own(bench, name, timeout_ms)
@@ -223,7 +227,7 @@ def not_much_longer(bench: Bench) -> None:
     bench.until_instruction(_DELETE, name, 2 * most / bench.period)
     found = next(iter(bench.instructions(_DELETE, name)), None)
     if found is None:
-        bench.fail("a VarDelete of the own variable", f"none in {2 * most / MS:.0f} ms", "VD-SCR-01")
+        bench.fail("a VarDelete of the node's own variable", f"none in {2 * most / MS:.0f} ms", "VD-SCR-01")
     most += since.after - since.before
     took = found.heard.time - since.before
     what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the creation"

@@ -1,7 +1,7 @@
 """dcp-vardis.md: Receive Path, Sequence Numbers.
 
-Older and newer in a circular number space (X28): each distance is tried from several stored numbers, so that the end of
-the range lies between the two numbers in some of them.
+Older and newer numbers in a circular number space (X28): each distance is tested from several stored numbers, so that
+some of the intervals include the wrap-around.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dcp_conformance.peers import Peer
 from dcp_conformance.services import holds_two_octets, produced
 from dcp_conformance.variables import INSTRUCTIONS, modulus, named, stepped, taught_all, traces
 
-#: So many halves of the range, and so many steps more.
+#: A distance as a number of halves of the number space, plus a number of steps.
 Distance = tuple[int, int]
 HALF: Distance = (1, 0)
 NEWER: dict[str, Distance] = {"1": (0, 1), "2": (0, 2), "half-1": (1, -1)}
@@ -32,18 +32,18 @@ def _steps(bench: Bench, distance: Distance) -> int:
 
 
 def _starts(bench: Bench) -> list[int]:
-    """Stored numbers: at both ends of the range, around its middle, and in between."""
+    """Return stored sequence numbers: at both ends of the number space, around its middle, and in between."""
     top = modulus(bench)
     return [0, 1, 5, top // 2 - 1, top // 2, top - 2, top - 1]
 
 
 @dataclass(frozen=True)
 class Question:
-    """A record whose number lies at a distance from the stored one."""
+    """A record whose sequence number has a given distance from the stored one."""
 
     make: Callable[[Peer, int, int], VardisRecord]
     answers: tuple[ICType | None, ICType | None, ICType | None]
-    """What follows for a newer, an equal and an older number."""
+    """The reaction to a newer, an equal and an older sequence number."""
     newer_is_stored: bool
     requirements: tuple[str, str, str]
 
@@ -69,7 +69,7 @@ REQUEST = Question(
 
 
 def _variants(question: Question) -> dict[str, Variant]:
-    """All distances but half the range, of which the specification says nothing."""
+    """Return all distances except half the number space, for which the specification defines nothing."""
     return {
         name: Variant((question, distance, which), requirements=question.requirements[which])
         for which, distances in enumerate((NEWER, EQUAL, OLDER))
@@ -78,7 +78,7 @@ def _variants(question: Question) -> dict[str, Variant]:
 
 
 def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[VarCreate], int]:
-    """Let the implementation have variables with several numbers, and send a record at the distance from each."""
+    """Teach variables with several sequence numbers, and send a record at the distance from each."""
     peer, starts = bench.peer(), _starts(bench)
     creates = [
         peer.create(var_id, value=b"value", seqno=seqno)
@@ -103,24 +103,24 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
     bench.beacons(1, 1.5)
     for create in creates:
         var_id, stored = create.spec.var_id, create.upd.seqno
-        name = f"{stored} is stored, {stepped(bench, stored, step)} comes"
+        name = f"stored sequence number {stored}, received {stepped(bench, stored, step)}"
         found = traces(bench, var_id, since, INSTRUCTIONS)
         others = [each for each in found if each.kind is not kind]
         bench.check(
             not others,
-            f"{name}: nothing but {kind.label if kind else 'silence'}",
+            f"{name}: no record other than {kind.label}" if kind else f"{name}: no record",
             named(others),
             frames=others,
             shown=True,
         )
         if kind is None:
             continue
-        # What the implementation sends carries its own number, or the one that it has just stored.
+        # The implementation sends the number it had before, or the one that it has just stored.
         number = stepped(bench, stored, step) if which == 0 and question.newer_is_stored else stored
         numbers = [each.record.seqno for each in found if each.kind is kind]
         bench.check(
             numbers == [number],
-            f"{name}: one {kind.label} with {number}",
+            f"{name}: one {kind.label} record with {number}",
             f"{numbers or 'none'}",
             frames=found,
             shown=numbers,
@@ -129,10 +129,12 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
 
 @case(
     "TC_VD_SEQ_BV_01",
-    "A VarUpdate at distance {variant} from the stored sequence number is taken for what it is, around the wrap too",
+    "The sequence number of a VarUpdate is compared correctly, also across wrap-around (distance {variant})",
     requirements="VD-PU-07",
-    stimulus="VarUpdates whose numbers lie at distance {variant} (mod M) from seven stored ones",
-    expect="a newer one is stored and repeated, an older one is answered with the own value, an equal one is ignored",
+    stimulus="VarUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect=(
+        "a newer one is stored and forwarded; an older one is answered with the stored value; an equal one is ignored"
+    ),
     variants=_variants(UPDATE),
 )
 def updates(bench: Bench, what: tuple[Question, Distance, int]) -> None:
@@ -141,10 +143,10 @@ def updates(bench: Bench, what: tuple[Question, Distance, int]) -> None:
 
 @case(
     "TC_VD_SEQ_BV_02",
-    "A summary at distance {variant} from the stored sequence number is taken for what it is, around the wrap too",
+    "The sequence number of a summary is compared correctly, also across wrap-around (distance {variant})",
     requirements="VD-PS-04",
-    stimulus="summaries whose numbers lie at distance {variant} (mod M) from seven stored ones",
-    expect="a newer one leads to a request, an older one to an update with the own value, an equal one to nothing",
+    stimulus="summaries with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect="a newer one causes a request; an older one is answered with the stored value; an equal one is ignored",
     variants=_variants(SUMMARY),
 )
 def summaries(bench: Bench, what: tuple[Question, Distance, int]) -> None:
@@ -153,10 +155,10 @@ def summaries(bench: Bench, what: tuple[Question, Distance, int]) -> None:
 
 @case(
     "TC_VD_SEQ_BV_03",
-    "A VarReqUpdate at distance {variant} from the stored sequence number is taken for what it is, around the wrap too",
+    "The sequence number of a VarReqUpdate is compared correctly, also across wrap-around (distance {variant})",
     requirements="VD-RU-04",
-    stimulus="requests whose numbers lie at distance {variant} (mod M) from seven stored ones",
-    expect="one that is behind is answered with the own value, the others are not",
+    stimulus="VarReqUpdates with sequence numbers at distance {variant} (mod M) from seven stored ones",
+    expect="an older one is answered with the stored value; the others are ignored",
     variants=_variants(REQUEST),
 )
 def requests(bench: Bench, what: tuple[Question, Distance, int]) -> None:
@@ -165,26 +167,29 @@ def requests(bench: Bench, what: tuple[Question, Distance, int]) -> None:
 
 @case(
     "TC_VD_SEQ_BO_01",
-    "What is done with a sequence number that is half the range away from the stored one is reported",
+    "Reports how a sequence number half the number space away from the stored one is compared",
     requirements="VD-ROB-01",
-    stimulus="a VarUpdate, a summary and a VarReqUpdate half the range away from the stored number",
-    expect="nothing in particular: the number is neither newer nor older; VarDis goes on",
+    stimulus="a VarUpdate, a summary and a VarReqUpdate half the number space away from the stored sequence number",
+    expect="any result: the number is neither newer nor older; VarDis continues",
     window=8,
 )
 def half_the_range(bench: Bench) -> None:
     heard: dict[str, str] = {}
     for name, question in {"VarUpdate": UPDATE, "summary": SUMMARY, "VarReqUpdate": REQUEST}.items():
         creates, since = _ask(bench, question, HALF)
-        bench.require_alive(f"a {name} half the range away")
+        bench.require_alive(f"a {name} half the number space away")
         bench.beacons(1, 1.5)
-        # Seven numbers, and an implementation that does not count in a circle sees some of them as newer.
+        # Of the seven stored numbers, an implementation without circular comparison treats some as older and some as
+        # newer.
         kinds = []
         for create in creates:
             found = traces(bench, create.spec.var_id, since, INSTRUCTIONS)
             moved = [each for each in found if each.kind is ICType.UPDATES and each.record.seqno != create.upd.seqno]
             kinds.append("stored" if moved else named(found))
         heard[name] = "/".join(dict.fromkeys(kinds))
-        bench.info(f"what follows a {name} half the range away from the stored number", heard[name])
+        bench.info(
+            f"What is the reaction to a {name} half the number space away from the stored sequence number?", heard[name]
+        )
     own = ICType.UPDATES.label
     answers = {own: "half-range-answered", "nothing": "half-range-neither"}
     if heard["VarUpdate"] == "stored" and heard["summary"] == ICType.REQUEST_VARUPDATES.label:
@@ -196,10 +201,13 @@ def half_the_range(bench: Bench) -> None:
 
 @case(
     "TC_VD_SEQ_BV_04",
-    "A variable's sequence number starts at 0, grows by one with each update and wraps at SEQNO-MODULUS",
+    ("The sequence number of a variable starts at 0, increases by one with each update and wraps at SEQNO-MODULUS"),
     requirements="VD-TYP-03",
-    stimulus="an own variable is updated around the whole range of a one-byte number (a wider one: 20 times)",
-    expect="each update that is heard carries the number of updates so far, modulo SEQNO-MODULUS",
+    stimulus=(
+        "one of the node's own variables is updated through the whole range of a one-octet number (20 times if it "
+        "is wider)"
+    ),
+    expect="each update heard has the number of updates so far, modulo SEQNO-MODULUS",
     window=10,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update"), when=holds_two_octets),
 )
@@ -208,7 +216,7 @@ def counting(bench: Bench) -> None:
     var_id = produced(bench)
     created = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     first = None if created is None else created.upd.seqno
-    bench.check(first == 0, "a new variable has sequence number 0", f"{first}", shown=created is not None)
+    bench.check(first == 0, "sequence number 0 for a new variable", f"{first}", shown=created is not None)
     top, made = modulus(bench), 0
     targets = [1, 2, top - 2, top - 1, top, top + 1] if top == 256 else [1, 2, 20]
     for target in targets:
@@ -217,26 +225,26 @@ def counting(bench: Bench) -> None:
             bench.must("RTDB-Update", varId=var_id, value=made.to_bytes(2, "big").hex())
         want = made.to_bytes(2, "big")
 
-        def newest(heard: object, want: bytes = want) -> bool:  # noqa: ARG001 - every record so far is looked at
+        def newest(heard: object, want: bytes = want) -> bool:  # noqa: ARG001 - every record so far is checked
             return any(each.record.value == want for each in bench.instructions(ICType.UPDATES, var_id, since))
 
         came = bench.until(newest)
-        bench.require(came, f"the value of update {made} is sent", "it is not")
+        bench.require(came, f"the value of update {made}", "not sent in time")
     wrong = [
         each
         for each in bench.instructions(ICType.UPDATES, var_id, since)
         if each.record.seqno != int.from_bytes(each.record.value, "big") % top
     ]
     number = f"{wrong[0].record.seqno} with value {wrong[0].record.value.hex()}" if wrong else ""
-    bench.check(not wrong, "update n carries sequence number n modulo SEQNO-MODULUS", number, frames=wrong, shown=True)
+    bench.check(not wrong, "sequence number n modulo SEQNO-MODULUS in update n", number, frames=wrong, shown=True)
 
 
 @case(
     "TC_VD_SEQ_BV_05",
-    "Every variable counts its own updates",
+    "Each variable has its own sequence of numbers",
     requirements="VD-TYP-03",
-    stimulus="two own variables are updated in turns, the one three times and the other one twice",
-    expect="the last updates carry sequence numbers 3 and 2",
+    stimulus="two of the node's own variables are updated in turn, one three times and the other twice",
+    expect="sequence numbers 3 and 2 in the last updates",
     window=10,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
 )
@@ -251,5 +259,5 @@ def counted_each(bench: Bench) -> None:
             return [each.record.seqno for each in updates if each.record.value == value]
 
         came = newest(None) or bench.until(newest)
-        said = f"{came[0]}" if came else "the last value is not sent"
-        bench.check(came and came[0] == number, f"update {number} carries number {number}", said, shown=came)
+        said = f"{came[0]}" if came else "the last value was not sent"
+        bench.check(came and came[0] == number, f"sequence number {number} in update {number}", said, shown=came)

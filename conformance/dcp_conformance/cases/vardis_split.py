@@ -1,8 +1,8 @@
 """dcp-vardis.md: Receive Path, Extraction Step: several containers in a payload.
 
-An implementation that looks at a part of a payload only, that stops one record short or that loses the last container
-works as long as payloads are simple. Here every container ends with a record that leaves a trace of its own, and the
-place where one container ends and the next begins moves through the payload.
+Implementations that process only a part of a payload, stop one record early or lose the last container still work with
+simple payloads. Here every container ends with a record that causes a reaction of its own, and the boundary between two
+containers moves through the payload.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dcp_conformance.case import Needs, Variant, case
 from dcp_conformance.peers import Peer
 
 _SEVERAL = Needs(since=SpecVersion.V1_1)
-#: Frames that are sent at once, before the controls of all of them are waited for.
+#: Number of payloads sent before the tester waits for the reactions to their first containers.
 _BURST = 4
 
 
@@ -33,10 +33,10 @@ class Split(NamedTuple):
 
 
 def play(bench: Bench, peer: Peer, splits: Sequence[Split], kinds: Iterable[ICType], *requirements: str) -> None:
-    """Send the payloads and check that all of their variables leave a trace, a record of one of these kinds.
+    """Send the payloads and check that each of their variables causes a record of one of these kinds.
 
-    What is missing is sent again: frames get lost on the air, and a receiver may have room for a few payloads only. The
-    first container is the control: a payload of which it left no trace is sent again alone before it is judged.
+    Payloads without all reactions are sent again: frames may be lost, and a receiver may have buffers for few payloads.
+    The first container is the control: a payload without a reaction to it is sent again on its own before it is judged.
     """
     wanted = set(kinds)
     since = bench.mark()
@@ -72,7 +72,7 @@ def play(bench: Bench, peer: Peer, splits: Sequence[Split], kinds: Iterable[ICTy
     ):
         bench.check(
             not lost,
-            f"all records of the {which} container are processed in all {len(splits)} payloads: {names} follow",
+            (f"all records of the {which} container are processed in all {len(splits)} payloads (reaction: {names})"),
             f"not in {len(lost)} of them: {'; '.join(lost[:5])}{' ...' if len(lost) > 5 else ''}",
             *requirements,
         )
@@ -92,11 +92,13 @@ def _update(bench: Bench, peer: Peer, var_id: int, length: int) -> bytes:
 
 @case(
     "TC_VD_SPLIT_BV_01",
-    "Two containers in a payload are both processed, wherever in it the second one begins",
+    "Two containers in a payload are both processed, whatever the boundary between them",
     requirements="VD-RX-04 VD-RX-03",
-    stimulus="payloads of one length with two UPDATES containers of an unknown variable each; their border moves by an "
-    "octet from payload to payload",
-    expect="a request for every one of the variables",
+    stimulus=(
+        "payloads of equal length with two UPDATES containers of one unknown variable each; the boundary moves by "
+        "one octet from payload to payload"
+    ),
+    expect="a request for each of the variables",
     window=6,
     needs=_SEVERAL,
 )
@@ -114,8 +116,8 @@ def every_octet(bench: Bench) -> None:
 # -- every record ------------------------------------------------------------------------------------------------------
 
 _Make = Callable[[Peer, int, int], VardisRecord]
-#: Makes a record about a variable, given its place in the payload. Sizes follow the place and not the identifier, which
-#: is another one in each run.
+#: Builders of a record about a variable, given its index in the container. Sizes depend on the index, not on the
+#: identifier, which differs in each run.
 _MAKE: dict[ICType, _Make] = {
     ICType.SUMMARIES: lambda peer, var_id, _: peer.summary(var_id, 1),
     ICType.UPDATES: lambda peer, var_id, place: peer.update(var_id, 1, b"v" * (1 + place % 5)),
@@ -131,13 +133,13 @@ def _short(kind: ICType) -> str:
 
 
 def _pairs() -> dict[str, Variant]:
-    """Summaries, updates and creates in all orders, and requests in some."""
+    """Return summaries, updates and creates in all orders, and requests in some."""
     plain = (ICType.SUMMARIES, ICType.UPDATES, ICType.CREATE_VARIABLES)
     pairs = list(itertools.product(plain, repeat=2))
     pairs += [(each, each) for each in _REQUESTS]
     pairs += [_REQUESTS, _REQUESTS[::-1]]
     pairs += [pair for each in _REQUESTS for pair in ((ICType.SUMMARIES, each), (each, ICType.CREATE_VARIABLES))]
-    # Version 1.0 allows one container of a type, and its requests for unknown variables leave no trace.
+    # Version 1.0 allows one container of each type, and ignores requests for unknown variables.
     return {
         f"{_short(one)}+{_short(two)}": Variant(
             (one, two), needs=_SEVERAL if one is two or {one, two} & set(_REQUESTS) else Needs()
@@ -148,11 +150,13 @@ def _pairs() -> dict[str, Variant]:
 
 @case(
     "TC_VD_SPLIT_BV_02",
-    "Of two containers ({variant}) no record is lost, however they are divided among the two",
+    "No record of two containers is lost, however the records are divided between them ({variant})",
     requirements="VD-RX-04",
-    stimulus="payloads of six records in two containers: one and five of them, two and four, ... five and one, each of "
-    "a variable that the implementation does not know",
-    expect="every variable is requested, or repeated if it was created",
+    stimulus=(
+        "payloads of six records in two containers (1 + 5, 2 + 4, ... 5 + 1), each of a variable that the "
+        "implementation does not know"
+    ),
+    expect="every variable is requested, or forwarded if it was created",
     window=6,
     variants=_pairs(),
 )
@@ -179,7 +183,7 @@ def _ids(bench: Bench, kind: ICType, count: int) -> list[int]:
 
 
 def _filled(bench: Bench, peer: Peer, octets: int, filler: int, last: int) -> bytes:
-    """An UPDATES container of exactly so many octets, all of one unknown variable but its last record."""
+    """Return an UPDATES container of exactly ``octets`` octets, with one variable in all records but the last."""
     forge = bench.forge
     least = forge.record_size(peer.update(last, 1, b"v"))
     most = least - 1 + max(1, min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200))
@@ -193,7 +197,7 @@ def _filled(bench: Bench, peer: Peer, octets: int, filler: int, last: int) -> by
 
 
 def _borders(total: int, least: int) -> list[int]:
-    """Where the second container begins: at both ends, around the middle, around powers of two, and in between."""
+    """Return offsets of the second container: at both ends, around the middle and powers of two, and in between."""
     around = [total // 2, *(1 << exponent for exponent in range(4, 16))]
     near = {border + step for border in around for step in (-1, 0, 1)}
     ends = {least + step for step in (0, 1, 2)} | {total - least - step for step in (0, 1, 2)}
@@ -203,10 +207,12 @@ def _borders(total: int, least: int) -> list[int]:
 
 @case(
     "TC_VD_SPLIT_BV_03",
-    "Payloads as large as they may be are processed to their end, wherever the second container begins",
+    "Payloads of maximum size are processed to their end, wherever the second container begins",
     requirements="VD-RX-04 VD-RX-03",
-    stimulus="payloads of the maximum size with two UPDATES containers; the border is at both ends, around the middle, "
-    "around powers of two and in between",
+    stimulus=(
+        "payloads of maximum size with two UPDATES containers; the boundary is at both ends, around the middle, "
+        "around powers of two and in between"
+    ),
     expect="a request for the variable of the last record of each container",
     window=8,
     needs=_SEVERAL,
@@ -226,7 +232,9 @@ def long_payloads(bench: Bench) -> None:
 
 
 def largest_payload(bench: Bench, peer: Peer) -> int:
-    """The octets of a VarDis payload that the implementation would send, and that fit into one of our frames."""
+    """Return the size in octets of the largest VarDis payload that the implementation could send and that fits into a
+    frame of the tester.
+    """
     empty = len(peer.beacon(bench.forge.vardis(peer.request_create(0))))
     room = min(bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") or 1000, 1400) - empty
     return min(bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000, room)
@@ -234,10 +242,12 @@ def largest_payload(bench: Bench, peer: Peer) -> int:
 
 @case(
     "TC_VD_SPLIT_BV_04",
-    "A short container behind a long one is processed, and so are many containers behind each other",
+    "A short container after a long one is processed, and so are many successive containers",
     requirements="VD-RX-03 VD-RX-04",
-    stimulus="a payload of an UPDATES container that fills it and a SUMMARIES container of one record; then a payload "
-    "of forty containers of one record each",
+    stimulus=(
+        "a payload with a long UPDATES container and a SUMMARIES container of one record; then a payload with "
+        "forty containers of one record each"
+    ),
     expect="a request for the variable of the last container, and for all of the forty",
     window=6,
     needs=_SEVERAL,
@@ -262,15 +272,15 @@ def many_containers(bench: Bench) -> None:
 
     bench.until(lambda _: all_requested())
     lost = ", ".join(str(ids.index(each) + 1) for each in sorted(missing, key=ids.index))
-    bench.check(all_requested(), "all forty containers are processed", f"not containers {lost}", "VD-RX-03")
+    bench.check(all_requested(), "all forty containers are processed", f"containers {lost} not processed", "VD-RX-03")
 
 
 @case(
     "TC_VD_SPLIT_BV_05",
-    "A container may hold {variant} records",
+    "A container may have up to 255 records (records: {variant})",
     requirements="VD-RX-04",
-    stimulus="a SUMMARIES container of {variant} records, the first and the last of unknown variables of their own",
-    expect="a request for the first, for the last, and for the variable of the others",
+    stimulus="a SUMMARIES container with {variant} records; the first and the last are of different unknown variables",
+    expect="a request for the first, the last, and the variable of all others",
     variants={str(count): count for count in (2, 127, 128, 129, 254, 255)},
 )
 def many_records(bench: Bench, count: int) -> None:
@@ -278,7 +288,7 @@ def many_records(bench: Bench, count: int) -> None:
     filler, first, last = bench.unknown_ids(3)
     container = bench.forge.container(*(peer.summary(each, 1) for each in (first, *[filler] * (count - 2), last)))
     if len(container) > largest_payload(bench, peer):
-        bench.info("containers of many records", f"{count} summaries do not fit into a payload")
+        bench.info("Can a container have many records?", f"unknown: {count} summaries do not fit into a payload")
         return
     since = bench.mark()
     peer.send(container)
@@ -286,4 +296,4 @@ def many_records(bench: Bench, count: int) -> None:
         if not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since):
             bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
         came = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
-        bench.check(came, f"the {name} of {count} records is processed", "its variable is not requested")
+        bench.check(came, f"a request for the variable of the {name} of {count} records", "none in time")

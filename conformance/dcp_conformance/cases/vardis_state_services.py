@@ -1,7 +1,7 @@
 """dcp-vardis.md: Variable States, Services and Scrubbing.
 
-The rest of the table of states: what applications ask for, and variables that time out, in every state. The variants
-are named ``state.event`` as in the cases of received records.
+Service requests and timeouts in every state of a variable. The variants are named ``state.event``, as in the cases of
+received records.
 """
 
 from __future__ import annotations
@@ -29,37 +29,37 @@ from dcp_conformance.variables import INSTRUCTIONS, ask, named, stepped, traces
 METHODS = ("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-Read")
 STATES = {
     "unknown": "an unknown variable",
-    "alive-producer": "an own variable",
+    "alive-producer": "one of the node's own variables",
     "alive-consumer": "a variable of another node",
-    "deleted-producer": "an own deleted variable",
+    "deleted-producer": "one of the node's own deleted variables",
     "deleted-consumer": "a deleted variable of another node",
 }
-#: So many repetitions keep a deleted variable for long enough to be met, up to 1.3.
+#: Number of repetitions that keep a deleted variable in the database long enough to be tested, up to 1.3.
 _LASTING = 4
 _VALUE = b"fresh"
 
 
 @dataclass
 class Place:
-    """A variable in a state."""
+    """A variable in a given state."""
 
     var_id: int
     state: str
     stored: VarCreate | None
     rep_cnt: int = 1
     fleeting: bool = False
-    """It may have left the database by now."""
+    """Whether it may have been removed from the database by now."""
 
 
 def _sent(bench: Bench, var_id: int) -> VarCreate:
     record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     if not isinstance(record, VarCreate):
-        bench.inconclusive("the implementation sends the variable, which this case needs", "it does not")
+        bench.inconclusive("a VarCreate of the variable, which this case needs", "none in time")
     return record
 
 
 def place(bench: Bench, state: str, *, timeout: int = 0) -> Place:
-    """Bring a variable into a state."""
+    """Create a variable and bring it into a state."""
     own = state.endswith("producer")
     if state == "unknown":
         return Place(bench.own_var_id(), state, None)
@@ -81,14 +81,14 @@ def place(bench: Bench, state: str, *, timeout: int = 0) -> Place:
         else:
             peer.send(peer.delete(var_id))
         if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
-            bench.inconclusive("the variable is deleted, which this case needs", "there is no VarDelete")
-        # The next payload may be composed already, and this one was heard.
+            bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+        # One repetition was heard, and the next payload may already be composed.
         found.fleeting = removed and rep_cnt < _LASTING
     return found
 
 
 def _may_be_over(bench: Bench, where: Place) -> bool:
-    """Whether a deletion may have been repeated for the last time by now, after which the variable is gone."""
+    """Return whether the last repetition of a deletion may have been sent, after which the variable is removed."""
     if not where.state.startswith("deleted") or not bench.features.removed_after_deletion:
         return False
     bench.mark()
@@ -96,7 +96,7 @@ def _may_be_over(bench: Bench, where: Place) -> bool:
 
 
 def _statuses(bench: Bench, method: str, where: Place) -> list[str]:
-    """The statuses that the specification leaves for a request in a state; the usual one first."""
+    """Return the statuses that the specification allows for a request in a state; the usual one first."""
     state, old = where.state, bench.profile.spec_version < SpecVersion.V2_0
     if method == "RTDB-Create":
         free = state == "unknown" or (state.endswith("producer") and not old)
@@ -116,7 +116,9 @@ def _statuses(bench: Bench, method: str, where: Place) -> list[str]:
 
 
 def _disputed(bench: Bench, where: Place) -> str:
-    """The other status that RTDB-Create may have by the reading ``by-description`` of X20, or nothing."""
+    """Return the other status of RTDB-Create according to the reading ``by-description`` of X20; empty if there is
+    none.
+    """
     if bench.profile.spec_version < SpecVersion.V2_0:
         return ""
     return {"alive-producer": EXISTS, "deleted-consumer": OK}.get(where.state, "")
@@ -128,9 +130,7 @@ def _only(bench: Bench, where: Place, kind: ICType, since: int) -> Instruction |
     if where.state == "deleted-producer" and kind is ICType.CREATE_VARIABLES:
         wanted.remove(ICType.DELETE_VARIABLES)
     others = traces(bench, where.var_id, since, wanted)
-    bench.check(
-        not others, f"nothing but {kind.label} records is sent", f"{named(others)} came", frames=others, shown=True
-    )
+    bench.check(not others, f"no records other than {kind.label}", f"{named(others)}", frames=others, shown=True)
     return found[-1] if found else None
 
 
@@ -141,18 +141,18 @@ def _created(bench: Bench, where: Place, since: int) -> None:
     spec, upd = found.record.spec, found.record.upd
     bench.check(
         (spec.prod_id, upd.seqno, upd.value) == (bench.sut_id, 0, bench.value(_VALUE)),
-        "the VarCreate has the own node as producer, sequence number 0 and the given value",
-        f"producer {spec.prod_id.hex(':')}, number {upd.seqno}, value {upd.value.hex()}",
+        "a VarCreate with the node as producer, sequence number 0 and the given value",
+        f"producer {spec.prod_id.hex(':')}, sequence number {upd.seqno}, value {upd.value.hex()}",
         frames=[found],
         shown=True,
     )
     before = where.stored.spec.creation_time if where.stored is not None else None
     if spec.creation_time is not None and before is not None:
-        later = f"{spec.creation_time} after {before}"
+        later = f"{spec.creation_time}, before it {before}"
         bench.relies_on("creationTime")
         bench.check(
             spec.creation_time > before,
-            "its creationTime is later than the one before",
+            "a later creationTime",
             later,
             frames=[found],
             shown=True,
@@ -165,29 +165,29 @@ def _updated(bench: Bench, where: Place, since: int) -> None:
         return
     expected = (stepped(bench, where.stored.upd.seqno, 1), bench.value(_VALUE))
     came = (found.record.seqno, found.record.value)
-    bench.check(came == expected, f"number and value are {expected}", f"{came}", frames=[found], shown=True)
+    bench.check(came == expected, f"sequence number and value {expected}", f"{came}", frames=[found], shown=True)
 
 
 def _deleted(bench: Bench, where: Place, since: int) -> None:
     _only(bench, where, ICType.DELETE_VARIABLES, since)
     after = "unknown" if bench.features.removed_after_deletion else "deleted"
     held = ask(bench, where.var_id)
-    bench.check(held.state == after, f"the variable is {after}", str(held), shown=held.shown)
+    bench.check(held.state == after, f"state of the variable: {after}", str(held), shown=held.shown)
 
 
 def _unchanged(bench: Bench, where: Place, since: int) -> None:
-    """A refused request, or one to read, changes nothing."""
+    """Check that a rejected request, or RTDB-Read, has changed nothing."""
     deleting = where.state.startswith("deleted") and bench.features.removed_after_deletion
     if deleting:
         return
     bench.require_alive("the request")
     found = traces(bench, where.var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
-    bench.check(not found, "nothing is sent on account of it", f"{named(found)} came", frames=found, shown=True)
+    bench.check(not found, "no record as a reaction", f"{named(found)}", frames=found, shown=True)
     held = ask(bench, where.var_id)
     expected = where.state.partition("-")[0]
-    bench.check(held.state == expected, f"the variable is {expected} as before", str(held), shown=held.shown)
+    bench.check(held.state == expected, f"state of the variable: {expected}, as before", str(held), shown=held.shown)
     if expected == "alive":
-        bench.check(held.record == where.stored, "what is stored has not changed", str(held), shown=True)
+        bench.check(held.record == where.stored, "the stored contents unchanged", str(held), shown=True)
 
 
 _EFFECTS = {"RTDB-Create": _created, "RTDB-Update": _updated, "RTDB-Delete": _deleted, "RTDB-Read": _unchanged}
@@ -224,10 +224,10 @@ def _services(methods: tuple[str, ...]) -> Iterator[tuple[str, Variant]]:
                 f"{state}.app-{event}",
                 Variant(
                     (state, method),
-                    purpose=f"{method} of {words}",
+                    purpose=f"{method} for {words}",
                     requirements=_DECIDED[f"{state}.{method}"],
-                    stimulus=f"{method} of {words}",
-                    expect=f"the status and the effect that {method} has for {words}",
+                    stimulus=f"{method} for {words}",
+                    expect=f"the status and the effect of {method} for {words}",
                 ),
             )
 
@@ -237,7 +237,7 @@ def _services(methods: tuple[str, ...]) -> Iterator[tuple[str, Variant]]:
     "{variant}",
     requirements="VD-CRE-10",
     stimulus="{variant}",
-    expect="the status and the effect that the specification has for this cell",
+    expect="the status and the effect that the specification gives for this request in this state",
     needs=Needs(ut=METHODS),
     variants=dict(_services(METHODS)),
 )
@@ -259,7 +259,7 @@ def service(bench: Bench, cell: tuple[str, str]) -> None:
         value = answer.result.get("value")
         bench.check(
             value == where.stored.upd.value.hex(),
-            f"the value is {where.stored.upd.value.hex()}",
+            f"value {where.stored.upd.value.hex()}",
             f"{value}",
             shown=True,
         )
@@ -281,7 +281,7 @@ def _scrubs() -> Iterator[tuple[str, Variant]]:
             f"{state}.timeout",
             Variant(
                 state,
-                purpose=f"A timeout of {words}",
+                purpose=f"Timeout of {words}",
                 requirements="VD-SCR-02" if state.startswith("deleted") else "VD-SCR-04" if own else "VD-SCR-05",
                 needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete") if own else ()),
             ),
@@ -292,8 +292,8 @@ def _scrubs() -> Iterator[tuple[str, Variant]]:
     "TC_VD_STATE_TI_01",
     "{variant}",
     requirements="VD-SCR-04",
-    stimulus="a variable with a timeout of two beacon periods that is not updated",
-    expect="it is deleted after its timeout, at most a scrubbing period late; nothing happens to one that is deleted",
+    stimulus="a variable with a timeout of two beacon periods is not updated",
+    expect="it is deleted at most one scrubbing period after its timeout; no reaction if it was deleted before",
     window=20,
     variants=dict(_scrubs()),
 )
@@ -307,24 +307,24 @@ def timeout(bench: Bench, state: str) -> None:
     if state.startswith("deleted"):
         bench.wait(window)
         found = traces(bench, var_id, since)
-        bench.check(
-            not found, "nothing happens to a variable that is deleted", f"{named(found)} came", frames=found, shown=True
-        )
+        bench.check(not found, "no record of a deleted variable", f"{named(found)}", frames=found, shown=True)
         return
     came = bench.until(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, var_id), window) or []
     if not came:
         bench.bound("VARDISPAR_SCRUBBING_PERIOD")
     if not came and state.endswith("consumer"):
         held = ask(bench, var_id)
-        if bench.check(held.state == "alive", "a variable that is not scrubbed is alive", str(held), shown=held.shown):
+        if bench.check(
+            held.state == "alive", "a variable that is not scrubbed still exists", str(held), shown=held.shown
+        ):
             bench.reading("X26", "producer-only")
         return
     late = f"within {lapse} ms and a scrubbing period of {scrubbing} ms"
-    bench.require(came, f"it is deleted {late}", "there is no VarDelete")
+    bench.require(came, f"a VarDelete {late}", "none in time")
     passed = (came[0].heard.time - begun) // MS if came else 0
     bench.check(
         passed >= lapse,
-        f"not before {lapse} ms have passed",
+        f"not before {lapse} ms after its creation",
         f"{passed} ms after its creation",
         frames=came,
         shown=True,
@@ -333,4 +333,4 @@ def timeout(bench: Bench, state: str) -> None:
     if state.endswith("consumer"):
         bench.reading("X26", "every-node")
     held = ask(bench, var_id)
-    bench.check(held.state == "deleted", "it is deleted", str(held), shown=held.shown)
+    bench.check(held.state == "deleted", "state of the variable: deleted", str(held), shown=held.shown)

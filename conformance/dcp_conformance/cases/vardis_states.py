@@ -1,8 +1,8 @@
 """dcp-vardis.md: Receive Path, Variable States.
 
-Every event in every state of a variable: unknown, alive, deleted; produced by the implementation or by another node.
-The variants are named ``state.event``. Consumers' states are reached and observed over the air; an own variable takes
-the application's services.
+Every event in every state of a variable: unknown, alive or deleted, produced by the implementation or by another node.
+The variants are named ``state.event``. Variables of other nodes need only beacons; the node's own variables need the
+services of the application.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ Event = Callable[[Situation], VardisRecord]
 
 @dataclass(frozen=True)
 class Cell:
-    """What an event in a state leads to."""
+    """An event in a state, with its expected outcome."""
 
     situation: Callable[[Bench, str], Situation]
     state: str
     event: Event
     outcome: Outcome | None
-    """None: the record is ignored."""
+    """None if the record must be ignored."""
 
 
 EVENTS: dict[str, tuple[str, Event]] = {
@@ -56,23 +56,26 @@ EVENTS: dict[str, tuple[str, Event]] = {
     "rx-create-later": ("a VarCreate with a later creationTime", lambda s: s.create(1)),
     "rx-create-same": ("a VarCreate with the stored creationTime", lambda s: s.create(0)),
     "rx-create-earlier": ("a VarCreate with an earlier creationTime", lambda s: s.create(-1)),
-    "rx-create-own": ("a VarCreate that names the implementation as producer", lambda s: s.create(1, own_id(s.bench))),
+    "rx-create-own": ("a VarCreate with the implementation as producer", lambda s: s.create(1, own_id(s.bench))),
     "rx-delete": ("a VarDelete", lambda s: s.peer.delete(s.var_id)),
     "rx-update": ("a VarUpdate", lambda s: s.peer.update(s.var_id, 3)),
-    "rx-newer-update": ("a newer VarUpdate", lambda s: s.peer.update(s.var_id, s.seqno(1))),
+    "rx-newer-update": ("a VarUpdate with a newer number", lambda s: s.peer.update(s.var_id, s.seqno(1))),
     "rx-equal-update": ("a VarUpdate with the stored number", lambda s: s.peer.update(s.var_id, s.seqno(0))),
-    "rx-older-update": ("an older VarUpdate", lambda s: s.peer.update(s.var_id, s.seqno(-1))),
+    "rx-older-update": ("a VarUpdate with an older number", lambda s: s.peer.update(s.var_id, s.seqno(-1))),
     "rx-summary": ("a summary", lambda s: s.peer.summary(s.var_id, 3)),
-    "rx-newer-summary": ("a newer summary", lambda s: s.peer.summary(s.var_id, s.seqno(1))),
+    "rx-newer-summary": ("a summary with a newer number", lambda s: s.peer.summary(s.var_id, s.seqno(1))),
     "rx-equal-summary": ("a summary with the stored number", lambda s: s.peer.summary(s.var_id, s.seqno(0))),
-    "rx-older-summary": ("an older summary", lambda s: s.peer.summary(s.var_id, s.seqno(-1))),
+    "rx-older-summary": ("a summary with an older number", lambda s: s.peer.summary(s.var_id, s.seqno(-1))),
     "rx-request-update": ("a VarReqUpdate", lambda s: s.peer.request_update(s.var_id, 3)),
-    "rx-request-behind": ("a VarReqUpdate behind the stored", lambda s: s.peer.request_update(s.var_id, s.seqno(-1))),
+    "rx-request-behind": (
+        "a VarReqUpdate with an older number",
+        lambda s: s.peer.request_update(s.var_id, s.seqno(-1)),
+    ),
     "rx-request-equal": (
         "a VarReqUpdate with the stored number",
         lambda s: s.peer.request_update(s.var_id, s.seqno(0)),
     ),
-    "rx-request-ahead": ("a VarReqUpdate that is ahead", lambda s: s.peer.request_update(s.var_id, s.seqno(1))),
+    "rx-request-ahead": ("a VarReqUpdate with a newer number", lambda s: s.peer.request_update(s.var_id, s.seqno(1))),
     "rx-request-create": ("a VarReqCreate", lambda s: s.peer.request_create(s.var_id)),
 }
 
@@ -83,7 +86,7 @@ _ONLY_1_0 = Needs(until=SpecVersion.V1_0)
 
 def _one_repetition(bench: Bench) -> str | None:
     if bench.bound("VARDISPAR_MAX_REPETITIONS") < 2:
-        return "a variable that is being deleted can only be met with at least two repetitions"
+        return "a test during the deletion of a variable needs at least two repetitions"
     return None
 
 
@@ -162,14 +165,14 @@ _PRODUCER = {"alive-producer": ALIVE_PRODUCER, "deleted-producer": DELETED}
 _WORDS = {
     "unknown": "an unknown variable",
     "alive-consumer": "a variable of another node",
-    "alive-producer": "an own variable",
+    "alive-producer": "one of the node's own variables",
     "deleted-consumer": "a deleted variable of another node",
-    "deleted-producer": "an own deleted variable",
+    "deleted-producer": "one of the node's own deleted variables",
 }
 
 
 def _cells(table: dict[str, list[_Row]], *, effect: bool) -> Iterator[tuple[str, Variant]]:
-    """The variants of a case: cells with an effect, or those in which the event is ignored."""
+    """Yield the variants of a case: events with an effect, or those that must be ignored."""
     for column, rows in table.items():
         for name, requirements, outcome, needs in rows:
             if (outcome is not None) is not effect:
@@ -207,7 +210,7 @@ def _play(bench: Bench, cell: Cell) -> None:
     "{variant}",
     requirements="VD-PC-07",
     stimulus="{variant}",
-    expect="the effect that the specification has for this cell",
+    expect="the effect that the specification gives for this event in this state",
     window=4,
     variants=dict(_cells(_CONSUMER, effect=True)),
 )
@@ -220,7 +223,7 @@ def consumer_effect(bench: Bench, cell: Cell) -> None:
     "{variant}",
     requirements="VD-PC-07",
     stimulus="{variant}",
-    expect="nothing, and a probe is answered",
+    expect="no reaction; a probe is answered",
     window=4,
     variants=dict(_cells(_CONSUMER, effect=False)),
 )
@@ -233,7 +236,7 @@ def consumer_ignores(bench: Bench, cell: Cell) -> None:
     "{variant} (1.0)",
     requirements="VD-SCP-01",
     stimulus="{variant}",
-    expect="nothing, and a probe is answered",
+    expect="no reaction; a probe is answered",
     window=4,
     variants=dict(_cells({"unknown": UNKNOWN_1_0}, effect=False)),
 )
@@ -246,7 +249,7 @@ def unknown_in_1_0(bench: Bench, cell: Cell) -> None:
     "{variant}",
     requirements="VD-PC-07",
     stimulus="{variant}",
-    expect="the effect that the specification has for this cell",
+    expect="the effect that the specification gives for this event in this state",
     window=4,
     variants=dict(_cells(_PRODUCER, effect=True)),
 )
@@ -259,7 +262,7 @@ def producer_effect(bench: Bench, cell: Cell) -> None:
     "{variant}",
     requirements="VD-PC-07",
     stimulus="{variant}",
-    expect="nothing, and a probe is answered",
+    expect="no reaction; a probe is answered",
     window=4,
     variants=dict(_cells(_PRODUCER, effect=False)),
 )
@@ -269,10 +272,10 @@ def producer_ignores(bench: Bench, cell: Cell) -> None:
 
 @case(
     "TC_VD_STATE_BV_04",
-    "Up to 1.3 a variable is unknown again once its deletion has been repeated",
+    "Up to 1.3, a variable is unknown again after the repetitions of its deletion",
     requirements="VD-DEL-08 VD-PD-04",
     stimulus="a VarDelete; after its repetitions a summary of the variable",
-    expect="a request for it",
+    expect="a request for the variable",
     needs=_UNTIL_1_3,
 )
 def removed(bench: Bench) -> None:
@@ -283,7 +286,7 @@ def removed(bench: Bench) -> None:
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
     peer.send(peer.summary(var_id, 0))
     came = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id)
-    bench.check(came, "the variable is requested as an unknown one", "there is no VarReqCreate")
+    bench.check(came, "a request for the variable, which is unknown again", "none in time")
     peer.send(peer.create(var_id))
     came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    bench.check(came, "its identifier can be used again", "a new VarCreate is not repeated")
+    bench.check(came, "a new VarCreate with its identifier is forwarded", "not forwarded in time")

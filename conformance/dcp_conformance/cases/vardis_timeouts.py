@@ -1,6 +1,6 @@
 """dcp-vardis.md: Scrubbing Process.
 
-What begins the timeout of a variable anew, and what does not.
+Events that restart the timeout of a variable, and events that do not.
 """
 
 from __future__ import annotations
@@ -35,11 +35,13 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
 
 @case(
     "TC_VD_SCR_TI_04",
-    "Updates keep a variable alive at a consumer; when they end, it is deleted in time",
+    "Updates prevent the timeout of a variable at a consumer; after the last one it is deleted in time",
     requirements="VD-SCR-03 VD-SCR-06 VD-SCR-01",
-    stimulus="a variable with timeout 600 ms (longer if beacons are rare) is updated three times in each, for two "
-    "timeouts and a scrubbing period",
-    expect="no VarDelete meanwhile; one in time after the last update",
+    stimulus=(
+        "a variable with timeout 600 ms (longer if beacons are rare) is updated three times per timeout, for two "
+        "timeouts and a scrubbing period"
+    ),
+    expect="no VarDelete until the last update; one within the time allowed after it",
     window=60,
     needs=_WIRE,
 )
@@ -57,7 +59,11 @@ def kept_by_updates(bench: Bench) -> None:
     early = bench.instructions(_DELETE, name)
     _check_in_time(bench, slowest, timeout_ms, early)
     bench.check(
-        not early, "no VarDelete of a variable that is updated in time", f"{len(early)} came", "VD-SCR-03", "VD-SCR-06"
+        not early,
+        "no VarDelete of a variable that is updated in time",
+        f"{len(early)} VarDeletes",
+        "VD-SCR-03",
+        "VD-SCR-06",
     )
     if early:
         return
@@ -70,17 +76,17 @@ def kept_by_updates(bench: Bench) -> None:
 
 @case(
     "TC_VD_SCR_TI_05",
-    "Updates of its application keep a variable alive at the producer",
+    "Updates by its application prevent the timeout of a variable at the producer",
     requirements="VD-SCR-03",
-    stimulus="the application updates a variable with timeout 600 ms every 200 ms for two timeouts, then no more",
-    expect="no VarDelete meanwhile; one in time behind the last update",
+    stimulus="the application updates a variable with timeout 600 ms every 200 ms for two timeouts",
+    expect="no VarDelete until the last update; one within the time allowed after it",
     window=60,
     needs=_OWN,
 )
 def kept_by_the_application(bench: Bench) -> None:
     period_ms = hurry(bench)
     if "UT-Hello" in bench.ut.methods:
-        # How long do calls take?
+        # Measures how long a call takes.
         bench.call("UT-Hello")
     name, timeout_ms = bench.own_var_id(), updated_in_time(bench, round(600 * bench.session.timing_scale))
     since = create_own(bench, name, timeout_ms)
@@ -92,7 +98,7 @@ def kept_by_the_application(bench: Bench) -> None:
         answer = bench.call("RTDB-Update", varId=name, value="01")
         if not answer.ok:
             refused = answer
-            # If it is because the variable was deleted, the next beacons tell.
+            # If the reason is that the variable was deleted, the next beacons show it.
             bench.wait(bench.reaction)
             slowest = max(slowest, before - last.before)
             break
@@ -104,7 +110,7 @@ def kept_by_the_application(bench: Bench) -> None:
     bench.check(
         not early,
         "no VarDelete of a variable that is updated in time",
-        f"{len(early)} came",
+        f"{len(early)} VarDeletes",
         frames=early[:2],
         shown=True,
     )
@@ -114,16 +120,16 @@ def kept_by_the_application(bench: Bench) -> None:
         bench.inconclusive("RTDB-Update succeeds, which this case needs", str(refused))
     found = deleted(bench, name, since, timeout_ms)
     if found is None:
-        bench.fail("a VarDelete behind the last update", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+        bench.fail("a VarDelete after the last update", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
     took = found.heard.time - since.before
     what = f"the VarDelete at least {timeout_ms} ms after the last update"
     bench.check(took >= (timeout_ms - 2) * MS, what, f"{took / MS:.0f} ms", frames=[found], shown=True)
 
 
 def _check_in_time(bench: Bench, slowest: int, timeout_ms: int, early: Sequence[Instruction]) -> None:
-    """Stop as inconclusive if a variable was deleted, and two of its updates were too far apart (``slowest`` ns)."""
+    """Stop as inconclusive if a variable was deleted after two of its updates were too far apart (``slowest`` ns)."""
     if early and slowest > timeout_ms * MS * 9 // 10:
-        bench.inconclusive("updates in time", f"{slowest / MS:.0f} ms were between two of them")
+        bench.inconclusive("updates within the timeout", f"{slowest / MS:.0f} ms between two of them")
 
 
 def _equal(peer: Peer, name: int) -> None:
@@ -144,10 +150,10 @@ def _request(peer: Peer, name: int) -> None:
 
 @case(
     "TC_VD_SCR_TI_06",
-    "What changes nothing does not keep a variable alive: {variant}",
+    "A record that changes nothing does not extend the life of a variable ({variant})",
     requirements="VD-SCR-06 VD-SCR-01",
-    stimulus="a variable with timeout 500 ms is created; every 150 ms comes something that brings nothing new",
-    expect="the VarDelete in time behind the creation",
+    stimulus="a variable with timeout 500 ms is created; then a record that changes nothing every 150 ms ({variant})",
+    expect="the VarDelete within the time allowed after the creation",
     window=40,
     needs=_WIRE,
     variants={"equal-update": _equal, "older-update": _older, "summary": _summary, "request": _request},
@@ -164,19 +170,21 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
             act(peer, name)
     found = bench.instructions(_DELETE, name)
     if not found and not bench.instructions(_DELETE, silent):
-        # With X26 read the other way nothing can be said.
+        # If only producers scrub (X26), this cannot be tested.
         not_by_consumers(bench, name)
         return
-    bench.require(found, "a VarDelete of it, as of the variable of which nothing was said", "none in time")
+    bench.require(found, "a VarDelete of the variable, as of the one without further records", "none in time")
     check_time(bench, found[0], since, timeout_ms)
 
 
 @case(
     "TC_VD_SCR_TI_08",
-    "A re-creation starts the timeout anew, with its own value",
+    "A renewed creation restarts the timeout, with its new value",
     requirements="VD-SCR-03 VD-SCR-05 VD-SCR-01",
-    stimulus="a variable with timeout 300 ms is deleted by scrubbing; then it is created anew with three times that",
-    expect="a second VarDelete in time behind the second creation, not before",
+    stimulus=(
+        "a variable with timeout 300 ms is deleted by scrubbing; then it is created again with three times that timeout"
+    ),
+    expect="a second VarDelete within the time allowed after the second creation, and not earlier",
     window=60,
     needs=_WIRE,
 )
@@ -194,7 +202,7 @@ def created_anew(bench: Bench) -> None:
     second = learn(bench, peer, name, long)
     left = second.after + latest(bench, long) - bench.now()
     found = bench.until_instruction(_DELETE, name, left / bench.period)
-    bench.require(found, "a VarDelete behind the second creation", "none in time", "VD-SCR-05")
+    bench.require(found, "a VarDelete after the second creation", "none in time", "VD-SCR-05")
     check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03", "VD-SCR-01")
 
 
@@ -211,10 +219,10 @@ _LONGEST = 65_535
 
 @case(
     "TC_VD_SCR_TI_12",
-    "The longest timeout, 65,535 ms, is neither cut short nor taken for none ({variant})",
+    "The longest timeout, 65,535 ms, is neither truncated nor ignored ({variant})",
     requirements="VD-TYP-04 VD-SCR-01",
-    stimulus="a variable with timeout 65535 ms is created; then silence",
-    expect="the VarDelete 65,535 ms later, and at most a scrubbing period late",
+    stimulus="a variable with timeout 65535 ms is created; then no more records",
+    expect="the VarDelete 65,535 ms later, or at most one scrubbing period after that",
     window=700,
     needs=_WIRE,
     variants={

@@ -21,13 +21,14 @@ _SINCE_1_1 = SpecVersion.V1_1
 
 
 def _everything(bench: Bench, peer: Peer) -> int:
-    """Have the implementation send containers of all six types; where that began."""
+    """Make the implementation send containers of all six types; return the mark before them."""
     known = [peer.create(var_id, seqno=5) for var_id in bench.var_ids(3)]
     since = bench.mark()
     taught_all(bench, peer, known)
     updated, behind, doomed = (create.spec.var_id for create in known)
     unknown = bench.unknown_id()
-    # Apart, so that who loses a second container is not blamed for the layout of what it therefore does not send.
+    # In separate payloads: an implementation that loses a second container must not be reported for containers that it
+    # therefore does not send.
     for records in (
         [peer.delete(doomed)],
         [peer.update(updated, 6)],
@@ -48,17 +49,17 @@ def _everything(bench: Bench, peer: Peer) -> int:
 
     bench.until(lambda _: complete(), 2 * bench.reaction)
     missing = ", ".join(sorted({kind.label for kind, var_id in wanted if not bench.instructions(kind, var_id, since)}))
-    bench.check(not missing, "records of all six types are provoked", f"not {missing}", "VD-TYP-07", "VD-IC-02")
+    bench.check(not missing, "records of all six types", f"none of {missing}", "VD-TYP-07", "VD-IC-02")
     return since
 
 
 def _blocks(heard: Heard) -> list[bytes]:
-    """The VarDis payloads of a beacon as octets."""
+    """Return the VarDis payloads of a beacon as octets."""
     return heard.data(BP_PROTID_VARDIS)
 
 
 def _faults(heard: Heard) -> list[Problem]:
-    """What is wrong inside of its VarDis payloads, but for containers without a record."""
+    """Return the problems in the VarDis payloads of a beacon, other than containers without a record."""
     return [each for each in heard.vardis_problems if each.reason != "zero-count"]
 
 
@@ -70,9 +71,10 @@ def _has_empty_container(heard: Heard) -> bool:
     "TC_VD_TYP_BV_01",
     "Containers and records of all six types have the layout of the profile",
     requirements="VD-TYP-01 VD-TYP-05 VD-TYP-07 VD-IC-01 VD-IC-02 VD-IC-03",
-    stimulus="records that make the implementation send a container of each type",
-    expect="all of its beacons can be taken apart completely by the profile; no container is empty, and each type has "
-    "its number",
+    stimulus="records that cause a container of each type",
+    expect=(
+        "all beacons can be decoded completely with the profile; no container is empty, and each type has its number"
+    ),
     window=10,
     smoke=True,
 )
@@ -82,27 +84,31 @@ def layout(bench: Bench) -> None:
     broken = [heard for heard in frames if _faults(heard)]
     problem = _faults(broken[0])[0] if broken else None
     for requirement in ("VD-TYP-01", "VD-TYP-07", "VD-IC-01"):
-        what = "all beacons have the layout of the profile"
+        what = "beacons with the layout of the profile"
         bench.check(not broken, what, f"{problem}", requirement, frames=broken[:5], shown=True)
     if bench.features.creation_time:
         specs = bench.instructions(ICType.CREATE_VARIABLES, since=since)
-        bench.check(specs, "a VarSpecT has varId, prodId, repCnt, creationTime, timeout, descr", "none", "VD-TYP-05")
+        bench.check(
+            specs, "varId, prodId, repCnt, creationTime, timeout and descr in each VarSpecT", "none", "VD-TYP-05"
+        )
     empty = [heard for heard in frames if _has_empty_container(heard)]
     empty += [heard for heard in frames if any(not each.records for each in heard.containers)]
     bench.check(
-        not empty, "every container has a record", "there is an empty one", "VD-IC-03", frames=empty[:5], shown=True
+        not empty, "a record in every container", "an empty container", "VD-IC-03", frames=empty[:5], shown=True
     )
     types = {each.ic_type for heard in frames for each in heard.containers}
     strange = types - {bench.forge.ic_type(kind) for kind in ICType}
-    bench.check(not strange, "icType is one of the six", f"{sorted(strange)}", "VD-IC-02", shown=True)
+    bench.check(not strange, "one of the six types as icType", f"{sorted(strange)}", "VD-IC-02", shown=True)
 
 
 @case(
     "TC_VD_TYP_BV_02",
-    "Values may change their length with every update, up to the maximum",
+    "The length of a value may change with every update, up to the maximum",
     requirements="VD-TYP-02",
-    stimulus="VarUpdates of a variable with values of 1, the maximum, 2, the maximum less 1 and 1 octets",
-    expect="each is repeated with its length, and the last one is stored",
+    stimulus=(
+        "VarUpdates of a variable with values of 1 octet, the maximum, 2 octets, one less than the maximum, and 1 octet"
+    ),
+    expect="each is forwarded with its length, and the last one is stored",
     window=12,
 )
 def lengths(bench: Bench) -> None:
@@ -115,27 +121,30 @@ def lengths(bench: Bench) -> None:
         came = bench.until_instruction(ICType.UPDATES, var_id)
         bench.check(
             came is not None and came.value == value,
-            f"a value of {length} octets is repeated",
+            f"a value of {length} octets is forwarded unchanged",
             f"{came}",
             shown=came is not None,
         )
     held = ask(bench, var_id)
     stored = held.record is not None and held.record.upd.value == value
     bench.check(
-        stored, f"the last value {value.hex()} is stored", str(held), shown=came is not None and held.record is not None
+        stored,
+        f"the last value {value.hex()} in the database",
+        str(held),
+        shown=came is not None and held.record is not None,
     )
 
 
 @case(
     "TC_VD_TYP_BV_03",
-    "A VarCreate carries the timeout that the application gave",
+    "A VarCreate has the timeout that the application requested",
     requirements="VD-TYP-04",
-    stimulus="RTDB-Create with timeout 0, 1000 (or longer, if beacons are rare) and the largest there is",
+    stimulus="RTDB-Create with timeout 0, with 1000 ms (or longer if beacons are rare), and with the largest timeout",
     expect="VarCreates with these timeouts",
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
 def timeouts(bench: Bench) -> None:
-    # A variable must not time out before its VarCreate was sent.
+    # The variable must not time out before its VarCreate is sent.
     medium = max(1000, round(2 * bench.reaction * bench.period / MS))
     for timeout in (0, *([medium] if medium < bench.longest_timeout else []), min(bench.longest_timeout, 0xFFFFFFFF)):
         var_id = produced(bench, timeout=timeout)
@@ -146,10 +155,10 @@ def timeouts(bench: Bench) -> None:
 
 @case(
     "TC_VD_IC_BV_01",
-    "No VarDis payload is longer than VARDISPAR_MAX_PAYLOAD_SIZE, however much there is to send",
+    "No VarDis payload is larger than VARDISPAR_MAX_PAYLOAD_SIZE, even with many records to send",
     requirements="VD-IC-05",
-    stimulus="so many variables with the longest values that their VarCreates need three payloads, requested together",
-    expect="payloads of at most that many octets that bring all of them",
+    stimulus="simultaneous requests for so many VarCreates with the longest values that they need three payloads",
+    expect="payloads of at most VARDISPAR_MAX_PAYLOAD_SIZE octets, with all VarCreates",
     window=12,
 )
 def payload_size(bench: Bench) -> None:
@@ -168,19 +177,21 @@ def payload_size(bench: Bench) -> None:
         bench.reaction + 6,
     )
     came = {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)}
-    bench.check(wanted <= came, f"all {count} VarCreates come", f"{len(wanted - came)} do not")
+    bench.check(wanted <= came, f"all {count} VarCreates", f"{len(wanted - came)} missing")
     blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(heard)]
     long = [heard for heard, octets in blocks if octets > limit]
     longest = max((octets for _, octets in blocks), default=0)
     bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
     bench.check(
-        not long, f"no payload is longer than {limit} octets", f"one has {longest}", frames=long[:3], shown=True
+        not long, f"payloads of at most {limit} octets", f"a payload of {longest} octets", frames=long[:3], shown=True
     )
     several = any(
         count > 1 for heard in bench.heard for count in Counter(each.ic_type for each in heard.containers).values()
     )
     if bench.profile.spec_version >= _SINCE_1_1:
-        bench.info("several containers of a type in a payload", "there are" if several else "none seen", "VD-IC-04")
+        bench.info(
+            "Does a payload have several containers of the same type?", "yes" if several else "not observed", "VD-IC-04"
+        )
 
 
 # -- the database ------------------------------------------------------------------------------------------------------
@@ -189,7 +200,7 @@ def payload_size(bench: Bench) -> None:
 def _entry(bench: Bench, var_id: int) -> dict[str, Any]:
     entry = entry_of(bench, var_id)
     if entry is None:
-        bench.fail(f"RTDB-DescribeVariable tells of variable {var_id}", "it does not", shown=True)
+        bench.fail(f"an answer of RTDB-DescribeVariable about variable {var_id}", "no entry", shown=True)
     return entry
 
 
@@ -197,7 +208,7 @@ def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requ
     for name, value in expected.items():
         bench.check(
             entry.get(name) == value,
-            f"{name} is {value!r}",
+            f"{name} {value!r}",
             f"{entry.get(name)!r}",
             *requirements,
             shown=True,
@@ -207,10 +218,13 @@ def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requ
 
 @case(
     "TC_VD_DB_BV_01",
-    "The database entry of a received variable has all that its VarCreate says",
+    "The database entry of a received variable has the contents of its VarCreate",
     requirements="VD-DB-01 VD-PC-07",
-    stimulus="a VarCreate of another node, then RTDB-DescribeVariable; once more after its repetitions",
-    expect="specification, value and number as received; counters: at most repCnt creations, nothing else; not deleted",
+    stimulus="a VarCreate of another node, then RTDB-DescribeVariable; again during the repetitions of its VarCreate",
+    expect=(
+        "specification, value and sequence number as received; isDeleted false; countCreate at most repCnt, the "
+        "other counters 0"
+    ),
     needs=_DESCRIBE,
     smoke=True,
 )
@@ -238,14 +252,14 @@ def entry_of_received(bench: Bench) -> None:
     bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     count = _entry(bench, var_id).get("countCreate")
     right = isinstance(count, int) and 0 <= count <= spec.rep_cnt
-    bench.check(right, f"countCreate is at most repCnt {spec.rep_cnt}", f"{count}", "VD-DB-01", shown=True)
+    bench.check(right, f"countCreate at most {spec.rep_cnt} (repCnt)", f"{count}", "VD-DB-01", shown=True)
 
 
 @case(
     "TC_VD_DB_BV_02",
-    "There is one entry for a variable, whatever becomes of it",
+    "The database has only one entry for a variable",
     requirements="VD-DB-01",
-    stimulus="a variable that is received, updated and requested",
+    stimulus="a variable is received, updated and requested",
     expect="one entry with its identifier in RTDB-DescribeDatabase",
     needs=Needs(ut=("RTDB-DescribeDatabase",)),
 )
@@ -253,7 +267,7 @@ def one_entry(bench: Bench) -> None:
     peer = bench.peer()
     var_id = taught(bench, peer)
     peer.send(peer.update(var_id, 1), peer.request_create(var_id), peer.create(var_id))
-    bench.require_alive("the records")
+    bench.require_alive("several records about the variable")
     found = bench.must("RTDB-DescribeDatabase").result.get("variables")
     same = [each for each in found if each.get("varId") == var_id] if isinstance(found, list) else []
     bench.check(len(same) == 1, "one entry with the identifier", f"{len(same)} entries", shown=True)
@@ -261,10 +275,10 @@ def one_entry(bench: Bench) -> None:
 
 @case(
     "TC_VD_DB_BV_03",
-    "A deleted variable stays in the database and is flagged as deleted ({variant})",
+    "A deleted variable remains in the database and is marked as deleted ({variant})",
     requirements="VD-DB-02",
     stimulus="a variable is deleted ({variant}); its repetitions end",
-    expect="RTDB-DescribeDatabase lists it; RTDB-DescribeVariable tells that it is deleted",
+    expect="RTDB-DescribeDatabase lists it; RTDB-DescribeVariable returns isDeleted true",
     window=8,
     needs=Needs(
         since=SpecVersion.V2_0, ut=("RTDB-DescribeDatabase", "RTDB-DescribeVariable", "RTDB-Create", "RTDB-Delete")
@@ -282,13 +296,13 @@ def stays(bench: Bench, own: bool) -> None:
         var_id = taught(bench, peer)
         peer.send(peer.delete(var_id))
     if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
-        bench.inconclusive("the variable is deleted, which this case needs", "there is no VarDelete")
+        bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
     bench.wait(2)
-    # Each row is a VarSpecT; that it tells isDeleted, too, is optional (VD-DDB-03).
+    # Each row is a VarSpecT; isDeleted is an optional addition (VD-DDB-03).
     row = listed(bench).get(var_id)
-    bench.check(row is not None, "it is listed", "it is not", shown=True)
+    bench.check(row is not None, "the variable in the list", "not in the list", shown=True)
     flag = True if row is None else row.get("isDeleted", True)
-    bench.check(flag is True, "isDeleted is true if the list tells it", f"it is {flag}", shown=True)
+    bench.check(flag is True, "isDeleted true, if the list has this field", f"{flag}", shown=True)
     _expect(bench, _entry(bench, var_id), {"isDeleted": True, "countDelete": 0, "countCreate": 0, "countUpdate": 0})
 
 
@@ -296,8 +310,8 @@ def stays(bench: Bench, own: bool) -> None:
     "TC_VD_DB_BV_04",
     "tStamp is the local time of the last accepted creation or update",
     requirements="VD-DB-03",
-    stimulus="a VarCreate, a newer VarUpdate and records that are not accepted, with time in between",
-    expect="tStamp is renewed by the first two only, to the time at which they came",
+    stimulus="a VarCreate, a newer VarUpdate and records that are not accepted, with pauses between them",
+    expect="tStamp is renewed only by the first two, to the time of their reception",
     window=12,
     needs=_DESCRIBE,
 )
@@ -305,13 +319,13 @@ def time_stamp(bench: Bench) -> None:
     peer, tolerance = bench.peer(), round(bench.pixit.clock_tolerance_ms * MS)
 
     def stamp(after: int) -> int:
-        """The time stamp, which lies between ``after`` and now."""
+        """Return the time stamp of the variable, after checking that it is between ``after`` and now."""
         found = _entry(bench, var_id).get("tStamp")
         if not isinstance(found, int):
-            bench.fail("tStamp is a number of nanoseconds", f"{found!r}", shown=True)
+            bench.fail("a number of nanoseconds as tStamp", f"{found!r}", shown=True)
         now = bench.lower.wall()
         right = after - tolerance <= found <= now + tolerance
-        bench.check(right, f"tStamp lies between {after} and {now} (+- {tolerance} ns)", f"{found}", shown=True)
+        bench.check(right, f"tStamp between {after} and {now} (+- {tolerance} ns)", f"{found}", shown=True)
         return found
 
     begun = bench.lower.wall()
@@ -320,25 +334,32 @@ def time_stamp(bench: Bench) -> None:
     bench.wait(2)
     peer.send(peer.update(var_id, 5, b"equal"), peer.update(var_id, 4, b"older"), peer.summary(var_id, 5))
     bench.require_alive("records that are not accepted")
-    bench.check(stamp(begun) == created, "records that are not accepted do not renew it", "they do", shown=True)
+    bench.check(
+        stamp(begun) == created, "tStamp unchanged by records that are not accepted", "it was renewed", shown=True
+    )
     before = bench.lower.wall()
     peer.send(peer.update(var_id, 6))
     came = bench.until_instruction(ICType.UPDATES, var_id)
     updated = stamp(before)
-    bench.check(updated > created, "a newer VarUpdate renews it", f"{updated} after {created}", shown=came)
+    bench.check(
+        updated > created, "a later tStamp after a newer VarUpdate", f"{updated}, before it {created}", shown=came
+    )
 
 
 @case(
     "TC_VD_TYP_BV_04",
-    "What a node says of the first variable it is taught can be read, and is what it was taught",
+    (
+        "The records about the first variable that a node learns can be decoded and have the contents that the "
+        "node received"
+    ),
     requirements="VD-TYP-05 VD-TYP-07 VD-IC-01 VD-IC-02 VD-IC-03",
-    stimulus="a variable of a peer is created, and nothing else",
-    expect="beacons with that VarCreate and summaries of it: every octet of them has a meaning in the profile",
+    stimulus="a peer creates a variable, and nothing else",
+    expect="beacons with its VarCreate and summaries that can be decoded completely with the profile",
     window=8,
 )
 def first_words(bench: Bench) -> None:
     peer, since = bench.peer(), bench.mark()
-    # Members that are exchanged show only if they are different.
+    # Exchanged members of a record can be detected only if their values differ.
     count = bench.rep_cnt(3)
     var_id = next(each for each in bench.var_ids(2) if each != count)
     record = peer.create(var_id, rep_cnt=count, value=b"value")
@@ -346,23 +367,30 @@ def first_words(bench: Bench) -> None:
     bench.wait(bench.reaction + 2)
     spoke = [heard for heard in bench.heard[since:] if _blocks(heard)]
     if not spoke:
-        bench.inconclusive("beacons with a VarDis block", "there are none")
+        bench.inconclusive("beacons with a VarDis block", "none in time")
     empty = [each for each in spoke if _has_empty_container(each)]
     bench.check(
-        not empty, "every container has a record", "there is an empty one", "VD-IC-03", frames=empty[:4], shown=True
+        not empty, "a record in every container", "an empty container", "VD-IC-03", frames=empty[:4], shown=True
     )
     broken = [each for each in spoke if _faults(each)]
     problem = f"{_faults(broken[0])[0]}" if broken else ""
     bench.check(
-        not broken, "payloads can be taken apart", problem, "VD-IC-01", "VD-IC-02", frames=broken[:4], shown=True
+        not broken, "payloads that can be decoded", problem, "VD-IC-01", "VD-IC-02", frames=broken[:4], shown=True
     )
     said_of_it = {each.kind for heard in spoke for each in heard.instructions(var_id=var_id)}
     kinds = said_of_it - {ICType.CREATE_VARIABLES, ICType.SUMMARIES}
     names = ", ".join(sorted(kind.label for kind in kinds))
-    bench.check(not kinds, "nothing of it but creations and summaries", names, "VD-IC-02", "VD-TYP-07", shown=True)
+    bench.check(
+        not kinds,
+        "no records of the variable other than VarCreates and summaries",
+        names,
+        "VD-IC-02",
+        "VD-TYP-07",
+        shown=True,
+    )
     creates = bench.instructions(ICType.CREATE_VARIABLES, since=since)
     wrong = [each for each in creates if each.record.spec.prod_id == peer.node_id and each.record != record]
     said = f"{wrong[0].record}" if wrong else ""
     bench.check(
-        not wrong, f"the VarCreate as it came: {record}", said, "VD-TYP-05", "VD-TYP-07", frames=wrong[:4], shown=True
+        not wrong, f"the VarCreate as received: {record}", said, "VD-TYP-05", "VD-TYP-07", frames=wrong[:4], shown=True
     )

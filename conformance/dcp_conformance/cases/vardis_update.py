@@ -46,7 +46,7 @@ _UPDATE_READ = Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"))
     "An update is sent with its value and the next sequence number",
     requirements="VD-UPD-07 VD-UPD-08",
     stimulus="RTDB-Create; four times RTDB-Update, each after the VarUpdate of the one before",
-    expect="OK each time; VarUpdates with the values and the numbers 1, 2, 3, 4",
+    expect="VARDIS-STATUS-OK each time; VarUpdates with these values and sequence numbers 1, 2, 3, 4",
     window=25,
     needs=_UPDATE,
     smoke=True,
@@ -63,12 +63,17 @@ def updates(bench: Bench) -> None:
             observed = f"{frames[-1].record}" if frames else "none"
             bench.fail(f"a VarUpdate with the value {value!r}", observed, "VD-UPD-08", frames=frames)
         bench.check(
-            record.seqno == number, f"its seqno is {number}", f"{record.seqno}", "VD-UPD-07", frames=frames, shown=True
+            record.seqno == number,
+            f"seqno {number} in the VarUpdate",
+            f"{record.seqno}",
+            "VD-UPD-07",
+            frames=frames,
+            shown=True,
         )
 
 
 def _until_value(bench: Bench, var_id: int, value: bytes) -> Any | None:
-    """Wait for a VarUpdate with this value, and return it; None if none comes in time."""
+    """Wait for a VarUpdate with this value and return it; None if there is none in time."""
 
     def wanted(heard: Heard) -> Any | None:
         record = heard.about(_U, var_id)
@@ -81,8 +86,11 @@ def _until_value(bench: Bench, var_id: int, value: bytes) -> Any | None:
     "TC_VD_UPD_BV_02",
     "Sequence numbers wrap around",
     requirements="VD-UPD-07",
-    stimulus="so many RTDB-Updates that two more reach the modulus; then these two, and one more, each awaited",
-    expect="VarUpdates with the numbers modulus - 1, 0, 1",
+    stimulus=(
+        "as many RTDB-Updates as leave two to the modulus; then these two and one more, each after the VarUpdate "
+        "before it"
+    ),
+    expect="VarUpdates with sequence numbers modulus - 1, 0, 1",
     window=25,
     needs=Needs(
         ut=("RTDB-Create", "RTDB-Update"),
@@ -102,11 +110,11 @@ def wrap(bench: Bench) -> None:
         bench.must("RTDB-Update", varId=var_id, value=value.hex())
         shown = _until_value(bench, var_id, value)
         frames = bench.instructions(_U, var_id, mark)
-        observed = "not sent" if shown is None else f"sent with seqno {shown.seqno}"
+        observed = "none in time" if shown is None else f"seqno {shown.seqno}"
         holds = shown is not None and shown.seqno == number % modulus
         bench.check(
             holds,
-            f"update {number} is sent with seqno {number % modulus}",
+            f"a VarUpdate with seqno {number % modulus} for update {number}",
             observed,
             frames=frames,
             shown=shown is not None,
@@ -115,10 +123,10 @@ def wrap(bench: Bench) -> None:
 
 @case(
     "TC_VD_UPD_BV_03",
-    "A VarUpdate is in as many beacons as repCnt says ({variant})",
+    "A VarUpdate is sent in exactly repCnt beacons ({variant})",
     requirements="VD-UPD-08 VD-UPD-09",
-    stimulus="RTDB-Create with repCnt {variant}; when its repetitions are over, RTDB-Update",
-    expect="exactly that many beacons carry one VarUpdate of the variable each",
+    stimulus="RTDB-Create with repCnt {variant}; after its repetitions RTDB-Update",
+    expect="one VarUpdate of the variable in each of exactly repCnt beacons",
     window=50,
     needs=_UPDATE,
     variants={"1": "1", "2": "2", "most": "most"},
@@ -130,10 +138,10 @@ def repetitions(bench: Bench, name: str) -> None:
     mark = bench.mark()
     bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
-    observed = f"{len(frames)} do"
+    observed = f"{len(frames)} beacons"
     bench.check(
         len(frames) == count,
-        f"{count} beacons carry the VarUpdate",
+        f"{count} beacons with the VarUpdate",
         observed,
         "VD-UPD-08",
         frames=frames,
@@ -141,16 +149,21 @@ def repetitions(bench: Bench, name: str) -> None:
     )
     twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
     bench.check(
-        not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice, shown=True
+        not twice,
+        "at most one VarUpdate of the variable in each beacon",
+        f"more in {len(twice)} beacons",
+        "VD-UPD-09",
+        frames=twice,
+        shown=True,
     )
 
 
 @case(
     "TC_VD_UPD_BV_04",
-    "A further update starts the repetitions again",
+    "A further update restarts the repetitions",
     requirements="VD-UPD-08 VD-UPD-09",
-    stimulus="RTDB-Update of a variable with the most repetitions; two beacons later another",
-    expect="the second in exactly repCnt beacons, and the first in none with or after it",
+    stimulus="RTDB-Update of a variable with the maximum repCnt; after two beacons another RTDB-Update",
+    expect="the second VarUpdate in exactly repCnt beacons; the first in none with or after it",
     window=60,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update"), when=several_repetitions),
 )
@@ -160,23 +173,24 @@ def counted_again(bench: Bench) -> None:
     bench.must("RTDB-Update", varId=var_id, value=bench.value(b"first").hex())
     for _ in range(2):
         if bench.until_instruction(_U, var_id) is None:
-            bench.fail("the first update is repeated", "it is not", "VD-UPD-08")
+            bench.fail("repetitions of the first VarUpdate", "none in time", "VD-UPD-08")
     mark = bench.mark()
     bench.must("RTDB-Update", varId=var_id, value=bench.value(b"second").hex())
     _check_newest(bench, var_id, mark, count)
 
 
 def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
-    """Right after update number 2: since the mark before it ``count`` beacons with it, and from now on at most one
-    with an older one, which comes before them.
+    """Check the beacons after update number 2: ``count`` of them since ``mark`` have it.
+
+    Of the beacons from now on, at most one has an older VarUpdate, and comes before them.
     """
     done, value, seqno = bench.mark(), bench.value(b"second"), 2
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     newest = [heard for heard in frames if _newest(heard.instructions(_U, var_id)[-1].record, value, seqno)]
-    observed = f"{len(newest)} of {len(frames)} with VarUpdates do"
+    observed = f"{len(newest)} of {len(frames)} beacons with VarUpdates"
     bench.check(
         len(newest) == count,
-        f"{count} beacons carry the newest update",
+        f"{count} beacons with the newest VarUpdate",
         observed,
         "VD-UPD-08",
         frames=frames,
@@ -184,14 +198,19 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
     )
     twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
     bench.check(
-        not twice, "no beacon carries two of the variable", f"{len(twice)} do", "VD-UPD-09", frames=twice, shown=True
+        not twice,
+        "at most one VarUpdate of the variable in each beacon",
+        f"more in {len(twice)} beacons",
+        "VD-UPD-09",
+        frames=twice,
+        shown=True,
     )
     old = [heard for heard in bench.frames_with(_U, var_id, done) if heard not in newest]
     late = [heard for heard in old if newest and heard.time >= newest[0].time]
     bench.check(
         len(old) <= 1 and not late,
-        "an older update is only in a beacon that was prepared before",
-        f"it is in {len(old)}, {len(late)} of them after the newest",
+        "an older VarUpdate only in a beacon prepared before the update",
+        f"in {len(old)} beacons, {len(late)} of them after the newest",
         "VD-UPD-09",
         frames=old,
         shown=True,
@@ -204,10 +223,10 @@ def _newest(record: object, value: bytes, seqno: int) -> bool:
 
 @case(
     "TC_VD_UPD_BV_05",
-    "Of two quick updates each beacon carries one VarUpdate, with the newest value",
+    "After two updates in quick succession only the newest value is sent, in one VarUpdate per beacon",
     requirements="VD-UPD-09 VD-UPD-08",
-    stimulus="two RTDB-Updates at once, right after a beacon",
-    expect="exactly repCnt beacons with one VarUpdate: the second value under seqno 2",
+    stimulus="two RTDB-Updates in succession, right after a beacon",
+    expect="exactly repCnt beacons with one VarUpdate: the second value with seqno 2",
     window=30,
     needs=_UPDATE,
 )
@@ -229,15 +248,15 @@ def quick(bench: Bench) -> None:
         if in_a_gap(bench, update, updated, paused=(attempt == 2 or slow) and pausable(bench))[1]:
             _check_newest(bench, var_id, mark, count)
             return
-    bench.inconclusive("two updates between two beacons", f"a beacon came in between each time{pace(bench)}")
+    bench.inconclusive("two updates between two beacons", f"a beacon in between in each attempt{pace(bench)}")
 
 
 @case(
     "TC_VD_UPD_BV_06",
-    "A VarCreate that is still repeated carries the newest value and its sequence number",
+    "A VarCreate with repetitions left has the newest value and its sequence number",
     requirements="VD-UPD-10",
-    stimulus="RTDB-Create with the most repetitions; after the first VarCreate RTDB-Update",
-    expect="after at most one with the old value all further VarCreates have the new value and seqno 1",
+    stimulus="RTDB-Create with the maximum repCnt; after the first VarCreate RTDB-Update",
+    expect="after at most one VarCreate with the old value, all others have the new value and seqno 1",
     window=40,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update"), when=several_repetitions),
 )
@@ -245,11 +264,11 @@ def in_creations(bench: Bench) -> None:
     count, start = max_repetitions(bench), bench.mark()
     var_id = produced(bench, rep_cnt=count, value=b"first")
     if bench.until_instruction(_C, var_id) is None:
-        bench.inconclusive("a VarCreate is heard", "none is")
+        bench.inconclusive("a VarCreate", "none in time")
     bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
     mark = bench.mark()
     if not least_left(bench, count, start):
-        bench.inconclusive("VarCreates that are still to be repeated", "there may be none left after the update")
+        bench.inconclusive("VarCreates with repetitions left", "possibly none left after the update")
     frames = bench.until_quiet(lambda heard: heard.instructions(_C, var_id), since=mark)
     records = [heard.about(_C, var_id) for heard in frames]
     after = (
@@ -259,7 +278,7 @@ def in_creations(bench: Bench) -> None:
     observed = f"{wrong[0].upd}" if wrong and wrong[0] is not None else f"{len(after)} VarCreates"
     bench.check(
         bool(after) and not wrong,
-        "the VarCreates after the update carry its value, seqno 1",
+        "the value of the update and seqno 1 in the VarCreates after it",
         observed,
         frames=frames,
         shown=wrong,
@@ -271,26 +290,26 @@ def in_creations(bench: Bench) -> None:
 
 @case(
     "TC_VD_UPD_BI_01",
-    "A variable that does not exist cannot be updated",
+    "RTDB-Update rejects a variable that does not exist",
     requirements="VD-UPD-02",
-    stimulus="RTDB-Update of an identifier that is not in use",
+    stimulus="RTDB-Update for an identifier that is not in use",
     expect="VARIABLE-DOES-NOT-EXIST; no VarUpdate",
     needs=Needs(ut=("RTDB-Update",)),
 )
 def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=bench.value(b"value").hex())
-    bench.require_alive("the update of an unknown variable")
+    bench.require_alive("RTDB-Update for an unknown variable")
     frames = bench.frames_with(_U, var_id)
-    bench.check(not frames, "no VarUpdate is sent", f"{len(frames)} are", frames=frames, shown=True)
+    bench.check(not frames, "no VarUpdate", f"{len(frames)} beacons with one", frames=frames, shown=True)
 
 
 @case(
     "TC_VD_UPD_BO_01",
-    "Another node's variable cannot be updated",
+    "RTDB-Update rejects a variable of another node",
     requirements="VD-UPD-03",
-    stimulus="a peer's variable is learnt; RTDB-Update, also with an empty value",
-    expect="NOT-PRODUCER both times; the value stays the peer's",
+    stimulus="a peer creates a variable; RTDB-Update, with a value and with an empty one",
+    expect="NOT-PRODUCER both times; the value of the peer is unchanged",
     needs=Needs(ut=("RTDB-Update", "RTDB-Read")),
 )
 def foreign(bench: Bench) -> None:
@@ -298,15 +317,15 @@ def foreign(bench: Bench) -> None:
     for value in (bench.value(b"ours"), b""):
         bench.expect_status(NOT_PRODUCER, "RTDB-Update", varId=var_id, value=value.hex())
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == bench.value(b"theirs").hex(), "the variable keeps its value", f"it is {shown}", shown=True)
+    bench.check(shown == bench.value(b"theirs").hex(), "the value unchanged", f"{shown}", shown=True)
 
 
 @case(
     "TC_VD_UPD_BO_02",
-    "Another node's deleted variable cannot be updated: not being the producer is checked first",
+    "RTDB-Update rejects a deleted variable of another node, and checks the producer first",
     requirements="VD-UPD-03",
-    stimulus="a peer's variable is learnt and deleted by the peer; RTDB-Update",
-    expect="NOT-PRODUCER; up to 1.3 VARIABLE-DOES-NOT-EXIST once it is gone",
+    stimulus="a peer creates and deletes a variable; RTDB-Update",
+    expect="NOT-PRODUCER; up to 1.3 VARIABLE-DOES-NOT-EXIST once it has been removed",
     needs=Needs(ut=("RTDB-Update",)),
 )
 def foreign_deleted(bench: Bench) -> None:
@@ -319,9 +338,9 @@ def foreign_deleted(bench: Bench) -> None:
 
 @case(
     "TC_VD_UPD_BO_03",
-    "A deleted variable cannot be updated",
+    "RTDB-Update rejects a deleted variable",
     requirements="VD-UPD-04 VD-UPD-12",
-    stimulus="RTDB-Create and RTDB-Delete; RTDB-Update, also with a value that is too long",
+    stimulus="RTDB-Create and RTDB-Delete; RTDB-Update, with a valid value and with one that is too long",
     expect="VARIABLE-IS-DELETED both times (up to 1.3 VARIABLE-BEING-DELETED)",
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete")),
 )
@@ -329,7 +348,7 @@ def deleted(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
     bench.must("RTDB-Delete", varId=var_id)
     mark = bench.mark()
-    # Whatever the maximum is: it is the deletion that is told.
+    # The deletion determines the status, whatever the maximum length is.
     for value in (bench.value(b"newer"), b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
         answer = bench.call("RTDB-Update", varId=var_id, value=value.hex())
         if answer.code != NOT_EXPRESSIBLE:
@@ -337,16 +356,16 @@ def deleted(bench: Bench) -> None:
     bench.beacons(2, 2.5)
     frames = bench.frames_with(_U, var_id, mark)
     bench.check(
-        not frames, "no VarUpdate of the deleted variable is sent", f"{len(frames)} are", frames=frames, shown=True
+        not frames, "no VarUpdate of the deleted variable", f"{len(frames)} beacons with one", frames=frames, shown=True
     )
 
 
 @case(
     "TC_VD_UPD_BI_02",
-    "The longest value is accepted, one octet more is not",
+    "A value of maximum length is accepted, one that is an octet longer is rejected",
     requirements="VD-UPD-05",
-    stimulus="RTDB-Update with a value of the maximum, then of one octet more",
-    expect="OK, then VALUE-TOO-LONG; the value stays the first, and so does its sequence number",
+    stimulus="RTDB-Update with a value of the maximum length, then with one octet more",
+    expect="VARDIS-STATUS-OK, then VALUE-TOO-LONG; value and sequence number are those of the first update",
     needs=_UPDATE_READ,
 )
 def value(bench: Bench) -> None:
@@ -355,7 +374,7 @@ def value(bench: Bench) -> None:
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"v" * longest).hex())
     answer = bench.call("RTDB-Update", varId=var_id, value=(b"w" * (longest + 1)).hex())
     if answer.code == NOT_EXPRESSIBLE:
-        bench.info("a value that the profile cannot express", str(answer))
+        bench.info("Can the profile express the value?", str(answer))
     else:
         bench.check_status(answer, (VALUE_TOO_LONG,), "RTDB-Update")
     _check_unchanged(bench, var_id, b"v" * longest)
@@ -363,10 +382,13 @@ def value(bench: Bench) -> None:
 
 @case(
     "TC_VD_UPD_BI_03",
-    "An empty value is refused",
+    "An empty value is rejected",
     requirements="VD-UPD-06",
-    stimulus="RTDB-Update with a value, then with none",
-    expect="OK, then EMPTY-VALUE (1.0: INVALID-VALUE); the value stays the first, and so does its sequence number",
+    stimulus="RTDB-Update with a value, then with an empty one",
+    expect=(
+        "VARDIS-STATUS-OK, then EMPTY-VALUE (1.0: INVALID-VALUE); value and sequence number are those of the first "
+        "update"
+    ),
     needs=_UPDATE_READ,
 )
 def empty_value(bench: Bench) -> None:
@@ -378,18 +400,18 @@ def empty_value(bench: Bench) -> None:
 
 def _check_unchanged(bench: Bench, var_id: int, value: bytes) -> None:
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == value.hex(), "a refused update leaves the value", f"it is {shown}", shown=True)
+    bench.check(shown == value.hex(), "the value unchanged by the rejected update", f"{shown}", shown=True)
     record = bench.until_instruction(_U, var_id)
     holds = record is not None and _newest(record, value, 1)
-    bench.check(holds, "the VarUpdate has the first value under seqno 1", f"{record}", shown=record is not None)
+    bench.check(holds, "a VarUpdate with the first value and seqno 1", f"{record}", shown=record is not None)
 
 
 @case(
     "TC_VD_UPD_BV_07",
     "An update renews the time stamp of the database entry",
     requirements="VD-UPD-08",
-    stimulus="RTDB-Create, three beacon periods later RTDB-Update, RTDB-DescribeVariable before and after",
-    expect="seqno 1, the new value, countUpdate at most two below repCnt, a tStamp three periods later",
+    stimulus="RTDB-Create, three beacon periods later RTDB-Update; RTDB-DescribeVariable before and after it",
+    expect="seqno 1, the new value, countUpdate at most two less than repCnt, tStamp three periods later",
     window=6,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-DescribeVariable")),
 )
@@ -410,7 +432,7 @@ def entry(bench: Bench) -> None:
         left = after.get("countUpdate", count)
         bench.check(least <= left <= count, f"countUpdate from {least} to {count}", f"{left}", shown=True)
         if "tStamp" not in before or "tStamp" not in after:
-            # Both are optional members: there is nothing more to check.
+            # Both fields are optional, so there is nothing more to check.
             raise StopCase
         return Stamps(before["tStamp"], after["tStamp"], (created, updated))
 

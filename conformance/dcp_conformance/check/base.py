@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 from dcp_spec.constants import Features, features
@@ -16,7 +16,7 @@ from dcp_conformance.results import Mark
 from dcp_conformance.verdict import Verdict
 
 from .lives import Lives
-from .said import Said, said_in, speaker
+from .said import CREATE, DELETE, SUMMARY, UPDATE, Said, said_in, speaker
 from .senders import Senders
 from .stations import Origin, Stations
 
@@ -36,6 +36,15 @@ class Trace(NamedTuple):
     octets: bytes
 
 
+class News(NamedTuple):
+    """A record that is not just the summary of what the node has said before."""
+
+    said: Said
+    before: Said | None
+    """The last create, update or summary of the variable by this node, if no beacon of it is missing since, and it has
+    not deleted the variable."""
+
+
 class Seen:
     """A frame, taken apart: values where it is sound, the dissection whatever it is. What is costly is made when asked.
 
@@ -47,9 +56,11 @@ class Seen:
         "_dissection",
         "_said",
         "_trace",
+        "again",
         "destination",
         "frame",
         "heard",
+        "news",
         "number",
         "origin",
         "origin_frame",
@@ -76,6 +87,10 @@ class Seen:
         self._dissection: Dissection | None = None
         self._said: tuple[Said, ...] | None = None
         self._trace: Trace | None = None
+        self.news: Sequence[News] = ()
+        """What it says of variables, in order, without ``again``. Set by :meth:`Context.feed`."""
+        self.again: Sequence[Said] = ()
+        """Summaries with the number that the node has said of the variable before, with no beacon missing since."""
 
     @property
     def sound(self) -> bool:
@@ -115,6 +130,10 @@ class Finding(NamedTuple):
     frames: tuple[Mark, ...]
     key: object = None
     """Findings of one key are told once; :meth:`Invariant.times` counts them."""
+    time: int | None = None
+    """When it showed first, in ns since 1970; None if it shows in the recording as a whole."""
+    consequence: str = ""
+    """What follows for the network, in a sentence; empty: what generally follows."""
 
 
 Evidence = Seen | Trace | Said | Instruction | Mark
@@ -144,13 +163,67 @@ class Context:
         self.shared: dict[type, object] = {}
         """What several invariants make together, by its class."""
         self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
+        self.now: int | None = None
+        """The time of the frame that is being judged, in ns since 1970; None before and after the recording."""
+        self.withheld: dict[str, str] = {}
+        """Requirements that do not pass whatever was shown, and why."""
+        self.changed = False
+        """Whether there are findings that :meth:`Judge.feed` has not looked at."""
+        self._last: dict[bytes, dict[int, Said]] = {}
+        """By node and variable: what it last said that it has, since the last gap in its beacons."""
+        self._since: dict[bytes, int] = {}
+        """By node: :attr:`Sender.unbroken` when what it had said was last forgotten."""
+        self._pairs = 0
+
+    def withhold(self, requirement: str, why: str) -> None:
+        """Something was heard that speaks against a requirement without refuting it: it does not pass."""
+        self.withheld.setdefault(requirement, why)
 
     def feed(self, seen: Seen) -> None:
         """The next frame, before the invariants get it."""
+        self.now = seen.time
         seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
-        for each in seen.said:
-            self.lives.feed(each)
+        said = seen.said
+        if said:
+            self._sort(seen, said)
+            for each, _ in seen.news:
+                self.lives.feed(each)
+
+    def _sort(self, seen: Seen, said: Sequence[Said]) -> None:
+        """Tell what is new from what is said again: most of a recording is, and few rules look at it."""
+        sender = self.senders.get(seen.sender)
+        if sender is None:
+            seen.news = [News(each, None) for each in said]
+            return
+        last = self._last.get(seen.sender)
+        if last is None:
+            last = self._last[seen.sender] = {}
+        unbroken = sender.unbroken
+        if self._since.get(seen.sender) != unbroken:
+            self._since[seen.sender] = unbroken
+            self._pairs -= len(last)
+            last.clear()
+        news: list[News] = []
+        again: list[Said] = []
+        for each in said:
+            kind, var_id = each.kind, each.var_id
+            before = last.get(var_id)
+            if before is not None and kind is SUMMARY and before.number == each.number:
+                again.append(each)
+                last[var_id] = each
+                continue
+            news.append(News(each, before))
+            if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+                if before is None:
+                    if self._pairs >= MOST_VARIABLES:
+                        continue
+                    self._pairs += 1
+                last[var_id] = each
+            elif kind is DELETE and before is not None:
+                self._pairs -= 1
+                del last[var_id]
+        seen.news, seen.again = news, again
 
     @property
     def profile(self) -> Profile:
@@ -175,6 +248,8 @@ class Invariant:
     requirements: ClassVar[tuple[str, ...]]
     section: ClassVar[str]
     expect: ClassVar[str]
+    enough: ClassVar[int] = 10
+    """Occasions from which a recording shows that something holds."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -198,12 +273,12 @@ class Invariant:
     def finish(self) -> None:
         """The recording has ended."""
 
-    def exercised(self, *requirements: str) -> None:
-        """There was an occasion to break these (by default all of the invariant)."""
+    def exercised(self, *requirements: str, times: int = 1) -> None:
+        """There was an occasion to break these (by default all of the invariant), or so many."""
         if not requirements:
-            self._of_all += 1
+            self._of_all += times
         for each in requirements:
-            self._occasions[each] = self._occasions.get(each, 0) + 1
+            self._occasions[each] = self._occasions.get(each, 0) + times
 
     @property
     def occasions(self) -> dict[str, int]:
@@ -220,10 +295,11 @@ class Invariant:
         verdict: Verdict = Verdict.FAIL,
         once: object = None,
         cite: int = 1,
+        consequence: str = "",
     ) -> None:
         """Something does not hold. With ``once``, only the first finding of that key is kept, others are counted.
 
-        ``cite``: of so many of them the frames are shown.
+        ``cite``: of so many of them the frames are shown. ``consequence``: what follows for the network, in a sentence.
         """
         if once is not None:
             times = self._times.get(once, 0)
@@ -238,8 +314,16 @@ class Invariant:
         if sum(each.verdict is verdict for each in self.findings) >= MOST_FINDINGS:
             self.left_out += 1
             return
-        rules = requirements or self.requirements
-        self.findings.append(Finding(verdict, rules, expected or self.expect, observed, self._marks(frames), once))
+        rules, shown = requirements or self.requirements, list(frames)
+        time = self._time_of(shown[-1]) if shown else None
+        self.context.changed = True
+        marks = self._marks(shown)
+        expected = expected or self.expect
+        self.findings.append(Finding(verdict, rules, expected, observed, marks, once, time, consequence))
+
+    def times(self, key: object) -> int:
+        """How often there was something to say under a key (``once`` of :meth:`violated`)."""
+        return self._times.get(key, 0)
 
     def told(self, finding: Finding) -> str:
         """What was observed, and how often."""
@@ -249,11 +333,18 @@ class Invariant:
     def _cite_again(self, key: object, frames: Iterable[Evidence]) -> None:
         for index, finding in enumerate(self.findings):
             if finding.key == key:
+                self.context.changed = True
                 self.findings[index] = finding._replace(frames=(*finding.frames, *self._marks(frames)))
 
     def _marks(self, frames: Iterable[Evidence]) -> tuple[Mark, ...]:
         cited = (self.context.cite(self.id, self._mark(each)) for each in frames)
         return tuple(mark for mark in cited if mark is not None)
+
+    def _time_of(self, what: Evidence) -> int | None:
+        """When that was, in ns since 1970; of a mark the time of the frame that is being judged."""
+        if isinstance(what, Mark):
+            return self.context.now
+        return what.heard.wall if isinstance(what, Instruction) else what.time
 
     def note(self, question: str, observed: str, frames: Iterable[Evidence], *requirements: str) -> None:
         """Something that the specification leaves open, or a hazard that it brings about."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 import msgspec
@@ -12,6 +13,7 @@ import msgspec
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing import OtherTraffic, locate
+from dcp_codec.holdings import History
 from dcp_conformance.case import Case, Kind
 from dcp_conformance.declared import declarations
 from dcp_conformance.heard import Heard
@@ -22,6 +24,7 @@ from dcp_conformance.results import (
     CaseResult,
     Check,
     EventRecord,
+    LinkResult,
     Mark,
     RunResult,
     Sut,
@@ -29,8 +32,11 @@ from dcp_conformance.results import (
 from dcp_conformance.verdict import Verdict, worst
 
 from . import rules_bp, rules_data, rules_dialogue, rules_repetition, rules_srp, rules_vardis, rules_variables
-from .base import Context, Invariant, Seen
+from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
+from .reception import reception_of
+from .reception.links import summary
+from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (
     *rules_data.RULES,
@@ -42,6 +48,12 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_dialogue.RULES,
 )
 _STIMULUS: Final = "none: the recording as it is"
+#: Beacons from which a recording shows that something holds.
+LEAST_BEACONS: Final = 30
+#: Of a link, what is worth a line: a share that is not nothing, or so many trials without any reaction.
+_SOME, _TRIALS = 0.02, 20
+#: Frames of a finding that are shown together lie so close together.
+_NEAR = 10
 #: Frames that are kept for findings that are made later; older ones are cited by number only.
 _KEPT = 20_000
 
@@ -65,23 +77,45 @@ def cases() -> tuple[Case, ...]:
     )
 
 
+def _counted(requirements: Sequence[str], occasions: Mapping[str, int]) -> str:
+    """``12 occasions``, or from the fewest to the most."""
+    counts = sorted({occasions[each] for each in requirements})
+    many = f"{counts[0]:,}" if len(counts) == 1 else f"{counts[0]:,} to {counts[-1]:,}"
+    return f"{many} occasion{'' if counts == [1] else 's'}"
+
+
 class Judge:
     """Feed it frames, and ask for the result. Nothing in a frame makes it raise."""
 
     def __init__(
-        self, codec: Codec, pics: Pics, *, recording: str = "", command: str = "", period_known: bool = True
+        self,
+        codec: Codec,
+        pics: Pics,
+        *,
+        recording: str = "",
+        path: str = "",
+        command: str = "",
+        period_known: bool = True,
+        enough: int | None = None,
     ) -> None:
-        """``period_known`` False: the beacon period in ``pics`` was measured in the recording, and proves nothing."""
+        """``period_known`` False: the beacon period in ``pics`` was measured in the recording, and proves nothing.
+
+        ``recording`` is what the result calls the recording, ``path`` the file for commands that show a frame of it.
+        ``enough``: occasions and beacons that show that a rule holds, where it is not for the rules to say.
+        """
         self._codec = codec
         self._pics = pics
         self._recording = recording
+        self._path = path or recording
+        self._enough = enough
+        self._history = History(codec.profile.types.node_id.representation)
+        self._first: int | None = None
         self._command = command
         self._context = Context(codec, pics, period_known=period_known)
         self._rules = [rule(self._context) for rule in RULES]
         self._active = [rule for rule in self._rules if not rule.applies()]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
         self._cited: dict[int, EventRecord] = {}
-        self._findings = 0
         self._began = time.monotonic()
         self._started = timestamp()
         self.frames = self.other = self.cut = 0
@@ -98,6 +132,8 @@ class Judge:
             self.cut += 1
             return
         self.frames += 1
+        if self._first is None:
+            self._first = frame.time_ns
         octets = frame.data[framing.start : framing.end]
         heard = Heard(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
         seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
@@ -107,16 +143,17 @@ class Judge:
         if len(self._recent) > _KEPT:
             self._recent.popitem(last=False)
         self._context.feed(seen)
+        if seen.news and heard.beacon is not None:
+            self._history.feed(frame.number, frame.time_ns, seen.sender, heard.beacon)
         for rule in self._active:
             rule.feed(seen)
         self._cite()
 
     def _cite(self) -> None:
         """Keep the frames of new findings while they are there."""
-        count = sum(len(rule.findings) for rule in self._active)
-        if count == self._findings:
+        if not self._context.changed:
             return
-        self._findings = count
+        self._context.changed = False
         for rule in self._active:
             for finding in rule.findings:
                 for mark in finding.frames:
@@ -130,8 +167,15 @@ class Judge:
 
     def result(self, notes: Iterable[str] = ()) -> RunResult:
         """What came of it; call once, at the end."""
+        self._context.now = None
         for rule in self._active:
             rule.finish()
+        for rule in self._active:
+            for finding in rule.findings:
+                if finding.verdict is Verdict.INCONCLUSIVE:
+                    # What one rule doubts no other one shows.
+                    for each in finding.requirements:
+                        self._context.withhold(each, finding.observed)
         self._cite()
         cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
@@ -150,26 +194,57 @@ class Judge:
             command=self._command,
             notes=(*about, *notes),
         )
-        open_ones = (Verdict.NOT_APPLICABLE, Verdict.INCONCLUSIVE)
-        decided = {name: verdict for name, verdict in run.requirements.items() if verdict not in open_ones}
-        return msgspec.structs.replace(run, requirements=decided)
+        withheld = self._context.withheld
+        decided = {
+            name: verdict
+            for name, verdict in run.requirements.items()
+            if verdict is not Verdict.NOT_APPLICABLE and (verdict is not Verdict.INCONCLUSIVE or name in withheld)
+        }
+        occasions: dict[str, int] = {}
+        for case in cases:
+            for requirement, count in case.occasions.items():
+                occasions[requirement] = occasions.get(requirement, 0) + count
+        return msgspec.structs.replace(
+            run,
+            requirements=decided,
+            occasions=dict(sorted(occasions.items())),
+            holdings=self._history.as_json(),
+            links=tuple(self._links()),
+        )
+
+    def _links(self) -> Iterator[LinkResult]:
+        """Who hears whom, where there is something to say."""
+        for (listener, speaker), link in sorted(summary(reception_of(self._context).links).items()):
+            if link.at_least < _SOME and (link.share > _SOME or link.trials < _TRIALS):
+                continue
+            until = None if link.lasts or self._first is None else round((link.end - self._first) / 1e9, 3)
+            yield LinkResult(
+                name(listener), name(speaker), round(link.share, 3), round(link.reactions), link.trials, until
+            )
 
     def _case(self, rule: Invariant) -> CaseResult:
         checks = [
-            Check(each.verdict, each.requirements, each.expected, rule.told(each), self._marks(each.frames))
+            Check(
+                each.verdict,
+                each.requirements,
+                each.expected,
+                rule.told(each),
+                self._marks(each.frames),
+                seconds=self._seconds(each),
+            )
             for each in rule.findings
         ]
         failed = {each for check in checks if check.verdict is Verdict.FAIL for each in check.requirements}
-        exercised = tuple(each for each in rule.requirements if rule.occasions.get(each) and each not in failed)
+        doubted = {each for check in checks if check.verdict is Verdict.INCONCLUSIVE for each in check.requirements}
+        occasions = {each: rule.occasions[each] for each in rule.requirements if rule.occasions.get(each)}
+        held = [each for each in occasions if each not in failed | doubted]
         reason = rule.applies()
-        if exercised:
-            count = max(rule.occasions[each] for each in exercised)
-            times = "once" if count == 1 else f"{count} times"
-            checks.append(Check(Verdict.PASS, exercised, f"{rule.expect} (looked at {times})"))
-        elif not checks:
+        checks += self._passes(rule, held, occasions)
+        if not checks:
             reason = reason or "the recording gave no occasion"
             checks.append(Check(Verdict.NOT_APPLICABLE, rule.requirements, reason))
         verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
+        finding = next((each for each in rule.findings if each.verdict is verdict), None)
         decisive = next(check for check in checks if check.verdict is verdict)
         text = f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
         numbers = sorted({mark.frame for check in checks for mark in check.frames})
@@ -187,7 +262,44 @@ class Judge:
             evidence=tuple(self._cited[number] for number in numbers if number in self._cited),
             left_out=rule.left_out,
             rerun=self._command,
+            occasions=occasions,
+            consequence=(finding.consequence or CONSEQUENCES.get(rule.id, "")) if finding and failed else "",
+            show=self._show(finding) if finding else "",
         )
+
+    def _passes(self, rule: Invariant, held: list[str], occasions: dict[str, int]) -> Iterator[Check]:
+        """What nothing was found against: shown, seen too seldom, or withheld."""
+        withheld = self._context.withheld
+        enough = rule.enough if self._enough is None else self._enough
+        least = LEAST_BEACONS if self._enough is None else self._enough
+        speaks = [each for each in held if each in withheld]
+        few = tuple(each for each in held if each not in withheld and (occasions[each] < enough or self.frames < least))
+        shown = tuple(each for each in held if each not in withheld and each not in few)
+        if shown:
+            yield Check(Verdict.PASS, shown, f"{rule.expect} ({_counted(shown, occasions)})")
+        if few:
+            seen = f"{_counted(few, occasions)} in {self.frames} beacon{'' if self.frames == 1 else 's'}"
+            wanted = f"{rule.expect}, in at least {enough} occasion{'' if enough == 1 else 's'} and {least} beacons"
+            yield Check(Verdict.TOO_LITTLE, few, wanted, f"too little to say: {seen}")
+        for each in speaks:
+            yield Check(Verdict.INCONCLUSIVE, (each,), f"{rule.expect}, and nothing against it", withheld[each])
+
+    def _seconds(self, finding: Finding) -> float | None:
+        """When a finding showed first, in seconds since the first frame."""
+        if finding.time is None or self._first is None:
+            return None
+        return round((finding.time - self._first) / 1e9, 6)
+
+    def _show(self, finding: Finding) -> str:
+        """The command that shows the frames of a finding, from the first to the last where they are close together."""
+        numbers = sorted({mark.frame for mark in finding.frames if mark.frame})
+        if not numbers:
+            return ""
+        last = numbers[-1]
+        near = next(each for each in numbers if last - each < _NEAR)
+        frames = str(last) if near == last else f"{near}-{last}"
+        profile = self._codec.profile.name
+        return shlex.join(["dcp-codec", "decode", self._path, "--profile", profile, "--frames", frames])
 
     def _marks(self, marks: tuple[Mark, ...]) -> tuple[Mark, ...]:
         """With the octets of records whose place was given as "KIND variable"."""

@@ -11,6 +11,8 @@ from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.codec import Codec
+from dcp_codec.commandline import say
+from dcp_codec.ethertype import parse_ether_type
 from dcp_codec.frames import with_ether_type
 from dcp_codec.framing import OtherTraffic, locate
 from dcp_codec.guess import Guess, guess, sample
@@ -47,7 +49,7 @@ def judge_recording(
         with open_capture(path) as reader:
             # As text that a report can hold: names of files are octets.
             name = path.name.encode("utf-8", "backslashreplace").decode()
-            judge = Judge(codec, pics, recording=name, command=command, period_known=period_known)
+            judge = Judge(codec, pics, recording=name, path=str(path), command=command, period_known=period_known)
             for frame in reader:
                 judge.feed(frame)
             notes += [problem.message for problem in reader.problems]
@@ -89,12 +91,13 @@ def _with_period(pics: Pics, period: float | None) -> Pics:
 def _codec(path: Path, profile: str | None, ether_type: str | None) -> tuple[Codec, list[str]]:
     """The codec to read a recording with, and what there is to say about the choice."""
     try:
-        number = None if ether_type is None else int(ether_type, 0)
-    except ValueError:
-        raise UsageError(f"--ether-type {ether_type!r} is no number; write 0x4953 or 18771") from None
+        number = None if ether_type is None else parse_ether_type(ether_type)
+    except ValueError as error:
+        raise UsageError(f"--ether-type: {error}") from None
     if profile is None:
         found = _guessed(path, number)
         doubt = [] if found.certain else [f"the profile was guessed: {found}"]
+        _warn(path, found)
         return Codec(msgspec.structs.replace(found.best.profile, link=found.best.link)), doubt
     try:
         codec = Codec(profile)
@@ -108,7 +111,15 @@ def _codec(path: Path, profile: str | None, ether_type: str | None) -> tuple[Cod
 
 def guessed_profile(path: Path) -> str:
     """The name of the profile that explains a recording best. Raises :class:`UsageError`."""
-    return _guessed(path).best.profile.name
+    found = _guessed(path)
+    _warn(path, found)
+    return found.best.profile.name
+
+
+def _warn(path: Path, found: Guess) -> None:
+    """A verdict on octets that the profile does not explain is worth nothing: say so, also without a report."""
+    if found.warning is not None:
+        say(f"{path}: {found.warning}: name one with --profile, or see dcp-codec guess {path}", err=True)
 
 
 def _guessed(path: Path, ether_type: int | None = None) -> Guess:

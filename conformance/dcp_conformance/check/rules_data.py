@@ -7,8 +7,7 @@ from typing import Literal
 
 from dcp_spec.profile import own_fields
 
-from dcp_codec.dissect import Field
-from dcp_codec.plan import Scalar
+from dcp_codec.values import VarCreate
 from dcp_conformance.results import Mark
 
 from .base import Context, Invariant, Seen, name
@@ -28,6 +27,9 @@ class ByteOrder(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._stamp = context.profile.types.timestamp
+        self._modulus = 1 << (8 * self._stamp.width)
+        self._ns = 1e9 / self._stamp.per_second
+        self._epoch = self._stamp.epoch_ns or 0
 
     def applies(self) -> str:
         """Only where time stamps say a time of day."""
@@ -37,24 +39,32 @@ class ByteOrder(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Read every time stamp in both orders."""
-        for field in _stamps(seen):
-            octets = field.raw
-            big = self._near(int.from_bytes(octets, "big"), seen.time)
-            little = self._near(int.from_bytes(octets, "little"), seen.time)
-            if big == little:
+        for field, ticks in _stamps(seen):
+            order = self._order(ticks, seen.time)
+            if not order:
                 # Both far away, as after a wrong clock, or both near: nothing can be said.
                 continue
             self.exercised()
-            if little:
-                mark = Mark(seen.number, field.offset, field.length, field.path)
-                text = (
-                    f"{name(seen.sender)}: {_last(field)} is such a time only when read least significant octet first"
-                )
-                self.violated(text, [mark], once=(seen.sender, _last(field)))
+            if order == "big":
+                continue
+            key = (seen.sender, field)
+            text = f"{name(seen.sender)}: {field} is such a time only when read least significant octet first"
+            self.violated(text, [] if self.times(key) else [self._mark_of(seen, field)], once=key)
+
+    def _order(self, ticks: int, wall: int) -> Literal["big", "little", ""]:
+        """The order of octets in which a time stamp lies near a time; empty for none, or both."""
+        octets = (ticks % self._modulus).to_bytes(self._stamp.width, self._stamp.byte_order)
+        big = self._near(int.from_bytes(octets, "big"), wall)
+        little = self._near(int.from_bytes(octets, "little"), wall)
+        return "" if big == little else "big" if big else "little"
+
+    @staticmethod
+    def _mark_of(seen: Seen, name_: str) -> Mark:
+        field = next((each for each in seen.dissection.root.walk() if each.name == name_), None)
+        return Mark(seen.number) if field is None else Mark(seen.number, field.offset, field.length, field.path)
 
     def _near(self, ticks: int, wall: int) -> bool:
-        seconds = ticks / self._stamp.per_second + (self._stamp.epoch_ns or 0) / 1e9
-        return abs(seconds - wall / 1e9) < 30 * DAY
+        return abs(ticks * self._ns + self._epoch - wall) < 30 * DAY * 1e9
 
 
 class Packing(Invariant):
@@ -74,6 +84,12 @@ class Packing(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Look at the regions that the profile calls opaque."""
+        if not self._opaque:
+            if seen.sound and seen.heard.report is not None:
+                self.exercised()
+                return
+            if seen.heard.salvaged.damaged == () and seen.heard.report is None:
+                return
         found: list[str] = []
         marks: list[Mark] = []
         octets = 0
@@ -104,15 +120,16 @@ def _pointer(octets: bytes) -> int | None:
     return None
 
 
-def _stamps(seen: Seen) -> Iterator[Field]:
-    for field in seen.dissection.root.walk():
-        layout = field.layout
-        if isinstance(layout, Scalar) and layout.role == "timestamp" and field.length == layout.size and any(field.raw):
-            yield field
-
-
-def _last(field: Field) -> str:
-    return field.path.rpartition(".")[2]
+def _stamps(seen: Seen) -> Iterator[tuple[str, int]]:
+    """The time stamps of the sound parts of a frame, with the names of their fields; 0 is none."""
+    report = seen.heard.report
+    if report is not None and report.t_stamp:
+        yield "tStamp", report.t_stamp
+    for container in seen.heard.containers:
+        if container.records and type(container.records[0]) is VarCreate:
+            for record in container.records:
+                if record.spec.creation_time:
+                    yield "creationTime", record.spec.creation_time
 
 
 RULES: tuple[type[Invariant], ...] = (ByteOrder, Packing)

@@ -30,6 +30,7 @@ class HearsWhom(Invariant):
     purpose = "Beacons reach the nodes around: who hears whom, as reactions show"
     requirements = ("UWB-01",)
     expect = "reactions of others to what a beacon says"
+    enough = 1
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -65,6 +66,7 @@ class HearsWhom(Invariant):
 class _Reaction(Invariant):
     """Base: one kind of reaction."""
 
+    enough = 5
     kinds: ClassVar[tuple[Kind, ...]]
     by_cause: ClassVar[dict[ICType, str]] = {}
     """The requirement that a record calls upon, where it is not one for all."""
@@ -103,6 +105,7 @@ class _Reaction(Invariant):
         else:
             if reason := self._reason(each):
                 text += f"; the likely reason: {reason}"
+            self.exercised(*rules, times=tally.all_trials)
             self.violated(text, tally.examples, *rules)
 
     def _speakers(self, each: Shortage) -> str:

@@ -3,26 +3,54 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from dcp_spec.constants import ICType
 
+from dcp_codec.codec import Codec
 from dcp_conformance.circular import Circle
+from dcp_conformance.heard import Heard
 from dcp_conformance.results import Mark
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
 from .rules_dialogue import Counter
-from .rules_vardis import SENT, seqno_of
-from .said import Said
+from .said import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Said, said_in
 
 MS = 1_000_000
 #: For how many beacon periods before it is seen on the air a payload may have been composed.
 _COMPOSED = 1.6
 #: A gap in the recording shows within so many ns, or never.
 _GAP_SHOWS = 2_000 * MS
-_PENDING = 10_000
+#: Beacons that are kept as possible reasons: some ten seconds of thirty nodes.
+_FRAMES = 4_000
+_TOLD, _UNTOLD = ("VD-RU-03",), ("VD-SCP-02", "VD-SCP-03")
 _Key = tuple[bytes, int, ICType]
+
+
+class _Frame:
+    """A beacon, for as long as what it says may be a reason for others to send again.
+
+    Few are ever asked: they are kept as octets, which the recording's evidence shares, and decoded again.
+    """
+
+    __slots__ = ("_number", "_octets", "_of", "node", "time")
+
+    def __init__(self, seen: Seen) -> None:
+        self.time, self.node = seen.time, seen.sender
+        self._number, self._octets = seen.number, seen.heard.octets
+        self._of: dict[int, list[Said]] | None = None
+
+    def of(self, var_id: int, codec: Codec) -> Sequence[Said]:
+        """All about one variable."""
+        if self._of is None:
+            self._of = {}
+            heard = Heard(codec, self._number, self.time, self.time, self._octets, self.node)
+            for each in said_in(heard, self.node):
+                self._of.setdefault(each.var_id, []).append(each)
+        return self._of.get(var_id, ())
 
 
 @dataclass(slots=True)
@@ -31,13 +59,21 @@ class _Run:
 
     what: tuple[Any, ...]
     """Life of the node, creation, number."""
+    number: int
+    """The sequence number of updates, else 0."""
     rep_cnt: int
     begin: int
     last: Said
+    weighed: int
+    """The number of frames, in all, up to which reasons have been weighed; before that, the one that began the run."""
+    asked: int
+    """Requests for updates that had told the number before, by whomever."""
     beacons: int = 1
     allowed: int = 0
     told: int = 0
     """Requests that told the same number."""
+    fresh: bool = True
+    """Whether no reasons have been weighed."""
 
 
 class Repetitions(Invariant):
@@ -59,10 +95,14 @@ class Repetitions(Invariant):
         self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
         """(node, variable) -> the creation that it spoke of last, and its repCnt."""
         self._runs: dict[_Key, _Run] = {}
-        self._senders: dict[tuple[int, ICType], set[bytes]] = {}
-        """Who has a run of that kind, by variable."""
-        self._reasons: deque[tuple[int, bytes, Said]] = deque()
-        """What was said lately that can be a reason for others, when, and by whom."""
+        self._frames: deque[_Frame] = deque()
+        """What was said lately. It is looked at for runs that are longer than without a reason: nearly none is."""
+        self._dropped = 0
+        """Frames that are gone from there."""
+        self._asked: dict[tuple[int, int], int] = {}
+        """(variable, number) -> requests for updates that told it."""
+        self._deleting = 0
+        """Runs of deletes."""
         self._closed: deque[tuple[int, _Key, _Run]] = deque()
         self._counters: dict[tuple[bytes, ICType, bool], Counter] = {}
         self._examples: dict[tuple[bytes, ICType, bool], str] = {}
@@ -70,25 +110,29 @@ class Repetitions(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Count beacons; requests and older numbers of others allow more."""
-        while self._reasons and self._reasons[0][0] < seen.time - self._composed:
-            self._reasons.popleft()
-        self._count(seen.time)
-        for each in seen.said:
-            node, var_id = seen.sender, each.var_id
-            if each.kind is ICType.CREATE_VARIABLES and (
-                (node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES
-            ):
+        node, now = seen.sender, seen.time
+        if self._closed:
+            self._count(now)
+        if seen.said:
+            self._frames.append(_Frame(seen))
+            if len(self._frames) > _FRAMES:
+                # A reason shows in what is sent soon after it, or not at all.
+                self._frames.popleft()
+                self._dropped += 1
+        for each, _ in seen.news:
+            kind, var_id = each.kind, each.var_id
+            if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
                 spec = each.record.spec
                 self._creation[node, var_id] = (spec.prod_id, spec.creation_time, spec.rep_cnt)
-            if each.kind is ICType.DELETE_VARIABLES:
-                self._close(seen.time, (node, var_id, ICType.CREATE_VARIABLES), (node, var_id, ICType.UPDATES))
-            elif each.kind in SENT:
-                # Whoever says anything else of a variable has it: it may be deleted another time.
-                self._close(seen.time, (node, var_id, ICType.DELETE_VARIABLES))
-            if each.kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES):
-                self._sent(each, seen)
-            if each.kind is not ICType.DELETE_VARIABLES:
-                self._reason(each, seen)
+            if kind is DELETE:
+                self._close(now, (node, var_id, CREATE), (node, var_id, UPDATE))
+            elif self._deleting and (kind is CREATE or kind is UPDATE or kind is SUMMARY):
+                # A node that says anything else of a variable has it: it may be deleted another time.
+                self._close(now, (node, var_id, DELETE))
+            if kind is CREATE or kind is UPDATE or kind is DELETE:
+                self._sent(each, now)
+            elif kind is ASK_UPDATE and ((var_id, each.number) in self._asked or len(self._asked) < MOST_VARIABLES):
+                self._asked[var_id, each.number] = self._asked.get((var_id, each.number), 0) + 1
 
     def _rep_cnt(self, node: bytes, var_id: int) -> int | None:
         """As the node said itself, or as it was said of the only life of the variable; else nobody knows."""
@@ -100,48 +144,52 @@ class Repetitions(Invariant):
             return None
         return int(first[1].record.spec.rep_cnt)
 
-    def _sent(self, each: Said, seen: Seen) -> None:
-        key = (seen.sender, each.var_id, each.kind)
-        number = seqno_of(each) if each.kind is ICType.UPDATES else 0
-        what = (self.context.senders.life(seen.sender), *self._creation.get(key[:2], ())[:2], number)
+    def _sent(self, each: Said, now: int) -> None:
+        key = (each.sender, each.var_id, each.kind)
+        number = each.number if each.kind is UPDATE else 0
+        what = (self.context.senders.life(each.sender), *self._creation.get(key[:2], ())[:2], number)
         run = self._runs.get(key)
         if run is not None and run.what == what:
             run.beacons += 1
             run.last = each
+            if run.beacons > run.allowed:
+                self._weigh(key, run)
             return
-        self._close(seen.time, key)
-        allowed = self._rep_cnt(seen.sender, each.var_id)
+        self._close(now, key)
+        allowed = self._rep_cnt(each.sender, each.var_id)
         if allowed is None or len(self._runs) >= MOST_VARIABLES:
             return
-        run = self._runs[key] = _Run(what, allowed, seen.time, each, allowed=allowed)
-        self._senders.setdefault((each.var_id, each.kind), set()).add(seen.sender)
-        # A payload may have been composed a while before: what was said meanwhile counts for the next one.
-        for _, node, reason in self._reasons:
-            if node != seen.sender and reason.var_id == each.var_id:
-                self._weigh(run, each.kind, number, reason)
+        asked = self._asked.get((each.var_id, number), 0) if each.kind is UPDATE else 0
+        place = self._dropped + len(self._frames)
+        self._runs[key] = _Run(what, number, allowed, now, each, place, asked, allowed=allowed)
+        self._deleting += each.kind is DELETE
 
-    def _reason(self, each: Said, seen: Seen) -> None:
-        """What somebody says may be a reason for others to send again."""
-        if len(self._reasons) < _PENDING:
-            self._reasons.append((seen.time, seen.sender, each))
-        for kind in (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES):
-            for node in self._senders.get((each.var_id, kind), ()):
-                run = self._runs.get((node, each.var_id, kind))
-                if run is not None and node != seen.sender:
-                    self._weigh(run, kind, seqno_of(run.last) if kind is ICType.UPDATES else 0, each)
+    def _weigh(self, key: _Key, run: _Run) -> None:
+        """Allow more for each reason that has come since reasons were last weighed."""
+        begin = max(run.weighed - self._dropped, 0)
+        if run.fresh:
+            # A payload may have been composed a while before: what was said meanwhile counts for the next one.
+            run.fresh = False
+            while begin and self._frames[begin - 1].time >= run.begin - self._composed:
+                begin -= 1
+        run.weighed = self._dropped + len(self._frames)
+        codec = self.context.codec
+        for frame in islice(self._frames, begin, None):
+            if frame.node != key[0]:
+                for each in frame.of(key[1], codec):
+                    self._allow(key, run, each.kind, each.number)
 
-    def _weigh(self, run: _Run, kind: ICType, number: int, reason: Said) -> None:
-        """Allow more, if this is a reason for that kind of instruction."""
-        if kind is ICType.CREATE_VARIABLES:
-            run.allowed += run.rep_cnt if reason.kind is ICType.REQUEST_VARCREATES else 0
-        elif kind is ICType.DELETE_VARIABLES:
+    def _allow(self, key: _Key, run: _Run, kind: ICType, told: int) -> None:
+        """Allow more, if this record of somebody else is a reason for it."""
+        if key[2] is CREATE:
+            run.allowed += run.rep_cnt if kind is ASK_CREATE else 0
+        elif key[2] is DELETE:
             # Created again, and deleted again before that was passed on.
-            run.allowed += run.rep_cnt if reason.kind is ICType.CREATE_VARIABLES else 0
-        elif kind is ICType.UPDATES and reason.kind in (ICType.REQUEST_VARUPDATES, ICType.SUMMARIES, ICType.UPDATES):
-            told = seqno_of(reason)
-            if told == number:
-                run.told += reason.kind is ICType.REQUEST_VARUPDATES
-            elif not self._circle.newer(told, number):
+            run.allowed += run.rep_cnt if kind is CREATE else 0
+        elif kind is ASK_UPDATE or kind is SUMMARY or kind is UPDATE:
+            if told == run.number:
+                run.told += kind is ASK_UPDATE
+            elif not self._circle.newer(told, run.number):
                 # Older, or half the circle away, which can be taken either way (X28).
                 run.allowed += run.rep_cnt
 
@@ -150,7 +198,10 @@ class Repetitions(Invariant):
         for key in keys:
             run = self._runs.pop(key, None)
             if run is not None:
-                self._senders[key[1:]].discard(key[0])
+                self._deleting -= key[2] is DELETE
+                told = key[2] is UPDATE and self._asked.get((key[1], run.number), 0) != run.asked
+                if told or run.beacons > run.allowed:
+                    self._weigh(key, run)
                 self._closed.append((time, key, run))
 
     def _count(self, now: int) -> None:
@@ -158,19 +209,19 @@ class Repetitions(Invariant):
             _, (node, var_id, kind), run = self._closed.popleft()
             if not self.context.senders.complete(run.begin - self._composed, run.last.time):
                 continue
-            missed, told = run.beacons > run.allowed, bool(run.told) and kind is ICType.UPDATES
-            self.exercised(*(("VD-RU-03",) if told else ("VD-SCP-02", "VD-SCP-03")))
+            missed, told = run.beacons > run.allowed, bool(run.told) and kind is UPDATE
+            self.exercised(*(_TOLD if told else _UNTOLD))
             key = (node, kind, told)
             if key not in self._counters and len(self._counters) >= MOST_VARIABLES:
                 continue
             self._counters.setdefault(key, Counter()).note(run.last, missed=missed)
             if missed and key not in self._examples:
-                what = f"{kind.label} of variable {var_id}" + (f", {run.what[-1]}," if kind is ICType.UPDATES else "")
+                what = f"{kind.label} of variable {var_id}" + (f", {run.what[-1]}," if kind is UPDATE else "")
                 self._examples[key] = f"{what} in {run.beacons} beacons, {run.allowed} allowed"
 
     def finish(self) -> None:
         """Judge the counts."""
-        self._close(0, *self._runs)
+        self._close(0, *list(self._runs))
         self._count(1 << 63)
         for key, counter in self._counters.items():
             if not counter.convincing:
@@ -179,7 +230,7 @@ class Repetitions(Invariant):
             text = f"{name(node)}: {counter.missed} of {counter.occasions} times too often, first {self._examples[key]}"
             if told:
                 text += "; requests had told the same number, which must not be answered"
-            self.violated(text, counter.examples, *(("VD-RU-03",) if told else ("VD-SCP-02", "VD-SCP-03")))
+            self.violated(text, counter.examples, *(_TOLD if told else _UNTOLD))
 
 
 class Requests(Invariant):
@@ -195,26 +246,19 @@ class Requests(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._has: dict[tuple[bytes, int], Said] = {}
         self._asked: dict[tuple[bytes, int], list[int]] = {}
         self._producers: dict[int, bytes] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare requests with what the node last said."""
-        for each in seen.said:
-            key = (seen.sender, each.var_id)
-            if each.kind is ICType.REQUEST_VARCREATES:
+        for each, before in seen.news:
+            if each.kind is ASK_CREATE:
                 self.exercised()
                 self._count(each, seen)
-                has = self._has.get(key)
-                if has is not None and self.context.senders.unbroken(seen.sender, has.time):
+                if before is not None:
                     text = f"{name(seen.sender)} asks for variable {each.var_id}, which it has"
-                    self.violated(text, [has, each], once=key)
-            elif each.kind is ICType.DELETE_VARIABLES:
-                self._has.pop(key, None)
-            elif each.kind is not ICType.REQUEST_VARUPDATES and (key in self._has or len(self._has) < MOST_VARIABLES):
-                self._has[key] = each
-            if each.kind is ICType.CREATE_VARIABLES:
+                    self.violated(text, [before, each], once=(seen.sender, each.var_id))
+            elif each.kind is CREATE:
                 self._producers[each.var_id] = each.record.spec.prod_id
 
     def _count(self, each: Said, seen: Seen) -> None:

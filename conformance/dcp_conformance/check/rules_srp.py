@@ -61,6 +61,8 @@ class ReportLength(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._lengths: dict[bytes, tuple[int, Trace]] = {}
+        plan = context.codec.report_plan
+        self._size = getattr(plan, "size", None)
 
     def interrupted(self) -> None:
         """Another program may have been started."""
@@ -73,20 +75,27 @@ class ReportLength(Invariant):
         for problem in () if seen.sound else seen.dissection.errors:
             if problem.requirement == "SRP-RX-01":
                 self.violated(f"{name(seen.sender)}: {problem}", [seen], once=(seen.sender, problem.reason))
+        if seen.sound and self._size is not None:
+            # The strict decoder takes no report of another length.
+            self._compare(seen, self._size)
+            return
         payloads = seen.dissection.root.child("payloads")
         for payload in payloads.children if payloads is not None else ():
             report = payload.child("srp")
             if report is None:
                 continue
-            before = self._lengths.get(seen.sender)
-            if before is None:
-                if len(self._lengths) < MOST_SENDERS:
-                    self._lengths[seen.sender] = (report.length, seen.trace)
-                continue
-            self.exercised()
-            if before[0] != report.length:
-                text = f"{name(seen.sender)}: {report.length} octets after {before[0]}"
-                self.violated(text, [before[1], seen], once=(seen.sender, report.length))
+            self._compare(seen, report.length)
+
+    def _compare(self, seen: Seen, length: int) -> None:
+        before = self._lengths.get(seen.sender)
+        if before is None:
+            if len(self._lengths) < MOST_SENDERS:
+                self._lengths[seen.sender] = (length, seen.trace)
+            return
+        self.exercised()
+        if before[0] != length:
+            text = f"{name(seen.sender)}: {length} octets after {before[0]}"
+            self.violated(text, [before[1], seen], once=(seen.sender, length))
 
 
 class _Last(NamedTuple):

@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from typing import Any, NamedTuple
 
-from dcp_spec.constants import ICType
-
 from dcp_codec.values import VarCreate
 from dcp_conformance.circular import Circle
 
 from .base import MOST_VARIABLES, Context, Invariant, Seen, name
-from .rules_vardis import SENT, seqno_of
-from .said import Said
+from .said import CREATE, DELETE, SUMMARY, UPDATE, Said
+from .wording import differences, spec_text
 
 #: Values of a variable that are remembered: fewer than the circle of its numbers has.
 _VALUES = 64
@@ -92,30 +90,29 @@ class SequenceForwards(_OfOneNode):
         self._circle = Circle(context.profile.types.var_seqno.width)
         self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
         """(node, variable) -> the creation that the node has spoken of."""
-        self._last: dict[tuple[bytes, int], Said] = {}
 
     def feed(self, seen: Seen) -> None:
         """Compare with what the node sent last."""
         self.due(seen.time)
-        for each in seen.said:
-            key = (seen.sender, each.var_id)
-            if each.kind is ICType.DELETE_VARIABLES:
-                self._last.pop(key, None)
-                self.explain(*key)
+        if seen.again:
+            self.exercised(times=len(seen.again))
+        for each, before in seen.news:
+            kind = each.kind
+            if kind is DELETE:
+                self.explain(seen.sender, each.var_id)
                 continue
-            if each.kind not in SENT:
+            if kind is CREATE:
+                key = (seen.sender, each.var_id)
+                if self._another(key, each.record):
+                    self.explain(*key)
+                    continue
+            elif kind is not UPDATE and kind is not SUMMARY:
                 continue
-            if each.kind is ICType.CREATE_VARIABLES and self._another(key, each.record):
-                self._last.pop(key, None)
-                self.explain(*key)
-            before = self._last.get(key)
             if before is not None:
                 self.exercised()
-                old, new = seqno_of(before), seqno_of(each)
-                if self._circle.older(new, old):
-                    self.suspect(before, each, seen, f"{name(seen.sender)}, variable {each.var_id}: {new} after {old}")
-            if before is not None or len(self._last) < MOST_VARIABLES:
-                self._last[key] = each
+                if self._circle.older(each.number, before.number):
+                    text = f"{name(seen.sender)}, variable {each.var_id}: {each.number} after {before.number}"
+                    self.suspect(before, each, seen, text)
 
     def _another(self, key: tuple[bytes, int], record: VarCreate) -> bool:
         """Whether the node speaks of another creation than before."""
@@ -133,7 +130,8 @@ class Deleted(_OfOneNode):
     section = "dcp-vardis.md: RTDB-Delete"
     purpose = "A node that has deleted a variable says nothing more of it, until it is created again"
     requirements = ("VD-DEL-05", "VD-PD-04", "VD-CMP-05")
-    expect = "no update or summary behind a delete"
+    expect = "no update or summary after a delete"
+    enough = 3
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -142,16 +140,16 @@ class Deleted(_OfOneNode):
     def feed(self, seen: Seen) -> None:
         """Remember deletes; a create that the node itself sends behind one ends its force."""
         self.due(seen.time)
-        for each in seen.said:
+        for each, _ in seen.news:
             key = (seen.sender, each.var_id)
-            if each.kind is ICType.DELETE_VARIABLES:
+            if each.kind is DELETE:
                 if key in self._deleted or len(self._deleted) < MOST_VARIABLES:
                     self.exercised()
                     self._deleted[key] = each
-            elif each.kind is ICType.CREATE_VARIABLES:
+            elif each.kind is CREATE:
                 self._deleted.pop(key, None)
                 self.explain(*key)
-            elif each.kind in SENT and key in self._deleted:
+            elif key in self._deleted and each.kind in (UPDATE, SUMMARY):
                 gone = self._deleted.pop(key)
                 text = f"{name(seen.sender)} deletes variable {each.var_id}, and then sends {each.kind.label} of it"
                 self.suspect(gone, each, seen, text)
@@ -210,16 +208,17 @@ class OneValue(_OfAllNodes):
         """Compare with whoever sent that number first."""
         self.due(seen.time)
         lives = self.context.lives
-        for each in seen.said:
-            if each.kind not in SENT:
+        for each, _ in seen.news:
+            kind = each.kind
+            if kind is not UPDATE and kind is not SUMMARY and kind is not CREATE:
                 continue
             born = lives.born(each.var_id)
             if born is None:
                 self._values.pop(each.var_id, None)
                 self._newest.pop(each.var_id, None)
                 continue
-            self._advance(each.var_id, seqno_of(each))
-            if each.kind is not ICType.SUMMARIES:
+            self._advance(each.var_id, each.number)
+            if kind is not SUMMARY:
                 self._compare(each, born, seen)
 
     def _advance(self, var_id: int, number: int) -> None:
@@ -265,6 +264,7 @@ class OneSpec(_OfAllNodes):
     purpose = "All nodes send the same VarSpec of a creation"
     requirements = ("VD-TYP-06", "VD-PC-10")
     expect = "prodId, repCnt, creationTime, timeout and description as the producer sent them"
+    enough = 4
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -277,7 +277,7 @@ class OneSpec(_OfAllNodes):
     def feed(self, seen: Seen) -> None:
         """Compare with whoever sent the creation first."""
         self.due(seen.time)
-        for each in (said for said in seen.said if said.kind is ICType.CREATE_VARIABLES):
+        for each in [said for said, _ in seen.news if said.kind is CREATE]:
             spec = each.record.spec
             key = (each.var_id, spec.prod_id, spec.creation_time)
             before = self._specs.get(key)
@@ -295,7 +295,8 @@ class OneSpec(_OfAllNodes):
                 self.exercised()
             if before.record.spec == spec:
                 continue
-            text = f"variable {each.var_id}: {before.record.spec} becomes {spec} at {name(seen.sender)}"
+            changed = differences(before.record.spec, spec)
+            text = f"variable {each.var_id}: {changed} at {name(seen.sender)}, after {name(before.sender)}"
             if spec.creation_time is not None:
                 self.violated(text, [before, each], once=key)
             else:
@@ -342,7 +343,8 @@ class OneSpec(_OfAllNodes):
         known = original.record.spec
         if spec.prod_id == known.prod_id and spec.creation_time > known.creation_time:
             text = (
-                f"variable {each.var_id}: {name(seen.sender)} passes on {spec}, which {name(spec.prod_id)} never sent"
+                f"variable {each.var_id}: {name(seen.sender)} passes on a creation ({spec_text(spec)}) that "
+                f"{name(spec.prod_id)} never sent"
             )
             self.contradict(begin, original, each, text, (each.var_id, seen.sender))
 
@@ -355,6 +357,7 @@ class Recreation(Invariant):
     purpose = "Whether a variable that is created again gets a later creationTime and starts with sequence number 0"
     requirements = ("VD-CRE-09", "VD-CRE-10")
     expect = "a later creationTime, unless its clock was set back; 0 as the first sequence number"
+    enough = 2
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -368,7 +371,7 @@ class Recreation(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare what producers themselves create."""
-        for each in (said for said in seen.said if said.kind is ICType.CREATE_VARIABLES):
+        for each in [said for said, _ in seen.news if said.kind is CREATE]:
             if each.record.spec.prod_id != seen.sender:
                 continue
             self._judge(each, seen)

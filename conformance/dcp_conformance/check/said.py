@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
 from dcp_spec.constants import ICType
 
-from dcp_conformance.heard import Heard, var_id_of
+from dcp_conformance.heard import KIND_OF, Heard
 
 
-class Said(NamedTuple):
+class Said(msgspec.Struct, frozen=True, gc=False):
     """A record of a VarDis payload, without the frame around it: what can be remembered for long."""
 
     kind: ICType
@@ -18,11 +19,10 @@ class Said(NamedTuple):
     time: int
     """ns since 1970."""
     sender: bytes
-
-    @property
-    def var_id(self) -> int:
-        """The variable that it is about."""
-        return var_id_of(self.record)
+    var_id: int
+    """The variable that it is about; of a VarCreate that of its VarSpec (X14)."""
+    number: int
+    """The sequence number that it carries, -1 for a record without."""
 
 
 def speaker(heard: Heard) -> bytes:
@@ -30,6 +30,24 @@ def speaker(heard: Heard) -> bytes:
     return heard.sender or heard.source
 
 
+CREATE, UPDATE, SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
+DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
+"""Members of the enumeration by names of the module: looking them up there takes longer than most rules."""
+
+
 def said_in(heard: Heard, sender: bytes) -> tuple[Said, ...]:
     """What a frame of ``sender`` says of variables."""
-    return tuple(Said(each.kind, each.record, heard.number, heard.wall, sender) for each in heard.instructions())
+    found: list[Said] = []
+    frame, time = heard.number, heard.wall
+    for container in heard.containers:
+        records = container.records
+        if not records:
+            continue
+        kind = KIND_OF[type(records[0])]
+        if kind is CREATE:
+            found += [Said(kind, each, frame, time, sender, each.spec.var_id, each.upd.seqno) for each in records]
+        elif kind is DELETE or kind is ASK_CREATE:
+            found += [Said(kind, each, frame, time, sender, each.var_id, -1) for each in records]
+        else:
+            found += [Said(kind, each, frame, time, sender, each.var_id, each.seqno) for each in records]
+    return tuple(found)

@@ -86,8 +86,11 @@ def command(
             from dcp_spec.requirements import requirements
 
             out = console()
+            out.print(f"  {'requirement':<12} {'verdict':<13} {'occasions':>9}")
             for identifier, verdict in sorted(run.requirements.items()):
-                out.print(f"  {identifier:<12} {verdict:<13} {requirements()[identifier].statement}", soft_wrap=True)
+                count = f"{run.occasions[identifier]:,}" if identifier in run.occasions else "-"
+                statement = requirements()[identifier].statement
+                out.print(f"  {identifier:<12} {verdict:<13} {count:>9}  {statement}", soft_wrap=True)
         unexpected: bool | None = None
         if expected is not None:
             results = ExpectedResults.load(expected, known_cases.values())

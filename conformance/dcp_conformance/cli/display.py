@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from types import TracebackType
 from typing import Any, Self
 
@@ -16,6 +16,7 @@ from rich.text import Text
 
 from dcp_codec.plain import plain
 from dcp_conformance.case import Case
+from dcp_conformance.check.wording import moment
 from dcp_conformance.outcome import nothing_decided
 from dcp_conformance.reporting.overview import (
     Death,
@@ -24,13 +25,14 @@ from dcp_conformance.reporting.overview import (
     observed_readings,
     undecided_deaths,
 )
-from dcp_conformance.results import CaseResult, RunResult
+from dcp_conformance.results import CaseResult, Check, RunResult
 from dcp_conformance.verdict import Verdict
 
 STYLES = {
     Verdict.PASS: "green",
     Verdict.INFO: "cyan",
     Verdict.NOT_APPLICABLE: "dim",
+    Verdict.TOO_LITTLE: "dim",
     Verdict.INCONCLUSIVE: "yellow",
     Verdict.FAIL: "bold red",
     Verdict.ERROR: "bold magenta",
@@ -44,13 +46,15 @@ _COLUMNS = (
     Verdict.ERROR,
     Verdict.NOT_APPLICABLE,
 )
+#: Frames of one check that are named.
+_FRAMES = 8
 #: Failed checks of one case that are shown.
 _CHECKS = 4
 #: Notes that are shown: an implementation that dies often has one for each time.
 _NOTES = 6
 #: Observations in a recording that are shown.
 _OBSERVATIONS = 12
-_HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl."}
+_HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl.", Verdict.TOO_LITTLE: "too little"}
 
 
 class SafeConsole(Console):
@@ -153,7 +157,11 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     if run.kind == "check":
         _print_observations(out, run)
     counts = {verdict: sum(each is verdict for each in run.requirements.values()) for verdict in Verdict}
-    shown = [f"{counts[each]} {each}" for each in _COLUMNS if counts[each] and each is not Verdict.NOT_APPLICABLE]
+    shown = [
+        f"{counts[each]} {_HEADINGS.get(each, each) if each is Verdict.TOO_LITTLE else each}"
+        for each in _columns(run)
+        if counts[each] and each is not Verdict.NOT_APPLICABLE
+    ]
     decided = f"requirements: {', '.join(shown)}" if shown else "no requirement was decided"
     sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
     where = f" over {data(run.sut.link)}" if run.kind != "check" and run.sut.link else ""
@@ -213,15 +221,31 @@ def _print_observations(out: Console, run: RunResult) -> None:
     if seen:
         out.print("\n[cyan]observed[/]")
     for _, check in seen[:_OBSERVATIONS]:
-        out.print(f"  {data(check.expected)}: {data(check.observed)}", soft_wrap=True)
+        out.print(f"  {data(check.expected)}: {data(check.observed)}{_frames(check)}", soft_wrap=True)
     if len(seen) > _OBSERVATIONS:
         out.print(f"  ... and {len(seen) - _OBSERVATIONS} more, which the report shows")
+
+
+def _frames(check: Check) -> str:
+    """The frames of a check and when it showed first, in brackets; empty if there is nothing of that."""
+    frames = list(dict.fromkeys(str(mark.frame) for mark in check.frames if mark.frame))
+    more = f" and {len(frames) - _FRAMES} more" if len(frames) > _FRAMES else ""
+    named = f"frame{'' if len(frames) == 1 else 's'} {', '.join(frames[:_FRAMES])}{more}" if frames else ""
+    parts = [named, moment(check.seconds) if check.seconds is not None else ""]
+    return f" ({', '.join(filter(None, parts))})" if any(parts) else ""
+
+
+def _columns(run: RunResult) -> tuple[Verdict, ...]:
+    """Verdicts that have a column: only recordings can have too little in them, and most have enough."""
+    few = Verdict.TOO_LITTLE in run.requirements.values() or any(c.verdict is Verdict.TOO_LITTLE for c in run.cases)
+    return (*_COLUMNS[:-1], Verdict.TOO_LITTLE, _COLUMNS[-1]) if few else _COLUMNS
 
 
 def _sections(run: RunResult) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("", no_wrap=True, overflow="ellipsis", min_width=20)
-    for verdict in _COLUMNS:
+    columns = _columns(run)
+    for verdict in columns:
         heading = _HEADINGS.get(verdict, str(verdict))
         table.add_column(heading, justify="right", no_wrap=True, min_width=len(heading))
     sections: dict[tuple[str, str], dict[Verdict, int]] = {}
@@ -239,15 +263,15 @@ def _sections(run: RunResult) -> Table:
         table.add_row(f"[bold]{kind}[/]")
         total = totals.setdefault(kind, dict.fromkeys(Verdict, 0))
         for section, row in rows:
-            table.add_row(f"  {data(section)}", *_cells(row))
+            table.add_row(f"  {data(section)}", *_cells(row, columns))
             for verdict, count in row.items():
                 total[verdict] += count
-        table.add_row("  [bold]all[/]", *_cells(total))
+        table.add_row("  [bold]all[/]", *_cells(total, columns))
     return table
 
 
-def _cells(row: dict[Verdict, int]) -> list[str]:
-    return [f"[{STYLES[each]}]{row[each]}[/]" if row[each] else "[dim].[/]" for each in _COLUMNS]
+def _cells(row: dict[Verdict, int], columns: Iterable[Verdict]) -> list[str]:
+    return [f"[{STYLES[each]}]{row[each]}[/]" if row[each] else "[dim].[/]" for each in columns]
 
 
 def _print_death(out: Console, death: Death) -> None:
@@ -267,15 +291,17 @@ def _print_finding(out: Console, case: CaseResult) -> None:
     bad = bad_checks(case)
     previous = ""
     for check in bad[:_CHECKS]:
-        frames = ", ".join(dict.fromkeys(str(mark.frame) for mark in check.frames[:8]))
-        where = f" (frame{'s' if ', ' in frames else ''} {frames})" if frames else ""
         if check.expected != previous:
             out.print(f"  expected  {data(check.expected)}", soft_wrap=True)
-        out.print(f"  instead   {data(check.observed)}{where}", soft_wrap=True)
+        out.print(f"  instead   {data(check.observed)}{_frames(check)}", soft_wrap=True)
         previous = check.expected
     if len(bad) > _CHECKS:
         out.print(f"            ... and {len(bad) - _CHECKS} more, which the report shows")
     decided = dict.fromkeys(each for check in bad for each in check.requirements)
     if decided:
         out.print(f"  decides   {data(', '.join(decided))}", soft_wrap=True)
+    if case.consequence:
+        out.print(f"  means     {data(case.consequence)}", soft_wrap=True)
+    if case.show:
+        out.print(f"  show      {data(case.show)}", soft_wrap=True)
     out.print(f"  again     {data(case.rerun)}", soft_wrap=True)

@@ -115,13 +115,12 @@ def selection_options(function: F) -> F:
 def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:
     if value is None:
         return None
+    from dcp_codec.ethertype import parse_ether_type
+
     try:
-        number = int(value, 0)
-    except ValueError:
-        raise click.BadParameter(f"{value!r} is no number; write 0x4953 or 18771") from None
-    if not 0x0600 <= number <= 0xFFFF:
-        raise click.BadParameter(f"{value} is not within 0x0600..0xffff")
-    return number
+        return parse_ether_type(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 def target_of(options: dict[str, Any]) -> TargetOptions:

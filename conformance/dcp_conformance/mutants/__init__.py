@@ -1,4 +1,4 @@
-"""Our node with small faults in it, one in each mutant: what the suite must notice, or it is worth nothing."""
+"""Mutants: our node with one small fault each, used to test that the suite detects faults."""
 
 from .mutant import Mutant, all_mutants, mutant, mutants_of, node_with
 

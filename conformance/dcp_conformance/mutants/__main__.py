@@ -1,4 +1,4 @@
-"""A mutant as a process, for trying out what finds faults from outside: ``python -m dcp_conformance.mutants ID``."""
+"""A mutant as a process, to try external test tools on it: ``python -m dcp_conformance.mutants ID``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .mutant import Mutant, all_mutants
 @click.option("-i", "--interface", metavar="IF")
 @click.option("--link", metavar="LINK")
 @click.option("--node-id", metavar="ID")
-@click.option("-p", "--profile", metavar="NAME|FILE", help="[default: the newest in which it is a fault]")
+@click.option("-p", "--profile", metavar="NAME|FILE", help="[default: the newest in which the mutant is a fault]")
 @click.option("--control", metavar="PATH")
 @click.option("--beacon-period", type=int, metavar="MS")
 def command(mutant: str, **flags: Any) -> None:

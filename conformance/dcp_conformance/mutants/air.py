@@ -1,4 +1,4 @@
-"""A node with something between it and the air: what comes and what goes can be changed on the way."""
+"""A node whose received and sent beacons can be changed between the node and the link."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from dcp_stack.node import Node
 
 
 class Air(Node):
-    """Changes nothing; mutants override one of the methods without an underscore."""
+    """Changes nothing; mutants override one of the public methods."""
 
     wall = 0
-    """The wall time of the last event, ns since 1970."""
+    """Wall clock time of the last event, ns since 1970."""
 
     def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
         self.wall = wall
@@ -35,7 +35,7 @@ class Air(Node):
         try:
             beacon = self.config.codec.decode(effect.octets) if isinstance(effect, SendBeacon) else None
         except DecodeError:
-            # A client outside of the node may send anything under its number.
+            # A client outside of the node may send any octets under its protocol identifier.
             beacon = None
         if beacon is None or not isinstance(effect, SendBeacon):
             yield effect
@@ -67,36 +67,36 @@ class Air(Node):
         return Payload(block.protocol_id, content, block.extra)
 
     def kind(self, container: Container) -> ICType:
-        """The type of a container, whatever its number is in the profile."""
+        """Return the type of a container, whatever its number in the profile."""
         numbers = self.config.profile.vardis.container_types.by_name()
         return next(kind for kind in ICType if numbers[kind.label] == container.ic_type)
 
     # -- what goes ---------------------------------------------------------------------------------------------
 
     def blocks(self, beacon: Beacon) -> Iterable[Payload]:
-        """The blocks of a beacon that is sent."""
+        """Return the blocks of a beacon to be sent."""
         return beacon.payloads
 
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        """The state report in it."""
+        """Return a state report to be sent."""
         return report
 
     def containers(self, containers: tuple[Container, ...]) -> Iterable[Container]:
-        """The instruction containers in it."""
+        """Return the instruction containers to be sent."""
         return containers
 
     def sends(self, octets: bytes) -> Iterable[bytes]:
-        """Its octets."""
+        """Yield the octets of beacons to be sent."""
         yield octets
 
     # -- what comes --------------------------------------------------------------------------------------------
 
     def hears(self, octets: bytes) -> Iterable[bytes]:
-        """The octets of a beacon that is received."""
+        """Yield the octets of beacons that the node receives."""
         yield octets
 
     def instructions(self, octets: bytes) -> tuple[Container, ...]:
-        """The instruction containers in octets of a beacon; none if they cannot be understood."""
+        """Return the instruction containers in the octets of a beacon; none if it cannot be decoded."""
         codec = self.config.codec
         found: list[Container] = []
         try:

@@ -1,4 +1,4 @@
-"""Faults of BP against rules that only earlier versions have."""
+"""Faults of BP against rules that exist in earlier versions only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class EmptyForQueueIsOK(BeaconingProtocol):
         return BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status
 
 
-@mutant("queue-cleared", "BP-TXP-12", "empties a queue when an empty payload is submitted")
+@mutant("queue-cleared", "BP-TXP-12", "clears a queue when an empty payload is submitted")
 class EmptyClearsQueue(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         if client is not None and client.queue is not None and not payload:
@@ -32,13 +32,13 @@ class EmptyClearsQueue(BeaconingProtocol):
         return super()._submit(client, payload, now)
 
 
-@mutant("kept", "BP-TXP-13", "confirms an empty payload with OK, and keeps the buffer")
+@mutant("kept", "BP-TXP-13", "confirms an empty payload with OK, but keeps the buffered one")
 class EmptyKeeps(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         return BPStatus.OK if client is not None and not payload else super()._submit(client, payload, now)
 
 
-@mutant("several", "BP-QM-10", "sends all that fits of a queue in one beacon")
+@mutant("several", "BP-QM-10", "sends all payloads of a queue that fit in one beacon")
 class WholeQueue(ClientList):
     def insert(self, client: Client) -> None:
         client.several = client.queue is not None and client.queue.rule.when_sent == "remove"
@@ -48,7 +48,7 @@ class WholeQueue(ClientList):
         return super().take(room, size, most)
 
 
-@mutant("whole-header", "BP-REG-11", "counts the whole header in the bound of registrations, as later versions do")
+@mutant("whole-header", "BP-REG-11", "counts the whole header in the limit for registrations, as later versions do")
 class WholeHeader(BeaconingProtocol):
     def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
         largest = self._parameters.max_packet_size - self._wire.block_header_size - self._wire.header_size
@@ -66,14 +66,14 @@ class AllOnce(BeaconingProtocol):
         return super().register(prot_id, *changed, now=now, wall=wall)
 
 
-@mutant("one-missing", "BP-LST-03", "leaves the client that registered last out of the list")
+@mutant("one-missing", "BP-LST-03", "omits the client that registered last from the list")
 class LastMissing(BeaconingProtocol):
     def list_registered(self) -> ListConfirm:
         confirm = super().list_registered()
         return ListConfirm(confirm.status, confirm.protocols[:-1])
 
 
-@mutant("size-ignored", "BP-PAR-11", "bounds registrations by the maximum packet size that it started with")
+@mutant("size-ignored", "BP-PAR-11", "uses the initial maximum packet size in the limit for registrations")
 class FirstSizeBounds(BeaconingProtocol):
     def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
         size = self._parameters._values[MAX_PACKET]
@@ -85,7 +85,7 @@ class FirstSizeBounds(BeaconingProtocol):
             self._parameters._values[MAX_PACKET] = size
 
 
-@mutant("ignored", "BP-PAR-12 BP-PAR-02", "confirms other parameters and goes on with the old ones")
+@mutant("ignored", "BP-PAR-12 BP-PAR-02", "confirms new parameter values, but keeps using the old ones")
 class NothingSet(BPParameters):
     def set(self, name: str, value: object) -> Violation | None:
         old = dict(self._values)
@@ -94,7 +94,7 @@ class NothingSet(BPParameters):
         return violation
 
 
-@mutant("no-upper-bound", "BP-PAR-13", "takes a maximum packet size larger than the bearer's")
+@mutant("no-upper-bound", "BP-PAR-13", "accepts a maximum packet size larger than the bearer's")
 class NoUpperBound(BPParameters):
     def set(self, name: str, value: object) -> Violation | None:
         violation = super().set(name, value)

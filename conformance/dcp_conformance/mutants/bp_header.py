@@ -18,7 +18,7 @@ Blocks = list[tuple[int, bytes]]
 
 
 class Wire(BPWire):
-    """Builds beacons with another field in the header."""
+    """Builds beacons with a changed field in the header."""
 
     field = ""
 
@@ -29,8 +29,8 @@ class Wire(BPWire):
             return octets
         return octets[: place.start] + self.other(octets[place], blocks) + octets[place.stop :]
 
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - for those that look at them
-        """What stands in the field instead: the other byte order unless a mutant says otherwise."""
+    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - used by overrides
+        """Return the octets to be sent in the field; by default in reverse order."""
         return octets[::-1]
 
 
@@ -42,17 +42,17 @@ class OtherVersion(Wire):
         return b"\x02"
 
 
-@mutant("swapped", "BP-HDR-02 DATA-01", "sends the magic number least significant octet first")
+@mutant("swapped", "BP-HDR-02 DATA-01", "sends magicNo little-endian")
 class SwappedMagic(Wire):
     field = "magicNo"
 
 
-@mutant("swapped-length", "DATA-01 BP-HDR-06", "sends the length least significant octet first", unseen=NO_LENGTH)
+@mutant("swapped-length", "DATA-01 BP-HDR-06", "sends the length little-endian", unseen=NO_LENGTH)
 class SwappedLength(Wire):
     field = "length"
 
 
-@mutant("swapped-seqno", "DATA-01 BP-HDR-08", "sends the sequence number of beacons least significant octet first")
+@mutant("swapped-seqno", "DATA-01 BP-HDR-08", "sends the sequence number of beacons little-endian")
 class SwappedSeqno(Wire):
     field = "seqno"
 
@@ -60,14 +60,14 @@ class SwappedSeqno(Wire):
 @mutant(
     "swapped-network",
     "DATA-01 BP-HDR-04",
-    "sends the network identifier least significant octet first",
+    "sends the network identifier little-endian",
     unseen=NO_NETWORK,
 )
 class SwappedNetwork(Wire):
     field = "networkId"
 
 
-@mutant("changes", "BP-PAR-09 BP-HDR-03 DATA-04", "says another sender in every third beacon")
+@mutant("changes", "BP-PAR-09 BP-HDR-03 DATA-04", "sends another senderId in every third beacon")
 class OtherSender(Wire):
     field = "senderId"
     count = 0
@@ -77,36 +77,38 @@ class OtherSender(Wire):
         return octets if self.count % 3 else octets[:-1] + bytes([octets[-1] ^ 0x80])
 
 
-@mutant("reversed", "BP-HDR-03", "sends its node identifier backwards, as an integer of the machine")
+@mutant("reversed", "BP-HDR-03", "sends its node identifier in reverse, like an integer of the machine")
 class ReversedSender(Wire):
     field = "senderId"
 
 
-@mutant("with-header", "BP-HDR-06", "counts the header in the length of the header")
+@mutant("with-header", "BP-HDR-06", "includes the header in the length in the header")
 class LengthWithHeader(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return (int.from_bytes(octets, self._length_order) + self.header_size).to_bytes(2, self._length_order)
+        return (int.from_bytes(octets, self._block_length.order) + self.header_size).to_bytes(
+            2, self._block_length.order
+        )
 
 
-@mutant("payloads-only", "BP-HDR-06", "leaves the headers of the blocks out of the length")
+@mutant("payloads-only", "BP-HDR-06", "omits the headers of the blocks from the length")
 class LengthOfPayloads(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return sum(len(payload) for _, payload in blocks).to_bytes(2, self._length_order)
+        return sum(len(payload) for _, payload in blocks).to_bytes(2, self._block_length.order)
 
 
-@mutant("first-block", "BP-HDR-06", "counts only the first block in the length")
+@mutant("first-block", "BP-HDR-06", "includes only the first block in the length")
 class LengthOfFirst(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return self.block_size(blocks[0][1]).to_bytes(2, self._length_order)
+        return self.block_size(blocks[0][1]).to_bytes(2, self._block_length.order)
 
 
-@mutant("one", "BP-HDR-07", "always says one payload in the header")
+@mutant("one", "BP-HDR-07", "always sends numPayloads 1")
 class AlwaysOne(Wire):
     field = "numPayloads"
 
@@ -114,7 +116,7 @@ class AlwaysOne(Wire):
         return b"\x01"
 
 
-@mutant("one-more", "BP-HDR-07", "says one payload more than there are")
+@mutant("one-more", "BP-HDR-07", "sends a numPayloads that is one too large")
 class OneMore(Wire):
     field = "numPayloads"
 
@@ -122,7 +124,7 @@ class OneMore(Wire):
         return bytes([(len(blocks) + 1) % 256])
 
 
-@mutant("seqno-first", "BP-HDR-10", "sends the sequence number in front of numPayloads")
+@mutant("seqno-first", "BP-HDR-10", "sends the sequence number before numPayloads")
 class OtherOrder(BPWire):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         octets = super().build(seqno, network_id, blocks)
@@ -131,14 +133,14 @@ class OtherOrder(BPWire):
         return octets[:start] + counter + number + octets[start + 5 :]
 
 
-@mutant("swapped-protocol", "BP-HDR-11 DATA-01", "sends protocol identifiers least significant octet first")
+@mutant("swapped-protocol", "BP-HDR-11 DATA-01", "sends protocol identifiers little-endian")
 class SwappedProtocol(BPWire):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         swapped = [(int.from_bytes(number.to_bytes(2, "little"), "big"), payload) for number, payload in blocks]
         return super().build(seqno, network_id, swapped)
 
 
-@mutant("block-length-swapped", "DATA-01 BP-HDR-10 BP-FMT-01", "sends block lengths least significant octet first")
+@mutant("block-length-swapped", "DATA-01 BP-HDR-10 BP-FMT-01", "sends block lengths little-endian")
 class SwappedBlockLength(BPWire):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         octets = bytearray(super().build(seqno, network_id, blocks))
@@ -149,18 +151,18 @@ class SwappedBlockLength(BPWire):
         return bytes(octets)
 
 
-@mutant("block-with-header", "BP-FMT-01", "counts the header of a block in the length of the block")
+@mutant("block-with-header", "BP-FMT-01", "includes the header of a block in the length of the block")
 class BlockLengthWithHeader(BPWire):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         octets = bytearray(super().build(seqno, network_id, blocks))
         offset = self.header_size
         for _, payload in blocks:
-            octets[offset + 2 : offset + 4] = (len(payload) + 4).to_bytes(2, self._length_order)
+            octets[offset + 2 : offset + 4] = (len(payload) + 4).to_bytes(2, self._block_length.order)
             offset += self.block_size(payload)
         return bytes(octets)
 
 
-@mutant("all-swapped", "DATA-01", "sends all integers of the headers least significant octet first")
+@mutant("all-swapped", "DATA-01", "sends all integers of the headers little-endian")
 class AllSwapped(SwappedBlockLength):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         swapped = [(int.from_bytes(number.to_bytes(2, "little"), "big"), payload) for number, payload in blocks]
@@ -172,7 +174,7 @@ class AllSwapped(SwappedBlockLength):
         return octets
 
 
-@mutant("gap", "BP-FMT-01 BP-HDR-06", "aligns blocks to four octets with padding in between")
+@mutant("gap", "BP-FMT-01 BP-HDR-06", "aligns blocks to four octets with padding between them")
 class Aligned(BPWire):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         octets = super().build(seqno, network_id, blocks)
@@ -196,7 +198,7 @@ class CountedChecksum(Wire):
     field = "length"
 
     def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return (int.from_bytes(octets, self._length_order) + 4).to_bytes(2, self._length_order)
+        return (int.from_bytes(octets, self._block_length.order) + 4).to_bytes(2, self._block_length.order)
 
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         octets = super().build(seqno, network_id, blocks)
@@ -207,35 +209,37 @@ class CountedChecksum(Wire):
 
 
 class Numbers(BPWire):
-    """Counts beacons in its own way."""
+    """Changes the sequence numbers of beacons."""
 
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
         return super().build(self.number(seqno), network_id, blocks)
 
     def number(self, seqno: int) -> int:
-        """The number that is sent instead."""
+        """Return the sequence number to be sent."""
         return seqno
 
 
-@mutant("starts-at-two", "BP-HDR-12 BP-INI-02", "begins with sequence number 2")
+@mutant("starts-at-two", "BP-HDR-12 BP-INI-02", "starts with sequence number 2")
 class StartsAtTwo(Numbers):
     def number(self, seqno: int) -> int:
         return seqno + 2
 
 
-@mutant("starts-at-zero", "BP-HDR-13 BP-INI-02", "begins with sequence number 0, where 1.0 increments before it sends")
+@mutant(
+    "starts-at-zero", "BP-HDR-13 BP-INI-02", "starts with sequence number 0, although 1.0 increments it before sending"
+)
 class StartsAtZero(Numbers):
     def number(self, seqno: int) -> int:
         return seqno - 1
 
 
-@mutant("by-two", "BP-HDR-08", "counts beacons by two")
+@mutant("by-two", "BP-HDR-08", "increments the sequence number of beacons by two")
 class ByTwo(Numbers):
     def number(self, seqno: int) -> int:
         return 2 * seqno
 
 
-@mutant("twice", "BP-HDR-08", "uses every sequence number for two beacons")
+@mutant("twice", "BP-HDR-08", "uses each sequence number for two beacons")
 class EachTwice(Numbers):
     def number(self, seqno: int) -> int:
         return seqno // 2
@@ -247,13 +251,13 @@ class NeverCounts(Numbers):
         return 0
 
 
-@mutant("one-octet", "BP-HDR-08", "counts beacons in one octet only")
+@mutant("one-octet", "BP-HDR-08", "counts beacons in a single octet")
 class OneOctet(Numbers):
     def number(self, seqno: int) -> int:
         return seqno % 256
 
 
-@mutant("idle", "BP-HDR-09", "consumes a sequence number when it has nothing to send")
+@mutant("idle", "BP-HDR-09", "uses up a sequence number when it has nothing to send")
 class IdleConsumed(BeaconingProtocol):
     def handle_timeout(self, now: int, wall: int) -> None:
         due = self.active and now >= self._schedule.due
@@ -263,7 +267,7 @@ class IdleConsumed(BeaconingProtocol):
             self._seqno += 1
 
 
-@mutant("survives", "BP-INI-02 BP-HDR-12 BP-HDR-13", "goes on counting beacons after a reset")
+@mutant("survives", "BP-INI-02 BP-HDR-12 BP-HDR-13", "continues the sequence numbers of beacons after a reset")
 class Survives(Air):
     def reset(self, now: int, wall: int) -> None:
         seqno = self.bp._seqno
@@ -277,14 +281,14 @@ class Survives(Air):
 @mutant(
     "no-limit",
     "BP-FMT-02 BP-PAR-02",
-    "fills beacons to the bearer's limit, whatever the maximum packet size is",
+    "fills beacons up to the bearer's limit, whatever the maximum packet size",
 )
 class NoLimit(BeaconingProtocol):
     def _room(self) -> int:
         return self._parameters.uwb_max_packet_size - self._wire.header_size
 
 
-@mutant("empty-beacons", "BP-FMT-03 BP-HDR-07 BP-HDR-09", "sends beacons without a payload when it has nothing to send")
+@mutant("empty-beacons", "BP-FMT-03 BP-HDR-07 BP-HDR-09", "sends beacons without payloads when it has nothing to send")
 class EmptyBeacons(BeaconingProtocol):
     def handle_timeout(self, now: int, wall: int) -> None:
         due = self.active and now >= self._schedule.due
@@ -301,7 +305,7 @@ class EmptyBeacons(BeaconingProtocol):
             self._emit(SendBeacon(bytes(octets), before, 0))
 
 
-@mutant("wrong-place", "BP-HDR-11", "sends state reports under the number of VarDis and the reverse")
+@mutant("wrong-place", "BP-HDR-11", "exchanges the protocol identifiers of SRP and VarDis")
 class Exchanged(Air):
     def blocks(self, beacon: Beacon) -> Iterable[Payload]:
         for block in beacon.payloads:

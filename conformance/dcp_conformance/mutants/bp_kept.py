@@ -1,4 +1,4 @@
-"""Faults of BP that change what must stay, and faults of lists, confirms and indications."""
+"""Faults of BP in state that must not change, and in lists, confirms and indications."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .unseen import BP_ALWAYS_ACTIVE
 
 
 def _others(clients: ClientList) -> list[Client]:
-    """The clients that are none of the node's own."""
+    """Return the clients other than the node's own protocols."""
     return [client for client in clients if client.protocol_id > 2]
 
 
@@ -30,14 +30,14 @@ def _empty(clients: ClientList) -> None:
             client.queue.clear()
 
 
-@mutant("others-too", "BP-DRG-02 BP-QM-05", "empties all buffers when a client is deregistered")
+@mutant("others-too", "BP-DRG-02 BP-QM-05", "clears all buffers when a client is deregistered")
 class DeregistrationEmpties(BeaconingProtocol):
     def deregister(self, prot_id: int) -> StatusConfirm:
         _empty(self._clients)
         return super().deregister(prot_id)
 
 
-@mutant("unknown-empties", "BP-DRG-01 BP-QM-05", "empties all buffers when nobody is deregistered")
+@mutant("unknown-empties", "BP-DRG-01 BP-QM-05", "clears all buffers when an unknown client is deregistered")
 class UnknownEmpties(BeaconingProtocol):
     def deregister(self, prot_id: int) -> StatusConfirm:
         confirm = super().deregister(prot_id)
@@ -46,14 +46,14 @@ class UnknownEmpties(BeaconingProtocol):
         return confirm
 
 
-@mutant("all", "BP-CLR-03 BP-QM-05", "empties the buffers of all clients")
+@mutant("all", "BP-CLR-03 BP-QM-05", "clears the buffers of all clients")
 class ClearsAll(BeaconingProtocol):
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         _empty(self._clients)
         return super().clear_buffer(prot_id)
 
 
-@mutant("refused-empties", "BP-TXP-02 BP-QM-05", "empties the buffer of a client whose payload is too large")
+@mutant("refused-empties", "BP-TXP-02 BP-QM-05", "clears the buffer of a client whose payload is too large")
 class RefusedEmpties(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         status = super()._submit(client, payload, now)
@@ -62,7 +62,7 @@ class RefusedEmpties(BeaconingProtocol):
         return status
 
 
-@mutant("received-empties", "BP-QM-05", "empties the buffer of a client that receives something")
+@mutant("received-empties", "BP-QM-05", "clears the buffer of a client that receives a payload")
 class ReceivedEmpties(Receiver):
     def _deliver(self, block: Block, sender: bytes) -> None:
         client = self._clients.get(block.protocol_id)
@@ -72,10 +72,10 @@ class ReceivedEmpties(Receiver):
 
 
 class _Lists(BeaconingProtocol):
-    """Lists its clients in another way."""
+    """Changes the list of clients."""
 
     def listed(self, each: Registration) -> Registration:
-        """An entry of the list."""
+        """Return the entry to be listed."""
         return each
 
     def list_registered(self) -> ListConfirm:
@@ -95,7 +95,7 @@ class ListsFalse(_Lists):
         return msgspec.structs.replace(each, allow_multiple_payloads=False)
 
 
-@mutant("names", "BP-LST-01", "lists the first three characters of a name", since=SpecVersion.V1_1)
+@mutant("names", "BP-LST-01", "lists only the first three characters of a name", since=SpecVersion.V1_1)
 class CutsNames(_Lists):
     def listed(self, each: Registration) -> Registration:
         return msgspec.structs.replace(each, protocol_name=each.protocol_name[:3])
@@ -110,14 +110,16 @@ class OneTime(_Lists):
         return ListConfirm(confirm.status, tuple(same))
 
 
-@mutant("refused-without-id", "BP-REG-13", "tells its node identifier only if it registers a client")
+@mutant(
+    "refused-without-id", "BP-REG-13", "returns its node identifier only in the confirms of successful registrations"
+)
 class RefusedWithoutId(BeaconingProtocol):
     def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
         confirm = super().register(prot_id, *rest, now=now, wall=wall)
         return confirm if confirm.status is BPStatus.OK else RegisterConfirm(confirm.status, None)
 
 
-@mutant("one-place", "BP-QM-01", "keeps nothing in a DROPTAIL queue of one place", since=SpecVersion.V1_1)
+@mutant("one-place", "BP-QM-01", "keeps no payload in a DROPTAIL queue of one entry", since=SpecVersion.V1_1)
 class NothingInOnePlace(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         if (
@@ -135,7 +137,7 @@ class NothingInOnePlace(BeaconingProtocol):
 @mutant(
     "arrears",
     "BP-TX-01 BP-MGT-05",
-    "sends the beacons of its inactive time when it is activated",
+    "sends the beacons omitted while it was inactive when it is activated",
     unseen=BP_ALWAYS_ACTIVE,
 )
 class Arrears(BeaconingProtocol):
@@ -159,7 +161,7 @@ class Arrears(BeaconingProtocol):
         super().handle_timeout(now, wall)
 
 
-@mutant("thirty", "BP-RX-07", "takes 30 blocks of a beacon at most")
+@mutant("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon")
 class ThirtyBlocks(BPWire):
     def parse(self, octets: bytes) -> Reception:
         found = super().parse(octets)
@@ -173,7 +175,7 @@ class SmallPayloads(Receiver):
             super()._deliver(block, sender)
 
 
-@mutant("paused-empties", "BP-MGT-05 BP-QM-03", "empties queues when it is activated")
+@mutant("paused-empties", "BP-MGT-05 BP-QM-03", "clears queues when it is activated")
 class ActivationEmpties(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:
         _empty(self._clients)

@@ -21,7 +21,7 @@ OK = StatusConfirm(BPStatus.OK)
 # -- management --------------------------------------------------------------------------------------------------------
 
 
-@mutant("ignored", "BP-MGT-02 BP-TX-07", "goes on beaconing after it was deactivated")
+@mutant("ignored", "BP-MGT-02 BP-TX-07", "continues to send beacons after it was deactivated")
 class GoesOn(BeaconingProtocol):
     def deactivate(self) -> StatusConfirm:
         super().deactivate()
@@ -29,7 +29,7 @@ class GoesOn(BeaconingProtocol):
         return OK
 
 
-@mutant("sends", "BP-MGT-02 BP-TX-07", "sends what is submitted while it is inactive")
+@mutant("sends", "BP-MGT-02 BP-TX-07", "sends payloads that are submitted while it is inactive")
 class SendsInactive(BeaconingProtocol):
     off = False
 
@@ -46,13 +46,13 @@ class SendsInactive(BeaconingProtocol):
             super().handle_beacon(octets, now=now, wall=wall)
 
 
-@mutant("receives", "BP-MGT-03 BP-RX-13", "delivers what it receives while it is inactive")
+@mutant("receives", "BP-MGT-03 BP-RX-13", "delivers payloads received while it is inactive")
 class ReceivesInactive(BeaconingProtocol):
     def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
         self._receiver.receive(bytes(octets), now)
 
 
-@mutant("later", "BP-MGT-03 BP-RX-13", "delivers what it has received inactive when it is activated")
+@mutant("later", "BP-MGT-03 BP-RX-13", "delivers payloads received while it was inactive when it is activated")
 class DeliversLater(BeaconingProtocol):
     def __init__(self, *args: Any, **times: Any) -> None:
         super().__init__(*args, **times)
@@ -71,7 +71,7 @@ class DeliversLater(BeaconingProtocol):
         return confirm
 
 
-@mutant("starts-over", "BP-MGT-05 BP-TX-01", "begins a new interval whenever it is activated, also while it is active")
+@mutant("starts-over", "BP-MGT-05 BP-TX-01", "starts a new interval whenever it is activated, even while it is active")
 class StartsOver(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:
         self._schedule.restart(now)
@@ -81,7 +81,7 @@ class StartsOver(BeaconingProtocol):
 @mutant(
     "on-the-side",
     "BP-TX-01",
-    "has no timer of its own and sends when another protocol has something to do",
+    "has no timer of its own and sends only when another protocol is active",
     unseen=OTHERS_ACTIVE,
 )
 class OnTheSide(BeaconingProtocol):
@@ -89,7 +89,7 @@ class OnTheSide(BeaconingProtocol):
         return None
 
 
-@mutant("refuses", "BP-MGT-04", "refuses payloads while it is inactive")
+@mutant("refuses", "BP-MGT-04", "rejects payloads while it is inactive")
 class RefusesInactive(BeaconingProtocol):
     def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
         if not self._active:
@@ -97,7 +97,7 @@ class RefusesInactive(BeaconingProtocol):
         return super().transmit_payload(prot_id, payload, now=now)
 
 
-@mutant("forgets", "BP-MGT-04 BP-MGT-05", "empties all queues when it is deactivated")
+@mutant("forgets", "BP-MGT-04 BP-MGT-05", "clears all queues when it is deactivated")
 class ForgetsPayloads(BeaconingProtocol):
     def deactivate(self) -> StatusConfirm:
         for client in self._clients:
@@ -106,7 +106,7 @@ class ForgetsPayloads(BeaconingProtocol):
         return super().deactivate()
 
 
-@mutant("no-resume", "BP-MGT-05", "confirms its activation and stays inactive")
+@mutant("no-resume", "BP-MGT-05", "confirms its activation, but stays inactive")
 class NeverAgain(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
         return OK
@@ -127,7 +127,7 @@ class StartsInactive(BeaconingProtocol):
         self._active = False
 
 
-@mutant("clients-survive", "BP-INI-01", "keeps its registered clients over a reset")
+@mutant("clients-survive", "BP-INI-01", "keeps its registered clients across a reset")
 class ClientsSurvive(Air):
     def reset(self, now: int, wall: int) -> None:
         outside = [client for client in self.bp._clients if client.protocol_id > 2]
@@ -139,20 +139,20 @@ class ClientsSurvive(Air):
 # -- parameters --------------------------------------------------------------------------------------------------------
 
 
-@mutant("ignored", "BP-PAR-02", "goes on with the beacon period that it started with")
+@mutant("ignored", "BP-PAR-02", "keeps using the initial beacon period")
 class PeriodStays(BeaconingProtocol):
     def set_parameter(self, name: str, value: object) -> Violation | None:
         return self._parameters.set(name, value)
 
 
-@mutant("network-stays", "BP-HDR-04 BP-PAR-05 BP-PAR-02", "sends the network identifier that it started with")
+@mutant("network-stays", "BP-HDR-04 BP-PAR-05 BP-PAR-02", "keeps sending the initial network identifier")
 class NetworkStays(BPParameters):
     @property
     def network_id(self) -> int | None:
         return self.__dict__.setdefault("first", super().network_id)
 
 
-@mutant("any-period", "BP-PAR-03 BP-PAR-06", "takes a beacon period of 0")
+@mutant("any-period", "BP-PAR-03 BP-PAR-06", "accepts a beacon period of 0")
 class AnyPeriod(BPParameters):
     def set(self, name: str, value: object) -> Violation | None:
         if name == PERIOD and value == 0:
@@ -165,7 +165,7 @@ class AnyPeriod(BPParameters):
         return super().period if self._values[PERIOD] else 100_000_000
 
 
-@mutant("no-upper-bound", "BP-PAR-04 BP-PAR-06", "takes a maximum packet size larger than the bearer's")
+@mutant("no-upper-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size larger than the bearer's")
 class NoUpperBound(BPParameters):
     def set(self, name: str, value: object) -> Violation | None:
         violation = super().set(name, value)
@@ -175,7 +175,7 @@ class NoUpperBound(BPParameters):
         return violation
 
 
-@mutant("no-lower-bound", "BP-PAR-04 BP-PAR-06", "takes a maximum packet size that no header fits into")
+@mutant("no-lower-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size smaller than the headers")
 class NoLowerBound(BPParameters):
     def set(self, name: str, value: object) -> Violation | None:
         violation = super().set(name, value)
@@ -185,7 +185,7 @@ class NoLowerBound(BPParameters):
         return violation
 
 
-@mutant("loses-old", "BP-PAR-06", "goes back to the default when a value is refused")
+@mutant("loses-old", "BP-PAR-06", "restores the default when a value is rejected")
 class LosesOld(BPParameters):
     def set(self, name: str, value: object) -> Violation | None:
         violation = super().set(name, value)
@@ -194,14 +194,14 @@ class LosesOld(BPParameters):
         return violation
 
 
-@mutant("forgets", "BP-PAR-01", "tells the values that parameters had at the start")
+@mutant("forgets", "BP-PAR-01", "returns the initial values of parameters")
 class TellsOld(BPParameters):
     def as_dict(self) -> dict[str, Any]:
         first: dict[str, Any] = self.__dict__.setdefault("first", super().as_dict())
         return first
 
 
-@mutant("adds-up", "BP-PAR-08", "lets the maximum packet size of the bearer be set")
+@mutant("adds-up", "BP-PAR-08", "allows the bearer's maximum packet size to be set")
 class BearerSettable(BPParameters):
     def set(self, name: str, value: object) -> Violation | None:
         violation = super().set(name, value)

@@ -1,4 +1,4 @@
-"""Faults in what BP keeps for its clients, and in what it takes from it for a beacon."""
+"""Faults in the payloads that BP buffers for its clients, and in their selection for a beacon."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Table = ClassVar[dict[QueueingMode, ModeRule]]
 
 
 def rule(mode: QueueingMode, **changes: object) -> dict[QueueingMode, ModeRule]:
-    """The table of modes with another row."""
+    """Return the table of modes with a changed row."""
     return {**QUEUEING, mode: msgspec.structs.replace(QUEUEING[mode], **changes)}
 
 
@@ -41,23 +41,29 @@ class HeadDiscardsNew(BeaconingProtocol):
     queueing = rule(DROPHEAD, when_full="discard-new")
 
 
-@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue again and again", unseen=NO_MODE)
+@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue repeatedly", unseen=NO_MODE)
 class QueueRepeats(BeaconingProtocol):
     queueing = rule(DROPTAIL, when_sent="keep")
 
 
-@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue again and again", unseen=NO_MODE)
+@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly", unseen=NO_MODE)
 class HeadQueueRepeats(BeaconingProtocol):
     queueing = rule(DROPHEAD, when_sent="keep")
 
 
-@mutant("bounded", "BP-QM-03", "keeps one payload in a QUEUE", until=SpecVersion.V1_0, unseen=NO_QUEUE)
+@mutant(
+    "bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE", until=SpecVersion.V1_0, unseen=NO_QUEUE
+)
 class QueueBounded(BeaconingProtocol):
     queueing = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
 
 
 @mutant(
-    "queue-repeats", "BP-QM-03", "sends the head of a QUEUE again and again", until=SpecVersion.V1_0, unseen=NO_QUEUE
+    "queue-repeats",
+    "BP-QM-03",
+    "sends the head of a queue of mode QUEUE repeatedly",
+    until=SpecVersion.V1_0,
+    unseen=NO_QUEUE,
 )
 class OldQueueRepeats(BeaconingProtocol):
     queueing = rule(QueueingMode.QUEUE, when_sent="keep")
@@ -66,7 +72,7 @@ class OldQueueRepeats(BeaconingProtocol):
 @mutant(
     "bounded-by-entries",
     "BP-QM-03",
-    "drops what exceeds maxEntries, unknown to 1.0",
+    "drops payloads in excess of maxEntries, which 1.0 does not have",
     until=SpecVersion.V1_0,
     unseen=NO_QUEUE,
 )
@@ -84,7 +90,7 @@ class OnceRepeats(BeaconingProtocol):
     queueing = rule(ONCE, when_sent="keep")
 
 
-@mutant("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "empties a REPEAT buffer when it was sent")
+@mutant("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "clears a REPEAT buffer after its payload was sent")
 class RepeatForgets(BeaconingProtocol):
     queueing = rule(REPEAT, when_sent="remove")
 
@@ -95,7 +101,7 @@ class RepeatKeepsOldest(BeaconingProtocol):
 
 
 class OwnQueue(ClientList):
-    """Gives clients another queue."""
+    """Gives clients a changed queue."""
 
     queue: ClassVar[type[PayloadQueue]] = PayloadQueue
 
@@ -132,7 +138,7 @@ class SixteenPlaces(OwnQueue):
             super().__init__(rule, min(max_entries, 16))
 
 
-@mutant("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "counts the places of a queue modulo 64", since=SpecVersion.V1_1)
+@mutant("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64", since=SpecVersion.V1_1)
 class SixBitsOfPlaces(OwnQueue):
     class queue(PayloadQueue):  # noqa: N801 - as above
         def __init__(self, rule: ModeRule, max_entries: int) -> None:
@@ -156,7 +162,7 @@ class OnePlaceLess(OwnQueue):
             super().__init__(rule, max(max_entries - 1, 1))
 
 
-@mutant("forgets-all", "BP-TXP-05 BP-QM-02", "empties a full DROPHEAD queue to keep a new payload")
+@mutant("forgets-all", "BP-TXP-05 BP-QM-02", "clears a full DROPHEAD queue when a new payload is submitted")
 class ForgetsAll(OwnQueue):
     class queue(PayloadQueue):  # noqa: N801 - as above
         def submit(self, payload: bytes) -> Submission:
@@ -167,14 +173,14 @@ class ForgetsAll(OwnQueue):
             return outcome
 
 
-@mutant("several", "BP-QM-07", "sends several payloads of a client in one beacon that asked for one")
+@mutant("several", "BP-QM-07", "sends several payloads of a client in one beacon although the client allows one")
 class AlwaysSeveral(ClientList):
     def insert(self, client: Client) -> None:
         client.several = client.queue is not None and client.queue.rule.several
         super().insert(client)
 
 
-@mutant("entries-for-buffers", "BP-QM-09", "refuses buffers that are registered without entries")
+@mutant("entries-for-buffers", "BP-QM-09", "rejects registrations of modes without a queue if maxEntries is 0")
 class EntriesForBuffers(BeaconingProtocol):
     def register(self, prot_id: int, *rest: object, now: int, wall: int) -> RegisterConfirm:
         confirm = super().register(prot_id, *rest, now=now, wall=wall)  # type: ignore[arg-type]
@@ -185,7 +191,7 @@ class EntriesForBuffers(BeaconingProtocol):
         return confirm
 
 
-@mutant("any", "BP-QM-06", "takes registrations with a mode that does not exist, as ONCE")
+@mutant("any", "BP-QM-06", "accepts registrations with an unknown mode, and treats them as ONCE")
 class AnyMode(BeaconingProtocol):
     def register(self, prot_id: int, *rest: object, now: int, wall: int) -> RegisterConfirm:
         name, size, mode, entries, several = rest
@@ -208,7 +214,7 @@ class Loses(ClientList):
         return chosen
 
 
-@mutant("cuts", "BP-TX-04 BP-FMT-01", "cuts a payload to what fits into the beacon")
+@mutant("cuts", "BP-TX-04 BP-FMT-01", "truncates a payload to the room in the beacon")
 class Cuts(ClientList):
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         chosen: Chosen = []
@@ -223,7 +229,7 @@ class Cuts(ClientList):
         return chosen
 
 
-@mutant("overtakes", "BP-TX-06", "sends a later payload of a queue when the head does not fit")
+@mutant("overtakes", "BP-TX-06", "sends a later payload of a queue if the head does not fit")
 class Overtakes(OwnQueue):
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         used = 0
@@ -245,7 +251,7 @@ class Overtakes(OwnQueue):
 
 
 class Query(BeaconingProtocol):
-    """Answers questions for the number of payloads in another way."""
+    """Changes answers to queries for the number of payloads."""
 
     def query_number_buffered(self, prot_id: int) -> NumberConfirm:
         confirm = super().query_number_buffered(prot_id)
@@ -254,8 +260,8 @@ class Query(BeaconingProtocol):
             return confirm
         return NumberConfirm(confirm.status, self.number(confirm.number, client.queue))
 
-    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - for those that look at it
-        """What is answered instead."""
+    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - used by overrides
+        """Return the number to be returned."""
         return number
 
 
@@ -280,7 +286,7 @@ class RepeatEmpty(Query):
 # -- timing ------------------------------------------------------------------------------------------------------------
 
 
-@mutant("slow", "BP-TX-01", "beacons with a period that is a tenth longer than the parameter")
+@mutant("slow", "BP-TX-01", "sends beacons with a period one tenth longer than the parameter")
 class Slow(BeaconSchedule):
     def _place(self) -> None:
         period, self._period = self._period, self._period * 11 // 10

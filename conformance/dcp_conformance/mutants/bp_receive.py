@@ -1,4 +1,4 @@
-"""Faults in what BP does with beacons that it receives."""
+"""Faults in the processing of received beacons by BP."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .mutant import mutant
 
 
 class Lenient(BPWire):
-    """Repairs what it should refuse."""
+    """Repairs beacons that BP should reject."""
 
     def parse(self, octets: bytes) -> Reception:
         if len(octets) < self.header_size:
@@ -23,11 +23,11 @@ class Lenient(BPWire):
         return super().parse(bytes(self.repaired(bytearray(octets))))
 
     def repaired(self, octets: bytearray) -> bytearray:
-        """The octets that are understood instead."""
+        """Return the octets to be processed."""
         return octets
 
     def number(self, octets: bytearray, field: str) -> int:
-        """An integer of the header."""
+        """Return an integer of the header."""
         return int.from_bytes(octets[self._places[field]], "big")
 
     def put(self, octets: bytearray, field: str, value: int) -> None:
@@ -36,28 +36,28 @@ class Lenient(BPWire):
         octets[place] = value.to_bytes(place.stop - place.start, "big")
 
 
-@mutant("any", "BP-RX-01", "takes beacons of any version")
+@mutant("any", "BP-RX-01", "accepts beacons of any version")
 class AnyVersion(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         self.put(octets, "version", 1)
         return octets
 
 
-@mutant("newer", "BP-RX-01", "takes beacons of newer versions")
+@mutant("newer", "BP-RX-01", "accepts beacons of newer versions")
 class NewerVersion(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         self.put(octets, "version", min(self.number(octets, "version"), 1))
         return octets
 
 
-@mutant("any", "BP-RX-02", "takes beacons with any magic number")
+@mutant("any", "BP-RX-02", "accepts beacons with any magicNo")
 class AnyMagic(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         self.put(octets, "magicNo", 0x497E)
         return octets
 
 
-@mutant("swapped", "BP-RX-02", "takes beacons whose magic number has the other byte order, too")
+@mutant("swapped", "BP-RX-02", "also accepts beacons with a little-endian magicNo")
 class EitherMagic(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         if self.number(octets, "magicNo") == 0x7E49:
@@ -65,7 +65,7 @@ class EitherMagic(Lenient):
         return octets
 
 
-@mutant("first-octet", "BP-RX-02", "looks only at the first octet of the magic number")
+@mutant("first-octet", "BP-RX-02", "checks only the first octet of magicNo")
 class HalfMagic(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         if self.number(octets, "magicNo") >> 8 == 0x49:
@@ -73,7 +73,7 @@ class HalfMagic(Lenient):
         return octets
 
 
-@mutant("whole-frame", "BP-RX-03", "takes a length of 0 for all that the frame holds")
+@mutant("whole-frame", "BP-RX-03", "treats length 0 as the length of the frame")
 class ZeroIsAll(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         if not self.number(octets, "length"):
@@ -81,7 +81,7 @@ class ZeroIsAll(Lenient):
         return octets
 
 
-@mutant("processed", "BP-RX-04", "takes beacons that announce no payloads")
+@mutant("processed", "BP-RX-04", "accepts beacons with numPayloads 0")
 class NonePayloads(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         if not self.number(octets, "numPayloads"):
@@ -89,13 +89,13 @@ class NonePayloads(Lenient):
         return octets
 
 
-@mutant("any", "BP-RX-05", "takes beacons of any network")
+@mutant("any", "BP-RX-05", "accepts beacons of any network")
 class AnyNetwork(Receiver):
     def _for_this_node(self, header: BPHeader) -> bool:
         return super()._for_this_node(BPHeader(header.sender_id, header.seqno, self._parameters.network_id))
 
 
-@mutant("zero", "BP-RX-05", "takes network 0 for all networks")
+@mutant("zero", "BP-RX-05", "treats network 0 as any network")
 class ZeroIsEverybody(Receiver):
     def _for_this_node(self, header: BPHeader) -> bool:
         network = header.network_id or self._parameters.network_id
@@ -112,7 +112,7 @@ class LowOctet(Receiver):
         return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
 
 
-@mutant("first-network", "BP-RX-05 BP-PAR-05 BP-PAR-02", "takes beacons of the network that it started in")
+@mutant("first-network", "BP-RX-05 BP-PAR-05 BP-PAR-02", "keeps accepting beacons of its initial network")
 class FirstNetwork(Receiver):
     def __init__(self, *parts: Any, **more: Any) -> None:
         super().__init__(*parts, **more)
@@ -125,20 +125,22 @@ class FirstNetwork(Receiver):
         return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
 
 
-@mutant("processed", "BP-RX-06", "takes beacons that carry its own identifier")
+@mutant("processed", "BP-RX-06", "accepts beacons with its own senderId")
 class OwnBeacons(Receiver):
     def _for_this_node(self, header: BPHeader) -> bool:
         return super()._for_this_node(BPHeader(b"", header.seqno, header.network_id))
 
 
-@mutant("reserved-senders", "DATA-04", "ignores senders that are no unicast address: with the group bit, or all zero")
+@mutant("reserved-senders", "DATA-04", "ignores senders whose identifier has the group bit or is all zero")
 class ReservedSenders(Receiver):
     def _for_this_node(self, header: BPHeader) -> bool:
         plain = any(header.sender_id) and not header.sender_id[0] & 1
         return plain and super()._for_this_node(header)
 
 
-@mutant("sender-prefix", "BP-RX-06 DATA-04", "takes senders with the first octets of its own identifier for itself")
+@mutant(
+    "sender-prefix", "BP-RX-06 DATA-04", "treats senders with the same first octets as its own identifier as itself"
+)
 class SenderPrefix(Receiver):
     def _for_this_node(self, header: BPHeader) -> bool:
         return header.sender_id[:3] != self._node_id[:3] and super()._for_this_node(header)
@@ -148,14 +150,14 @@ class SenderPrefix(Receiver):
 
 
 class Blocks(BPWire):
-    """Finds other blocks."""
+    """Changes the blocks that are processed."""
 
     def parse(self, octets: bytes) -> Reception:
         found = super().parse(octets)
         return Reception(found.header, self.chosen(found.blocks), found.fault, found.refused, found.count_agrees)
 
     def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        """The blocks that are processed."""
+        """Return the blocks to be processed."""
         return blocks
 
 
@@ -183,7 +185,7 @@ class Twice(Blocks):
         return tuple(block for each in blocks for block in (each, each))
 
 
-@mutant("unknown-ends", "BP-RX-08", "stops at a block of a protocol that nobody has registered")
+@mutant("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
 class UnknownEnds(Receiver):
     stopped = False
 
@@ -197,7 +199,7 @@ class UnknownEnds(Receiver):
             super()._deliver(block, sender)
 
 
-@mutant("unknown-drops", "BP-RX-08", "ignores beacons with a block of a protocol that nobody has registered")
+@mutant("unknown-drops", "BP-RX-08", "ignores beacons with a block of an unregistered protocol")
 class UnknownDrops(BPWire):
     def parse(self, octets: bytes) -> Reception:
         found = super().parse(octets)
@@ -205,7 +207,7 @@ class UnknownDrops(BPWire):
         return Reception(found.header, () if foreign else found.blocks, found.fault, found.refused, found.count_agrees)
 
 
-@mutant("cut-delivered", "BP-RX-09", "delivers what is there of a block that runs past the end")
+@mutant("cut-delivered", "BP-RX-09", "delivers the available part of a block that extends past the end")
 class CutDelivered(BPWire):
     def parse(self, octets: bytes) -> Reception:
         found = super().parse(octets)
@@ -221,14 +223,14 @@ class CutDelivered(BPWire):
         return Reception(found.header, (*found.blocks, block), None, count_agrees=found.count_agrees)
 
 
-@mutant("all-dropped", "BP-RX-09", "ignores all blocks in front of one that runs past the end")
+@mutant("all-dropped", "BP-RX-09", "ignores all blocks before one that extends past the end")
 class AllDropped(BPWire):
     def parse(self, octets: bytes) -> Reception:
         found = super().parse(octets)
         return found if found.fault is None else Reception(found.header, (), found.fault, found.refused)
 
 
-@mutant("repeated-dropped", "BP-RX-10", "ignores beacons with the sequence number of the one before")
+@mutant("repeated-dropped", "BP-RX-10", "ignores beacons with the same sequence number as the one before")
 class RepeatedDropped(Receiver):
     last: tuple[bytes, int] = (b"", 0)
 
@@ -247,36 +249,36 @@ class OlderDropped(Receiver):
         return not older and super()._for_this_node(header)
 
 
-@mutant("padding-refused", "BP-RX-14", "ignores frames with padding behind the beacon")
+@mutant("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon")
 class PaddingRefused(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         exact = self.number(octets, "length") == len(octets) - self.header_size
         return octets if exact else octets[:4]
 
 
-@mutant("dies", "BP-RX-15", "dies of a length beyond the frame")
+@mutant("dies", "BP-RX-15", "crashes on a length past the end of the frame")
 class DiesOfLength(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         if self.number(octets, "length") > len(octets) - self.header_size:
-            raise IndexError("a read beyond the frame")
+            raise IndexError("a read past the end of the frame")
         return octets
 
 
-@mutant("dies-of-short", "BP-RX-16", "dies of a frame that is shorter than the header")
+@mutant("dies-of-short", "BP-RX-16", "crashes on a frame shorter than the header")
 class DiesOfShort(BPWire):
     def parse(self, octets: bytes) -> Reception:
         if len(octets) < self.header_size:
-            raise IndexError("a read beyond the frame")
+            raise IndexError("a read past the end of the frame")
         return super().parse(octets)
 
 
-@mutant("dies-of-empty", "BP-RX-16", "dies of a block without a payload")
+@mutant("dies-of-empty", "BP-RX-16", "crashes on a block without a payload")
 class DiesOfEmpty(Blocks):
     def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
         return tuple(block for block in blocks if block.payload[0] >= 0)
 
 
-@mutant("dies-of-nothing", "BP-RX-16", "dies of a frame without a single octet")
+@mutant("dies-of-nothing", "BP-RX-16", "crashes on an empty frame")
 class DiesOfNothing(BPWire):
     def parse(self, octets: bytes) -> Reception:
         if not octets:
@@ -284,7 +286,7 @@ class DiesOfNothing(BPWire):
         return super().parse(octets)
 
 
-@mutant("mute", "BP-RX-16", "hears nothing any more after 20 frames that are no beacons")
+@mutant("mute", "BP-RX-16", "receives nothing after 20 frames that are not beacons")
 class Mute(BPWire):
     wrong = 0
 
@@ -298,14 +300,14 @@ class Mute(BPWire):
 
 
 class Deliveries(Receiver):
-    """Delivers other octets to clients outside of the node."""
+    """Changes the octets delivered to clients outside of the node."""
 
     def _deliver(self, block: Block, sender: bytes) -> None:
         payload = self.payload(block.payload) if block.protocol_id > 2 else block.payload
         super()._deliver(Block(block.protocol_id, payload, block.offset), sender)
 
     def payload(self, payload: bytes) -> bytes:
-        """The octets that are delivered instead."""
+        """Return the octets to be delivered."""
         return payload
 
 
@@ -321,7 +323,7 @@ class Limited(Deliveries):
         return payload[:255]
 
 
-@mutant("aligned", "BP-RXP-01", "delivers payloads filled up to a multiple of four octets")
+@mutant("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets")
 class FilledUp(Deliveries):
     def payload(self, payload: bytes) -> bytes:
         return payload + bytes(-len(payload) % 4)
@@ -337,7 +339,7 @@ class Everybody(Receiver):
                     self._emit(PayloadReceived(client.protocol_id, block.payload, sender))
 
 
-@mutant("low-octet", "BP-RXP-03 BP-RX-08 BP-HDR-11", "looks only at the low octet of protocol identifiers")
+@mutant("low-octet", "BP-RXP-03 BP-RX-08 BP-HDR-11", "checks only the low octet of protocol identifiers")
 class LowOctetOfProtocol(Blocks):
     def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
         return tuple(Block(block.protocol_id & 0xFF, block.payload, block.offset) for block in blocks)

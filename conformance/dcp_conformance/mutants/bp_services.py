@@ -25,18 +25,18 @@ OK = StatusConfirm(BPStatus.OK)
 
 
 class Registrations(BeaconingProtocol):
-    """Judges registrations in another way; those of SRP and VarDis as they should be."""
+    """Changes the status of registrations, except those of SRP and VarDis."""
 
     def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
         status = super()._registrable(registration, known=known)
         return status if registration.protocol_id <= 2 else self.judged(status, registration)
 
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - for those that look
-        """The status instead of ``status``."""
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - used by overrides
+        """Return the status to be confirmed."""
         return status
 
 
-@mutant("signed", "BP-REG-01", "refuses protocol identifiers whose first bit is set")
+@mutant("signed", "BP-REG-01", "rejects protocol identifiers with the first bit set")
 class SignedIdentifiers(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         return BPStatus.UNKNOWN_PROTOCOL if registration.protocol_id > 0x7FFF else status
@@ -51,7 +51,7 @@ class Replaces(Registrations):
         return status
 
 
-@mutant("forgets", "BP-REG-02", "empties the queue of a client that is registered a second time")
+@mutant("forgets", "BP-REG-02", "clears the queue of a client that is registered a second time")
 class Forgets(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         client = self.client(registration.protocol_id)
@@ -69,7 +69,7 @@ class SizeOfNothing(Registrations):
 @mutant(
     "something",
     "BP-REG-06",
-    "refuses a maximum payload size of 0, which 1.0 allows",
+    "rejects a maximum payload size of 0, which 1.0 allows",
     until=SpecVersion.V1_0,
     unseen=RIGHT_SINCE_1_1,
 )
@@ -78,7 +78,7 @@ class SizeOfSomething(Registrations):
         return status if registration.max_payload_size else BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
 
 
-@mutant("no-bound", "BP-REG-04", "registers clients whose payloads fit into no beacon")
+@mutant("no-bound", "BP-REG-04", "registers clients whose payloads do not fit into a beacon")
 class NoBound(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         large = registration.max_payload_size > 0
@@ -86,7 +86,7 @@ class NoBound(Registrations):
 
 
 class Bound(Registrations):
-    """Has another bound for the maximum payload size."""
+    """Changes the limit of the maximum payload size."""
 
     more = 0
 
@@ -103,31 +103,31 @@ class BoundPlusOne(Bound):
     more = 1
 
 
-@mutant("one-less", "BP-REG-04", "refuses clients with exactly as much as fits")
+@mutant("one-less", "BP-REG-04", "rejects clients with exactly as many octets as fit")
 class BoundMinusOne(Bound):
     more = -1
 
 
 @mutant(
-    "block-only", "BP-REG-04", "forgets the header of the beacon in the bound of registrations", since=SpecVersion.V1_1
+    "block-only", "BP-REG-04", "ignores the header of the beacon in the limit for registrations", since=SpecVersion.V1_1
 )
 class BoundOfBlock(Bound):
     more = 18
 
 
-@mutant("no-entries", "BP-REG-05", "registers queues without a place", since=SpecVersion.V1_1)
+@mutant("no-entries", "BP-REG-05", "registers queues without entries", since=SpecVersion.V1_1)
 class NoEntries(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - as above
         return BPStatus.OK if status is BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE else status
 
 
-@mutant("at-most-32", "BP-REG-05", "registers no queues of more than 32 places", since=SpecVersion.V1_1)
+@mutant("at-most-32", "BP-REG-05", "registers no queues of more than 32 entries", since=SpecVersion.V1_1)
 class FewEntries(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if registration.max_entries > 32 else status
 
 
-@mutant("time", "BP-REG-06 BP-LST-01", "does not say when a client was registered")
+@mutant("time", "BP-REG-06 BP-LST-01", "lists no registration time of clients")
 class NoTime(BeaconingProtocol):
     def list_registered(self) -> ListConfirm:
         confirm = super().list_registered()
@@ -135,7 +135,7 @@ class NoTime(BeaconingProtocol):
         return ListConfirm(confirm.status, listed)
 
 
-@mutant("no-own-id", "BP-REG-07", "leaves its node identifier out of the confirm of registrations")
+@mutant("no-own-id", "BP-REG-07", "omits its node identifier from the confirms of registrations")
 class NoOwnIdentifier(BeaconingProtocol):
     def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
         confirm = super().register(prot_id, *rest, now=now, wall=wall)
@@ -153,8 +153,8 @@ class OtherIdentifier(BeaconingProtocol):
 @mutant(
     "size-first",
     "BP-REG-09",
-    "looks at the size of a registration before it looks for a duplicate",
-    unseen={"1.0": "1.0 refuses neither a size nor a number of entries of 0"},
+    "checks the size in a registration before it checks for a duplicate",
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"},
 )
 class SizeFirst(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
@@ -166,8 +166,8 @@ class SizeFirst(Registrations):
 @mutant(
     "queue-first",
     "BP-REG-09",
-    "looks at maxEntries of a registration before it looks at the size",
-    unseen={"1.0": "1.0 refuses neither a size nor a number of entries of 0"},
+    "checks maxEntries in a registration before it checks the size",
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"},
 )
 class QueueFirst(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
@@ -175,14 +175,14 @@ class QueueFirst(Registrations):
         return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if wrong else status
 
 
-@mutant("ok", "BP-DRG-01", "confirms with OK that nobody was deregistered")
+@mutant("ok", "BP-DRG-01", "confirms the deregistration of an unknown client with OK")
 class DeregistersAnybody(BeaconingProtocol):
     def deregister(self, prot_id: int) -> StatusConfirm:
         super().deregister(prot_id)
         return OK
 
 
-@mutant("stays-listed", "BP-DRG-02", "goes on listing a client that was deregistered")
+@mutant("stays-listed", "BP-DRG-02", "continues to list a client that was deregistered")
 class StaysListed(BeaconingProtocol):
     gone: tuple[Registration, ...] = ()
 
@@ -198,7 +198,7 @@ class StaysListed(BeaconingProtocol):
         return ListConfirm(confirm.status, (*confirm.protocols, *gone))
 
 
-@mutant("still-sends", "BP-DRG-03", "sends what a client had buffered when it was deregistered")
+@mutant("still-sends", "BP-DRG-03", "sends the buffered payloads of a client that was deregistered")
 class StillSends(ClientList):
     def remove(self, protocol_id: int) -> None:
         client = self._clients.pop(protocol_id)
@@ -219,7 +219,7 @@ class StillDelivers(Receiver):
             self._emit(PayloadReceived(block.protocol_id, block.payload, sender))
 
 
-@mutant("old-queue", "BP-DRG-05 BP-REG-06", "gives a client that registers again the queue that it had")
+@mutant("old-queue", "BP-DRG-05 BP-REG-06", "gives a client that registers again its old queue")
 class OldQueue(ClientList):
     def __init__(self) -> None:
         super().__init__()
@@ -236,7 +236,9 @@ class OldQueue(ClientList):
 
 
 @mutant(
-    "stays-ours", "BP-RXP-03 BP-DRG-05", "keeps payloads from a client that took over the identifier of SRP or VarDis"
+    "stays-ours",
+    "BP-RXP-03 BP-DRG-05",
+    "does not deliver payloads to a client that registered the identifier of SRP or VarDis",
 )
 class StaysOurs(ClientList):
     def remove(self, protocol_id: int) -> None:
@@ -245,7 +247,7 @@ class StaysOurs(ClientList):
         client.stands = True
 
 
-@mutant("fails", "BP-QM-06", "stumbles over a queueing mode that does not exist", since=SpecVersion.V1_1)
+@mutant("fails", "BP-QM-06", "fails with an internal error on an unknown queueing mode", since=SpecVersion.V1_1)
 class StumblesOverMode(BeaconingProtocol):
     def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
         if not known:
@@ -253,14 +255,14 @@ class StumblesOverMode(BeaconingProtocol):
         return super()._registrable(registration, known=known)
 
 
-@mutant("one-missing", "BP-LST-01", "leaves the client that registered last out of the list")
+@mutant("one-missing", "BP-LST-01", "omits the client that registered last from the list")
 class OneMissing(BeaconingProtocol):
     def list_registered(self) -> ListConfirm:
         confirm = super().list_registered()
         return ListConfirm(confirm.status, confirm.protocols[:-1])
 
 
-@mutant("wrong-size", "BP-LST-01", "lists the maximum payload size with the header of the block")
+@mutant("wrong-size", "BP-LST-01", "includes the header of the block in the maximum payload size that it lists")
 class WrongSize(BeaconingProtocol):
     def list_registered(self) -> ListConfirm:
         confirm = super().list_registered()
@@ -274,24 +276,24 @@ class WrongSize(BeaconingProtocol):
 
 
 class Transmissions(BeaconingProtocol):
-    """Answers to submitted payloads in another way."""
+    """Changes the status of submissions."""
 
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         status = super()._submit(client, payload, now)
         return self.judged(status, client, payload, now)
 
     def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
-        """The status instead of ``status``."""
+        """Return the status to be confirmed."""
         return status
 
 
-@mutant("ok", "BP-TXP-01 BP-REG-10", "confirms a payload of nobody with OK")
+@mutant("ok", "BP-TXP-01 BP-REG-10", "confirms a payload for an unregistered identifier with OK")
 class TakesUnknown(Transmissions):
     def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
         return BPStatus.OK if client is None else status
 
 
-@mutant("no-limit", "BP-TXP-02", "takes payloads longer than the client registered")
+@mutant("no-limit", "BP-TXP-02", "accepts payloads longer than the client registered")
 class AnyLength(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         if client is not None and client.queue is not None and len(payload) > client.registration.max_payload_size:
@@ -300,7 +302,7 @@ class AnyLength(BeaconingProtocol):
         return super()._submit(client, payload, now)
 
 
-@mutant("one-less", "BP-TXP-02", "refuses payloads of exactly the length that the client registered")
+@mutant("one-less", "BP-TXP-02", "rejects payloads of exactly the length that the client registered")
 class OneLess(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         if client is not None and client.protocol_id > 2 and len(payload) >= client.registration.max_payload_size:
@@ -308,7 +310,7 @@ class OneLess(BeaconingProtocol):
         return super()._submit(client, payload, now)
 
 
-@mutant("truncates", "BP-TXP-02", "cuts a payload that is too long, and says OK")
+@mutant("truncates", "BP-TXP-02", "truncates a payload that is too long, and confirms it with OK")
 class Truncates(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         longest = len(payload) if client is None else client.registration.max_payload_size
@@ -321,7 +323,7 @@ class EmptyIsOK(Transmissions):
         return BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status
 
 
-@mutant("clears", "BP-TXP-03", "empties the buffer when an empty payload is submitted", since=SpecVersion.V1_1)
+@mutant("clears", "BP-TXP-03", "clears the buffer when an empty payload is submitted", since=SpecVersion.V1_1)
 class EmptyClears(Transmissions):
     def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
         if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None:
@@ -329,7 +331,7 @@ class EmptyClears(Transmissions):
         return status
 
 
-@mutant("empty-refused", "BP-TXP-13", "refuses an empty payload, which in 1.0 empties a buffer")
+@mutant("empty-refused", "BP-TXP-13", "rejects an empty payload, which in 1.0 clears a buffer")
 class EmptyRefused(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         return BPStatus.EMPTY_PAYLOAD if client is not None and not payload else super()._submit(client, payload, now)
@@ -338,9 +340,9 @@ class EmptyRefused(BeaconingProtocol):
 @mutant(
     "empty-clears",
     "BP-QM-03",
-    "empties a queue when an empty payload is submitted, which in 1.0 empties buffers only",
+    "clears a queue when an empty payload is submitted, which in 1.0 clears buffers only",
     until=SpecVersion.V1_0,
-    unseen={"1.1 1.2 1.3 2.0": "an empty payload is refused since 1.1"},
+    unseen={"1.1 1.2 1.3 2.0": "an empty payload is rejected since 1.1"},
 )
 class EmptyClearsQueues(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
@@ -350,7 +352,7 @@ class EmptyClearsQueues(BeaconingProtocol):
         return super()._submit(client, payload, now)
 
 
-@mutant("status", "BP-TXP-04", "says that a payload was too large when a full DROPTAIL queue dropped it")
+@mutant("status", "BP-TXP-04", "confirms a payload that a full DROPTAIL queue drops as too large")
 class FullIsAnError(BeaconingProtocol):
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
         before = 0 if client is None or client.queue is None else len(client.queue)
@@ -361,20 +363,20 @@ class FullIsAnError(BeaconingProtocol):
         return status
 
 
-@mutant("empty-first", "BP-TXP-10", "looks for an empty payload before it looks for the client")
+@mutant("empty-first", "BP-TXP-10", "checks for an empty payload before it checks for the client")
 class EmptyFirst(Transmissions):
     def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
         return BPStatus.EMPTY_PAYLOAD if not payload else status
 
 
-@mutant("ok", "BP-CLR-01", "confirms with OK that nobody's buffer was emptied")
+@mutant("ok", "BP-CLR-01", "confirms clearing the buffer of an unknown client with OK")
 class ClearsAnybody(BeaconingProtocol):
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         super().clear_buffer(prot_id)
         return OK
 
 
-@mutant("nothing", "BP-CLR-02", "does not empty queues")
+@mutant("nothing", "BP-CLR-02", "does not clear queues")
 class QueuesStay(BeaconingProtocol):
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         client = self.client(prot_id)
@@ -382,7 +384,7 @@ class QueuesStay(BeaconingProtocol):
         return OK if queue else super().clear_buffer(prot_id)
 
 
-@mutant("head-only", "BP-CLR-02", "takes only the first payload out of a queue that is to be emptied")
+@mutant("head-only", "BP-CLR-02", "removes only the first payload from a queue that is to be cleared")
 class HeadOnly(BeaconingProtocol):
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         client = self.client(prot_id)
@@ -392,7 +394,7 @@ class HeadOnly(BeaconingProtocol):
         return OK
 
 
-@mutant("nothing", "BP-CLR-03", "does not empty buffers")
+@mutant("nothing", "BP-CLR-03", "does not clear buffers")
 class BuffersStay(BeaconingProtocol):
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         client = self.client(prot_id)
@@ -400,7 +402,7 @@ class BuffersStay(BeaconingProtocol):
         return OK if buffer else super().clear_buffer(prot_id)
 
 
-@mutant("ok", "BP-QRY-01", "answers that a client nobody knows has no payloads")
+@mutant("ok", "BP-QRY-01", "returns 0 payloads for an unknown client")
 class NobodyHasNone(BeaconingProtocol):
     def query_number_buffered(self, prot_id: int) -> NumberConfirm:
         confirm = super().query_number_buffered(prot_id)
@@ -408,7 +410,7 @@ class NobodyHasNone(BeaconingProtocol):
 
 
 class Indications(BeaconingProtocol):
-    """Tells clients outside of the node in another way what was transmitted."""
+    """Changes the indications of transmitted payloads to clients outside of the node."""
 
     def __init__(self, config: NodeConfig, *, rng: Any, emit: Callable[[Effect], None], now: int, wall: int) -> None:
         def changed(effect: Effect) -> None:
@@ -422,23 +424,23 @@ class Indications(BeaconingProtocol):
         self.seen: set[int] = set()
 
     def told(self, effect: PayloadTransmitted) -> list[Effect]:
-        """The indications instead of this one."""
+        """Return the indications to be sent instead of this one."""
         return [effect]
 
 
-@mutant("missing", "BP-PTI-01", "does not tell clients that a payload was transmitted")
+@mutant("missing", "BP-PTI-01", "sends no indication when a payload was transmitted")
 class NotTold(Indications):
     def told(self, effect: PayloadTransmitted) -> list[Effect]:  # noqa: ARG002 - none of them
         return []
 
 
-@mutant("twice", "BP-PTI-01", "tells clients twice that a payload was transmitted")
+@mutant("twice", "BP-PTI-01", "sends two indications when a payload was transmitted")
 class ToldTwice(Indications):
     def told(self, effect: PayloadTransmitted) -> list[Effect]:
         return [effect, effect]
 
 
-@mutant("epoch-passed", "BP-PTI-02", "gives the time of the beacon that was sent as that of the next one")
+@mutant("epoch-passed", "BP-PTI-02", "indicates the time of the beacon just sent as that of the next one")
 class EpochPassed(Indications):
     def handle_timeout(self, now: int, wall: int) -> None:
         self.at = now
@@ -448,13 +450,13 @@ class EpochPassed(Indications):
         return [msgspec.structs.replace(effect, next_epoch=self.at)]
 
 
-@mutant("epoch-zero", "BP-PTI-02", "gives no time for the next beacon")
+@mutant("epoch-zero", "BP-PTI-02", "indicates time 0 for the next beacon")
 class EpochZero(Indications):
     def told(self, effect: PayloadTransmitted) -> list[Effect]:
         return [msgspec.structs.replace(effect, next_epoch=0)]
 
 
-@mutant("first-only", "BP-PTI-03", "tells the client only of the first transmission of a REPEAT buffer")
+@mutant("first-only", "BP-PTI-03", "indicates only the first transmission of a REPEAT buffer")
 class FirstOnly(Indications):
     def told(self, effect: PayloadTransmitted) -> list[Effect]:
         client = self.client(effect.protocol_id)

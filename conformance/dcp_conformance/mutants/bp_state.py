@@ -1,4 +1,4 @@
-"""Faults of BP that show only with much at once, in silence, or when BP is switched while it works."""
+"""Faults of BP that show only with many payloads, without payloads, or when BP is activated and deactivated."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class _Dummy(ClientList):
         return super().take(room, size, most) or [(0xFFFF, self.dummy)]
 
 
-@mutant("heartbeat", "BP-FMT-03", "sends a block of no protocol when nobody has a payload")
+@mutant("heartbeat", "BP-FMT-03", "sends a block of an unregistered protocol when no client has a payload")
 class Heartbeat(_Dummy):
     dummy = b"\0"
 
 
-@mutant("empty-heartbeat", "BP-FMT-03", "sends an empty block of no protocol when nobody has a payload")
+@mutant("empty-heartbeat", "BP-FMT-03", "sends an empty block of an unregistered protocol when no client has a payload")
 class EmptyHeartbeat(_Dummy):
     dummy = b""
 
@@ -34,7 +34,7 @@ class EmptyHeartbeat(_Dummy):
 @mutant(
     "several",
     "BP-FMT-02 BP-TX-04",
-    "puts a whole queue into a beacon if several payloads are allowed",
+    "puts a whole queue into a beacon if allowMultiplePayloads is true",
     unseen=ONE_PAYLOAD,
 )
 class SeveralIgnoresRoom(ClientList):
@@ -48,14 +48,14 @@ class SeveralIgnoresRoom(ClientList):
         return chosen
 
 
-@mutant("activated", "BP-HDR-08", "starts sequence numbers again when it is activated", unseen=BP_ALWAYS_ACTIVE)
+@mutant("activated", "BP-HDR-08", "restarts sequence numbers when it is activated", unseen=BP_ALWAYS_ACTIVE)
 class SeqnoRestarts(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:
         self._seqno = 0
         return super().activate(now)
 
 
-@mutant("clears", "BP-MGT-05", "empties all buffers when it is activated although it is active")
+@mutant("clears", "BP-MGT-05", "clears all buffers when it is activated although it is active")
 class ReactivateClears(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:
         for client in self._clients if self._active else ():
@@ -64,14 +64,14 @@ class ReactivateClears(BeaconingProtocol):
         return super().activate(now)
 
 
-@mutant("eight", "BP-RX-07", "takes eight blocks of a beacon at most")
+@mutant("eight", "BP-RX-07", "processes at most eight blocks of a beacon")
 class EightBlocks(BPWire):
     def parse(self, octets: bytes) -> Reception:
         found = super().parse(octets)
         return Reception(found.header, found.blocks[:8], found.fault, found.refused, count_agrees=found.count_agrees)
 
 
-@mutant("empty-ends", "BP-RX-08", "ends at a block of length 0 of a protocol that is not registered")
+@mutant("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol")
 class StopsAtEmptyBlock(Receiver):
     stopped = False
 

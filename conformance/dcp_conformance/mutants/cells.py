@@ -1,4 +1,4 @@
-"""VarDis with another cell in its table of events and states (C.5)."""
+"""VarDis with changed cells in its table of events and states (C.5)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DELETED_OWN, DELETED = State.DELETED_PRODUCER, State.DELETED_CONSUMER
 
 
 class Cells(Core):
-    """Has other cells in the table."""
+    """Changes cells of the table."""
 
     cells: ClassVar[dict[tuple[Event, State], Cell]] = {}
 
@@ -25,10 +25,10 @@ class Cells(Core):
 
 
 def everywhere(event: Event, action: Action) -> dict[tuple[Event, State], Cell]:
-    """One action in all states."""
+    """Return cells with one action in all states."""
     return {(event, state): Cell(action) for state in State}
 
 
 def within(states: tuple[State, ...], action: Action, *events: Event) -> dict[tuple[Event, State], Cell]:
-    """One action for some events in some states."""
+    """Return cells with one action for some events in some states."""
     return {(event, state): Cell(action) for event in events for state in states}

@@ -1,4 +1,4 @@
-"""Faults that show with many neighbours, large payloads, long timeouts, and a link that is down for a while."""
+"""Faults that show with many neighbours, large payloads, long timeouts, or a link that is down for a while."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dcp_stack.vardis_wire import Extracted, Extractor
 from .mutant import mutant
 
 
-@mutant("thousand", "SRP-RX-03", "has places for 1000 neighbours and gives none of them away")
+@mutant("thousand", "SRP-RX-03", "has 1000 entries for neighbours and never reuses one")
 class Thousand(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -26,7 +26,7 @@ class Thousand(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
 
-@mutant("dies-of-1001", "SRP-RX-03 BP-RX-16", "dies of the 1001st neighbour")
+@mutant("dies-of-1001", "SRP-RX-03 BP-RX-16", "crashes on the 1001st neighbour")
 class DiesOfMany(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -37,7 +37,7 @@ class DiesOfMany(NeighbourTable):
         return outcome
 
 
-@mutant("dies-of-large", "VD-ROB-01", "dies of a payload that is larger than its own may be")
+@mutant("dies-of-large", "VD-ROB-01", "crashes on a payload larger than its own maximum")
 class DiesOfLarge(Extractor):
     def extract(self, payload: bytes) -> Extracted:
         if len(payload) > self._largest:
@@ -45,11 +45,11 @@ class DiesOfLarge(Extractor):
         return super().extract(payload)
 
     _largest = 1000
-    """Octets: VARDISPAR_MAX_PAYLOAD_SIZE in the profile of the self-test."""
+    """Octets; VARDISPAR_MAX_PAYLOAD_SIZE in the profile of the self-test."""
 
 
 class Scrubs(Vardis):
-    """Measures timeouts in another way."""
+    """Changes timeouts."""
 
     def _scrub(self, now: int) -> None:
         entries = self._database.entries
@@ -61,23 +61,28 @@ class Scrubs(Vardis):
             entry.spec = specs[var_id]
 
     def measured(self, timeout: int) -> int:
-        """The timeout in ms as it is measured."""
+        """Return the timeout in ms that is used."""
         return timeout
 
 
-@mutant("signed", "VD-TYP-04 VD-SCR-01", "takes timeouts above 32,767 ms for none", since=SpecVersion.V2_0)
+@mutant("signed", "VD-TYP-04 VD-SCR-01", "treats timeouts above 32,767 ms as none", since=SpecVersion.V2_0)
 class SignedTimeout(Scrubs):
     def measured(self, timeout: int) -> int:
         return timeout if timeout < 0x8000 else 0
 
 
-@mutant("minute", "VD-TYP-04 VD-SCR-01", "lets no variable live longer than a minute", since=SpecVersion.V2_0)
+@mutant(
+    "minute",
+    "VD-TYP-04 VD-SCR-01",
+    "deletes variables after one minute even if their timeout is longer",
+    since=SpecVersion.V2_0,
+)
 class Minute(Scrubs):
     def measured(self, timeout: int) -> int:
         return min(timeout, 60_000)
 
 
-@mutant("gives-up", "UWB-01", "sends nothing any more after it has heard nobody for 0.7 s")
+@mutant("gives-up", "UWB-01", "stops sending after it has received no beacon for 0.7 s")
 class GivesUp(Node):
     _heard_at: int | None = None
 

@@ -1,7 +1,7 @@
-"""Mutants: our node with one small fault each, which a case that names the violated requirement must notice.
+"""Mutants: our node with one small fault each, which a case that names the violated requirement must detect.
 
-A mutant is a subclass of one part of the node (an entity, its queue, its receiver, the node itself), put in that part's
-place; nothing of the node is changed, and no two mutants know of each other.
+A mutant replaces one part of the node (an entity, its queue, its receiver, the node itself) with a subclass. The node
+itself is not changed, and mutants do not depend on each other.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from dcp_stack.vardis_wire import Extractor
 MUTANTS: Final = "dcp_conformance.mutants"
 _ATTRIBUTE: Final = "__dcp_mutant__"
 
-#: A part, the part that it belongs to, and under which name.
+#: Parts of the node: class, class of the owner, and the owner's attribute.
 _PLACES: Final[tuple[tuple[type, type, str], ...]] = (
     (BPWire, BeaconingProtocol, "wire_class"),
     (BPParameters, BeaconingProtocol, "parameters_class"),
@@ -69,40 +69,40 @@ class Mutant:
     id: str
     """``M-<requirement>-<fault>``, never used for another fault."""
     requirement: str
-    """The requirement that it violates."""
+    """The requirement that the mutant violates."""
     also: tuple[str, ...]
-    """Further requirements that the same fault violates, and that may be named instead."""
+    """Further requirements that the same fault violates; a case may name one of them instead."""
     what: str
-    """What it does wrong, as a sentence whose subject is the node."""
+    """The fault, as a sentence whose subject is the node: ``sends version 0x02``."""
     make: MakeNode
     since: SpecVersion = SpecVersion.V1_0
     until: SpecVersion = SpecVersion.V2_0
-    """First and last version of the specification in which it is a fault."""
+    """First and last version of the specification in which this is a fault."""
     unseen: Mapping[SpecVersion, str] = field(default_factory=dict)
-    """Why it is no fault on a version that has the requirement, or cannot be seen there."""
+    """By version: why this is not a fault although the version has the requirement, or cannot be observed."""
 
     @property
     def versions(self) -> tuple[SpecVersion, ...]:
-        """The versions of the specification on which the suite must notice it, oldest first."""
+        """The versions of the specification on which the suite must detect the mutant, oldest first."""
         return tuple(each for each in SpecVersion if self.exists_in(each))
 
     @property
     def profiles(self) -> tuple[str, ...]:
-        """The profiles on which it is tried: one for each of its versions, newest first."""
+        """The profiles on which the mutant is tried: one for each of its versions, newest first."""
         return tuple(f"dcp-{each}" for each in reversed(self.versions))
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """The requirement that it violates, and those that may be named instead."""
+        """The requirement that the mutant violates, and those that a case may name instead."""
         return (self.requirement, *self.also)
 
     @property
     def profile(self) -> str:
-        """The profile of the newest version in which it is a fault."""
+        """The profile of the newest version in which this is a fault."""
         return self.profiles[0]
 
     def exists_in(self, version: SpecVersion) -> bool:
-        """Whether it is a fault in a version, and one that can be seen."""
+        """Return whether this is an observable fault in a version."""
         return self.since <= version <= self.until and version not in self.unseen
 
 
@@ -131,7 +131,7 @@ def mutant(
     excused = {SpecVersion(each): why for names, why in (unseen or {}).items() for each in names.split()}
     for version in SpecVersion:
         if requirement(first).holds_in(version) and not begin <= version <= end and version not in excused:
-            raise ValueError(f"M-{first}-{fault} is not tried on {version}, which has {first}: say why in unseen")
+            raise ValueError(f"M-{first}-{fault} is not tried on {version}, which has {first}: give a reason in unseen")
 
     def decorate(part: Part) -> Part:
         made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, _maker(node_with(part)), begin, end, excused)
@@ -142,13 +142,13 @@ def mutant(
 
 
 def node_with(part: type) -> type[Node]:
-    """The class of a node that has ``part`` where it otherwise has the class that ``part`` derives from."""
+    """Return the class of a node with ``part`` instead of the class that ``part`` derives from."""
     if issubclass(part, Node):
         return part
     for base, owner, name in _PLACES:
         if issubclass(part, base):
             return node_with(type(owner.__name__, (owner,), {name: part}))
-    raise TypeError(f"{part.__name__} derives from no part of the node")
+    raise TypeError(f"{part.__name__} does not derive from a part of the node")
 
 
 def _maker(made_of: type[Node]) -> MakeNode:
@@ -159,22 +159,22 @@ def _maker(made_of: type[Node]) -> MakeNode:
 
 
 def mutants_of(module: ModuleType) -> Iterator[Mutant]:
-    """The mutants of a module, in the order in which they stand there."""
+    """Yield the mutants of a module, in their order in the module."""
     for value in vars(module).values():
-        # A mutant that derives from another one has an attribute of its own.
+        # A mutant that derives from another mutant has its own attribute.
         made = vars(value).get(_ATTRIBUTE) if isinstance(value, type) else value
         if isinstance(made, Mutant) and (not isinstance(value, type) or value.__module__ == module.__name__):
             yield made
 
 
 def all_mutants() -> dict[str, Mutant]:
-    """All mutants by identifier, by module and line. Raises ``ValueError`` for an identifier that is there twice."""
+    """Return all mutants by identifier, by module and line. Raises ``ValueError`` for a duplicate identifier."""
     found: dict[str, Mutant] = {}
     package = importlib.import_module(MUTANTS)
     for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
         for each in mutants_of(importlib.import_module(f"{MUTANTS}.{name}")):
             if each.id in found:
-                raise ValueError(f"{each.id} is there twice, the second time in {name}")
+                raise ValueError(f"{each.id} exists twice, the second time in {name}")
             found[each.id] = each
     return found
 

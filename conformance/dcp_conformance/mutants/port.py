@@ -1,4 +1,4 @@
-"""BP as a faulty client protocol of the node uses it."""
+"""The interface to BP as used by a faulty client protocol of the node."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 class Port:
-    """Passes everything on; mutants override one of the services, with the arguments of ``BeaconingProtocol``."""
+    """Forwards every call; mutants override services, with the arguments of ``BeaconingProtocol``."""
 
     def __init__(self, bp: Any) -> None:
         self.bp = bp
@@ -28,11 +28,11 @@ class Port:
         return self.bp.query_number_buffered(prot_id)
 
     def next_beacon(self) -> Any:
-        """When BP prepares its next beacon."""
+        """The time at which BP prepares its next beacon."""
         return self.bp.next_beacon()
 
 
 def registration(args: tuple[Any, ...], **changes: Any) -> list[Any]:
-    """The arguments of ``BP-RegisterProtocol`` with some of them changed."""
+    """Return the arguments of ``BP-RegisterProtocol`` with some of them changed."""
     names = ("prot_id", "name", "size", "mode", "entries", "several")
     return [changes.get(name, value) for name, value in zip(names, args, strict=True)]

@@ -1,4 +1,4 @@
-"""Faults of SRP: in the reports it makes, and in the neighbour table."""
+"""Faults of SRP: in its state reports, and in the neighbour table."""
 
 from __future__ import annotations
 
@@ -25,44 +25,44 @@ from .unseen import NO_MODE
 # -- reports -----------------------------------------------------------------------------------------------------------
 
 
-@mutant("other-id", "SRP-TYP-04 SRP-INI-06", "reports the state of another node")
+@mutant("other-id", "SRP-TYP-04 SRP-INI-06", "sends reports with the nodeId of another node")
 class OtherNode(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         return msgspec.structs.replace(report, node_id=report.node_id[:-1] + b"\x77")
 
 
-@mutant("when-sent", "SRP-TYP-05", "stamps reports with the time at which they are sent")
+@mutant("when-sent", "SRP-TYP-05", "stamps reports with the time of their transmission")
 class StampedWhenSent(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         return msgspec.structs.replace(report, t_stamp=self.wall)
 
 
-@mutant("srp-milliseconds", "DATA-05 SRP-TYP-05", "stamps reports in ms where the profile has ns")
+@mutant("srp-milliseconds", "DATA-05 SRP-TYP-05", "stamps reports in ms although the profile has ns")
 class Milliseconds(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         return msgspec.structs.replace(report, t_stamp=report.t_stamp // 1_000_000)
 
 
-@mutant("srp-swapped-time", "DATA-01", "sends the time of reports least significant octet first")
+@mutant("srp-swapped-time", "DATA-01", "sends the time of reports little-endian")
 class SwappedTime(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         octets = report.t_stamp.to_bytes(8, "big")
         return msgspec.structs.replace(report, t_stamp=int.from_bytes(octets, "little"))
 
 
-@mutant("srp-swapped-seqno", "DATA-01 SRP-SEQ-01", "sends the number of reports least significant octet first")
+@mutant("srp-swapped-seqno", "DATA-01 SRP-SEQ-01", "sends the sequence number of reports little-endian")
 class SwappedNumber(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         return msgspec.structs.replace(report, seqno=int.from_bytes(report.seqno.to_bytes(4, "big"), "little"))
 
 
-@mutant("constant", "SRP-TYP-06 SRP-SEQ-01", "gives all reports the same number")
+@mutant("constant", "SRP-TYP-06 SRP-SEQ-01", "gives all reports the same sequence number")
 class SameNumber(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         return msgspec.structs.replace(report, seqno=7)
 
 
-@mutant("from-one", "SRP-SEQ-01", "numbers reports from 1")
+@mutant("from-one", "SRP-SEQ-01", "starts the sequence numbers of reports at 1")
 class FromOne(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         return msgspec.structs.replace(report, seqno=report.seqno + 1)
@@ -80,13 +80,13 @@ class EightBits(Air):
         return msgspec.structs.replace(report, seqno=report.seqno % 256)
 
 
-@mutant("by-two", "SRP-SEQ-01", "numbers reports by two")
+@mutant("by-two", "SRP-SEQ-01", "increases the sequence number of reports by two")
 class ByTwo(Air):
     def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
         return msgspec.structs.replace(report, seqno=2 * report.seqno)
 
 
-@mutant("beacon-number", "SRP-SEQ-01", "gives reports the number of the beacon that they are sent in")
+@mutant("beacon-number", "SRP-SEQ-01", "uses the sequence number of the beacon for the report in it")
 class NumberOfBeacon(Air):
     count = 0
 
@@ -99,7 +99,7 @@ class NumberOfBeacon(Air):
 
 
 class Reporting(StateReporting):
-    """Uses BP in another way."""
+    """Changes calls to BP."""
 
     port: type[Port] = Port
 
@@ -115,7 +115,7 @@ class Repeats(Reporting):
             return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
 
 
-@mutant("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as only later versions do")
+@mutant("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as in later versions")
 class Once(Reporting):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
@@ -123,7 +123,10 @@ class Once(Reporting):
 
 
 @mutant(
-    "queue", "SRP-TYP-07 SRP-INI-03", "registers with a queue, and sends old reports before new ones", unseen=NO_MODE
+    "queue",
+    "SRP-TYP-07 SRP-INI-03",
+    "registers with a queue, and therefore sends old reports before new ones",
+    unseen=NO_MODE,
 )
 class Queues(Reporting):
     class port(Port):  # noqa: N801 - as above
@@ -139,7 +142,7 @@ class OtherName(Reporting):
 
 
 @mutant(
-    "small", "SRP-INI-02", "registers with less than the size of a report, which it sends in two halves", unseen=NO_MODE
+    "small", "SRP-INI-02", "registers with less than the size of a report, which it sends in two parts", unseen=NO_MODE
 )
 class Small(Reporting):
     class port(Port):  # noqa: N801 - as above
@@ -155,42 +158,42 @@ class Small(Reporting):
 
 
 class Longer(Reporting):
-    """Has room for more than a report."""
+    """Registers with more than the size of a report."""
 
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
             return self.bp.register(*registration(args, size=2 * args[2]), **times)
 
 
-@mutant("filled-up", "SRP-FMT-01 DATA-02", "fills reports up to a multiple of eight octets")
+@mutant("filled-up", "SRP-FMT-01 DATA-02", "pads reports to a multiple of eight octets")
 class FilledUp(Reporting):
     class port(Longer.port):  # noqa: N801 - as above
         def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
             return self.bp.transmit_payload(prot_id, payload + bytes(8 - len(payload) % 8), now=now)
 
 
-@mutant("two-more", "SRP-FMT-01", "sends two octets more than a report has")
+@mutant("two-more", "SRP-FMT-01", "appends two octets to each report")
 class TwoMore(Reporting):
     class port(Longer.port):  # noqa: N801 - as above
         def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
             return self.bp.transmit_payload(prot_id, payload + b"\xa5\x5a", now=now)
 
 
-@mutant("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets in place of every report")
+@mutant("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets instead of each report")
 class TestPattern(Reporting):
     class port(Port):  # noqa: N801 - as above
         def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:  # noqa: ARG002 - as above
             return self.bp.transmit_payload(prot_id, bytes(range(0xA0, 0xA0 + 40)), now=now)
 
 
-@mutant("two", "SRP-FMT-01", "sends every report twice in one payload")
+@mutant("two", "SRP-FMT-01", "sends each report twice in one payload")
 class TwoReports(Reporting):
     class port(Longer.port):  # noqa: N801 - as above
         def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
             return self.bp.transmit_payload(prot_id, payload * 2, now=now)
 
 
-@mutant("half", "SRP-SRV-04 SRP-SRV-03", "sends every other report only")
+@mutant("half", "SRP-SRV-04 SRP-SRV-03", "sends only every other report")
 class EveryOther(Reporting):
     class port(Port):  # noqa: N801 - as above
         count = 0
@@ -200,7 +203,7 @@ class EveryOther(Reporting):
             return self.bp.transmit_payload(prot_id, payload, now=now) if self.count % 2 else None
 
 
-@mutant("next-time", "SRP-SRV-03 SRP-TYP-07", "sends a report when the next one is handed down")
+@mutant("next-time", "SRP-SRV-03 SRP-TYP-07", "sends a report only when the next one is submitted")
 class NextTime(Reporting):
     class port(Port):  # noqa: N801 - as above
         kept = b""
@@ -210,14 +213,14 @@ class NextTime(Reporting):
             return self.bp.transmit_payload(prot_id, kept, now=now) if kept else None
 
 
-@mutant("ok", "SRP-SRV-01", "confirms safety data with OK while it is not registered")
+@mutant("ok", "SRP-SRV-01", "confirms safety data with OK while it is not registered with BP")
 class AlwaysOK(StateReporting):
     def update_safety_data(self, *data: Any, now: int, wall: int) -> UpdateSafetyDataConfirm | None:
         super().update_safety_data(*data, now=now, wall=wall)
         return UpdateSafetyDataConfirm(SRPStatus.OK)
 
 
-@mutant("number-survives", "SRP-INI-05", "goes on numbering reports after a reset")
+@mutant("number-survives", "SRP-INI-05", "continues the sequence numbers of reports after a reset")
 class NumberSurvives(Air):
     def reset(self, now: int, wall: int) -> None:
         seqno = 0 if self.srp is None else self.srp._seqno
@@ -226,7 +229,7 @@ class NumberSurvives(Air):
             self.srp._seqno = seqno
 
 
-@mutant("table-survives", "SRP-INI-05", "keeps its neighbours over a reset")
+@mutant("table-survives", "SRP-INI-05", "keeps its neighbours across a reset")
 class TableSurvives(Air):
     def reset(self, now: int, wall: int) -> None:
         known = {} if self.srp is None else dict(self.srp._table._entries)
@@ -235,7 +238,7 @@ class TableSurvives(Air):
             self.srp._table._entries.update(known)
 
 
-@mutant("forwarded", "SRP-RX-06", "sends the reports of its neighbours on")
+@mutant("forwarded", "SRP-RX-06", "forwards the reports of its neighbours")
 class Forwards(Air):
     heard: Payload | None = None
 
@@ -256,7 +259,7 @@ class Forwards(Air):
 # -- the neighbour table -----------------------------------------------------------------------------------------------
 
 
-@mutant("own", "SRP-NT-03 SRP-RX-02", "puts itself into its neighbour table")
+@mutant("own", "SRP-NT-03 SRP-RX-02", "enters itself into its neighbour table")
 class OwnNode(StateReporting):
     def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
         node_id, self._node_id = self._node_id, b""
@@ -264,7 +267,7 @@ class OwnNode(StateReporting):
         self._node_id = node_id
 
 
-@mutant("sender-own", "SRP-RX-02 SRP-RX-05", "looks at the sender of the beacon to find its own reports")
+@mutant("sender-own", "SRP-RX-02 SRP-RX-05", "uses the sender of the beacon to recognise its own reports")
 class OwnSender(StateReporting):
     def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
         node_id = self._node_id
@@ -273,13 +276,13 @@ class OwnSender(StateReporting):
         self._node_id = node_id
 
 
-@mutant("longer", "SRP-RX-01", "takes reports with octets behind them")
+@mutant("longer", "SRP-RX-01", "accepts reports followed by further octets")
 class TakesLonger(StateReporting):
     def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
         super().handle_payload(payload[: self.record_size], sender_id, now=now, wall=wall)
 
 
-@mutant("shorter", "SRP-RX-01", "takes reports whose end is missing")
+@mutant("shorter", "SRP-RX-01", "accepts truncated reports")
 class TakesShorter(StateReporting):
     def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
         filled = payload if len(payload) > self.record_size else payload.ljust(self.record_size, b"\0")
@@ -287,7 +290,7 @@ class TakesShorter(StateReporting):
 
 
 class Table(NeighbourTable):
-    """Records neighbours in another way."""
+    """Changes the entries of neighbours."""
 
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -298,7 +301,7 @@ class Table(NeighbourTable):
         return outcome
 
     def entry(self, old: NeighbourTableEntry | None, new: NeighbourTableEntry) -> NeighbourTableEntry:
-        """What is stored instead of ``new``."""
+        """Return the entry to be stored instead of ``new``."""
         return new if old is None else old
 
 
@@ -308,7 +311,7 @@ class FirstStays(Table):
         return new if old is None else msgspec.structs.replace(new, ext_sd=old.ext_sd)
 
 
-@mutant("time-stays", "SRP-RX-03 SRP-RUN-02", "counts the age of a neighbour from its first report")
+@mutant("time-stays", "SRP-RX-03 SRP-RUN-02", "computes the age of a neighbour from its first report")
 class TimeStays(Table):
     def entry(self, old: NeighbourTableEntry | None, new: NeighbourTableEntry) -> NeighbourTableEntry:
         if old is None:
@@ -316,7 +319,7 @@ class TimeStays(Table):
         return msgspec.structs.replace(new, received_at=old.received_at, reception_time=old.reception_time)
 
 
-@mutant("sender", "SRP-RX-05", "keeps neighbours by the sender of the beacon")
+@mutant("sender", "SRP-RX-05", "uses the sender of the beacon as the key of neighbours")
 class BySender(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -324,7 +327,7 @@ class BySender(NeighbourTable):
         return super().record(msgspec.structs.replace(report, node_id=sender_id), sender_id, now=now, wall=wall)
 
 
-@mutant("one", "SRP-RX-03 SRP-NT-02", "knows one neighbour at a time")
+@mutant("one", "SRP-RX-03 SRP-NT-02", "stores only one neighbour")
 class OneNeighbour(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -333,31 +336,31 @@ class OneNeighbour(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
 
-@mutant("anybody", "SRP-NT-01", "answers a question for a neighbour that it does not know with another one")
+@mutant("anybody", "SRP-NT-01", "answers a query for an unknown neighbour with another neighbour")
 class Anybody(NeighbourTable):
     def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
         return super().lookup(node_id) or next(iter(self), None)
 
 
-@mutant("two-listed", "SRP-NT-02", "lists two neighbours at most")
+@mutant("two-listed", "SRP-NT-02", "lists at most two neighbours")
 class TwoListed(NeighbourTable):
     def __iter__(self) -> Iterator[NeighbourTableEntry]:
         return iter(tuple(super().__iter__())[:2])
 
 
-@mutant("never", "SRP-RUN-02 SRP-RUN-01", "never forgets a neighbour")
+@mutant("never", "SRP-RUN-02 SRP-RUN-01", "never removes a neighbour")
 class NeverForgets(NeighbourTable):
     def expire(self, now: int, timeout: int) -> list[bytes]:  # noqa: ARG002 - nothing is old
         return []
 
 
-@mutant("half", "SRP-RUN-02 SRP-PAR-01", "forgets a neighbour after half of the timeout")
+@mutant("half", "SRP-RUN-02 SRP-PAR-01", "removes a neighbour after half of the timeout")
 class HalfTimeout(NeighbourTable):
     def expire(self, now: int, timeout: int) -> list[bytes]:
         return super().expire(now, timeout // 2)
 
 
-@mutant("stamp", "SRP-RUN-02", "counts the age of a neighbour from the stamp of its report")
+@mutant("stamp", "SRP-RUN-02", "computes the age of a neighbour from the tStamp of its report")
 class ByStamp(NeighbourTable):
     wall = 0
 
@@ -370,13 +373,13 @@ class ByStamp(NeighbourTable):
         return outcome
 
 
-@mutant("lazy", "SRP-RUN-01", "looks for old neighbours once in a timeout")
+@mutant("lazy", "SRP-RUN-01", "checks for old neighbours only once per timeout")
 class Lazy(StateReporting):
     def poll_timeout(self) -> int | None:
         return self._traversed + self._timeout if self._table else None
 
 
-@mutant("fixed", "SRP-PAR-01", "takes another timeout and goes on with the old one")
+@mutant("fixed", "SRP-PAR-01", "accepts a new timeout, but keeps using the old one")
 class FixedTimeout(StateReporting):
     told: object = None
 

@@ -1,4 +1,4 @@
-"""Faults of SRP that change what must stay."""
+"""Faults of SRP in state that must not change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .mutant import mutant
 from .unseen import BP_ALWAYS_ACTIVE
 
 
-@mutant("touches-others", "SRP-RX-03", "takes every report for a sign of life of all neighbours")
+@mutant("touches-others", "SRP-RX-03", "renews the entries of all neighbours with every report")
 class TouchesOthers(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -26,7 +26,7 @@ class TouchesOthers(NeighbourTable):
         return outcome
 
 
-@mutant("one-stamp", "SRP-RX-03", "keeps the tStamp of the report that came last for all neighbours")
+@mutant("one-stamp", "SRP-RX-03", "stores the tStamp of the last report for all neighbours")
 class OneStamp(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -38,7 +38,7 @@ class OneStamp(NeighbourTable):
         return outcome
 
 
-@mutant("number-as-byte", "SRP-TYP-01 SRP-RX-03", "keeps the last two octets of received sequence numbers")
+@mutant("number-as-byte", "SRP-TYP-01 SRP-RX-03", "stores only the last two octets of received sequence numbers")
 class ShortNumbers(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -48,27 +48,27 @@ class ShortNumbers(NeighbourTable):
 
 
 @mutant(
-    "paused-forgets", "SRP-RX-03 SRP-RUN-02", "forgets its neighbours when BP is deactivated", unseen=BP_ALWAYS_ACTIVE
+    "paused-forgets", "SRP-RX-03 SRP-RUN-02", "removes its neighbours when BP is deactivated", unseen=BP_ALWAYS_ACTIVE
 )
 class PausedForgets(StateReporting):
     @property
     def neighbours(self) -> NeighbourTable:
         table = super().neighbours
-        # Between SRP and BP there is the port of the client.
+        # SRP uses BP through the client port.
         port: Any = self._bp
         if not port._bp.active:
             table.clear()
         return table
 
 
-@mutant("paused-stands", "SRP-SEQ-01", "does not count reports while BP is deactivated", unseen=BP_ALWAYS_ACTIVE)
+@mutant("paused-stands", "SRP-SEQ-01", "does not count submissions while BP is deactivated", unseen=BP_ALWAYS_ACTIVE)
 class PausedStands(StateReporting):
     def update_safety_data(
         self, data: SafetyData | Mapping[str, Any], *, now: int, wall: int
     ) -> UpdateSafetyDataConfirm | None:
         before = self._seqno
         confirm = super().update_safety_data(data, now=now, wall=wall)
-        # Between SRP and BP there is the port of the client.
+        # SRP uses BP through the client port.
         port: Any = self._bp
         if not port._bp.active:
             self._seqno = before

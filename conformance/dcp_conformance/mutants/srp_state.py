@@ -1,4 +1,4 @@
-"""Faults of SRP that show with many neighbours, with clocks that are set back, or while BP is not active."""
+"""Faults of SRP that show with many neighbours, with clocks that are set back, or while BP is inactive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class StampFilter(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
 
-@mutant("four", "SRP-RX-03 SRP-NT-02", "has room for four neighbours")
+@mutant("four", "SRP-RX-03 SRP-NT-02", "stores at most four neighbours")
 class CapacityFour(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
@@ -41,14 +41,14 @@ class InactiveWithBP(StateReporting):
     def update_safety_data(
         self, data: SafetyData | Mapping[str, Any], *, now: int, wall: int
     ) -> UpdateSafetyDataConfirm | None:
-        # Between SRP and BP there is the port of the client.
+        # SRP uses BP through the client port.
         port: Any = self._bp
         if not port._bp.active:
             return UpdateSafetyDataConfirm(SRPStatus.INACTIVE)
         return super().update_safety_data(data, now=now, wall=wall)
 
 
-@mutant("postponed", "SRP-RUN-01 SRP-RUN-02", "begins a new interval between traversals with each report")
+@mutant("postponed", "SRP-RUN-01 SRP-RUN-02", "starts a new interval between traversals with each report")
 class Postponed(StateReporting):
     def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
         super().handle_payload(payload, sender_id, now=now, wall=wall)
@@ -58,7 +58,7 @@ class Postponed(StateReporting):
 @mutant(
     "on-the-side",
     "SRP-RUN-01 SRP-RUN-02",
-    "traverses the table only when another protocol has something to do",
+    "traverses the table only when another protocol is active",
     unseen=OTHERS_ACTIVE,
 )
 class OnTheSide(StateReporting):
@@ -69,7 +69,7 @@ class OnTheSide(StateReporting):
         self._table.expire(now, self._timeout)
 
 
-@mutant("stumbles", "SRP-NT-02", "cannot list a neighbour table that is empty")
+@mutant("stumbles", "SRP-NT-02", "fails with an internal error when the neighbour table to be listed is empty")
 class StumblesOverNothing(StateReporting):
     @property
     def neighbours(self) -> NeighbourTable:
@@ -78,7 +78,7 @@ class StumblesOverNothing(StateReporting):
         return super().neighbours
 
 
-@mutant("takes-anyway", "SRP-PAR-01", "uses a timeout that it has refused")
+@mutant("takes-anyway", "SRP-PAR-01", "uses a timeout that it has rejected")
 class TakesAnyway(StateReporting):
     def set_parameter(self, name: str, value: object) -> Violation | None:
         violation = super().set_parameter(name, value)

@@ -1,4 +1,4 @@
-"""Faults in composing VarDis payloads: which records, and in which order."""
+"""Faults in composing VarDis payloads: selection and order of records."""
 
 from __future__ import annotations
 
@@ -37,7 +37,11 @@ class SummaryMore(Composer):
         return chosen, used
 
 
-@mutant("unlimited", "VD-CMP-02 VD-CMP-01 VD-PAR-06", "sends all summaries that fit, whatever the parameter says")
+@mutant(
+    "unlimited",
+    "VD-CMP-02 VD-CMP-01 VD-PAR-06",
+    "sends all summaries that fit, whatever the value of VARDISPAR_MAX_SUMMARIES",
+)
 class SummariesUnlimited(Composer):
     def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         if kind is not S:
@@ -65,7 +69,7 @@ class SummariesStay(Composer):
         return record
 
 
-@mutant("half-turn", "VD-CMP-03", "puts a variable that was summarised into the middle of summaryQ")
+@mutant("half-turn", "VD-CMP-03", "moves a summarised variable to the middle of summaryQ")
 class HalfTurn(Composer):
     def _take(self, kind: ICType, var_id: int) -> Any:
         record = super()._take(kind, var_id)
@@ -77,7 +81,7 @@ class HalfTurn(Composer):
 
 
 class Ordered(Composer):
-    """Considers containers in another order."""
+    """Composes containers in another order."""
 
     order: ClassVar[tuple[ICType, ...]] = (C, D, RC, S, U, RU)
 
@@ -96,17 +100,17 @@ class UpdatesEarly(Ordered):
     order = (C, D, U, S, RC, RU)
 
 
-@mutant("requests-late", "VD-PAY-01", "composes requests for variables behind summaries", since=SpecVersion.V1_1)
+@mutant("requests-late", "VD-PAY-01", "composes requests for variables after summaries", since=SpecVersion.V1_1)
 class RequestsLate(Ordered):
     order = (C, D, S, RC, U, RU)
 
 
-@mutant("later-order", "VD-PAY-07", "composes in the order of later versions")
+@mutant("later-order", "VD-PAY-07", "composes containers in the order of later versions")
 class LaterOrder(Ordered):
-    """Which is that of the class it derives from."""
+    """The inherited order is that of later versions."""
 
 
-@mutant("summaries-missing", "VD-PAY-01 VD-PAY-02", "sends no summaries while it has creations to send")
+@mutant("summaries-missing", "VD-PAY-01 VD-PAY-02", "sends no summaries while it has VarCreates to send")
 class SummariesMissing(Composer):
     def compose(self, room: int) -> tuple[Container, ...]:
         order = self._order
@@ -118,7 +122,7 @@ class SummariesMissing(Composer):
 
 
 class Fitting(Composer):
-    """Chooses other records."""
+    """Changes the selection of records."""
 
     def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, _ = super()._fitting(kind, queue, room, largest)
@@ -126,24 +130,24 @@ class Fitting(Composer):
         size = sum(self._record_size(kind, each) for each in chosen)
         return chosen, size + self._sizes.ic_header * (-(-len(chosen) // 255))
 
-    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - for those that look at it
-        """The variables instead."""
+    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - used by overrides
+        """Return the variables whose records are sent."""
         return chosen
 
 
-@mutant("one-record", "VD-PAY-02", "sends one record in each container")
+@mutant("one-record", "VD-PAY-02", "sends only one record in each container")
 class OneRecord(Fitting):
     def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - as above
         return chosen[:1]
 
 
-@mutant("five-records", "VD-PAY-02", "sends five records at most in each container")
+@mutant("five-records", "VD-PAY-02", "sends at most five records in each container")
 class FiveRecords(Fitting):
     def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
         return chosen if kind is S else chosen[:5]
 
 
-@mutant("one-request", "VD-PAY-02", "sends one request of each kind in a payload")
+@mutant("one-request", "VD-PAY-02", "sends one request of each type in a payload")
 class OneRequest(Fitting):
     def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
         return chosen[:1] if kind in (RC, RU) else chosen
@@ -155,7 +159,7 @@ class SortedRecords(Fitting):
         return sorted(chosen, reverse=True)
 
 
-@mutant("skips", "VD-PAY-06 VD-CMP-08", "goes on behind a record that does not fit")
+@mutant("skips", "VD-PAY-06 VD-CMP-08", "continues with the next record after one that does not fit")
 class Skips(Composer):
     def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         if kind is S:
@@ -170,21 +174,21 @@ class Skips(Composer):
         return chosen, used if chosen else 0
 
 
-@mutant("stops", "VD-CMP-08", "sends nothing behind a container whose first record does not fit")
+@mutant("stops", "VD-CMP-08", "sends no further container after one whose first record does not fit")
 class Stops(Composer):
     def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, used = super()._fitting(kind, queue, room, largest)
         return (chosen, used) if chosen or kind is S else (chosen, room)
 
 
-@mutant("doubled", "VD-PAY-03", "sends a variable twice in a container if there is room")
+@mutant("doubled", "VD-PAY-03", "sends each record twice in a container if there is room")
 class Doubled(Composer):
     def compose(self, room: int) -> tuple[Container, ...]:
         composed = super().compose(room // 2)
         return tuple(Container(each.ic_type, (*each.records, *each.records)[:255]) for each in composed)
 
 
-@mutant("too-large", "VD-IC-05", "forgets the headers of containers when it looks what fits")
+@mutant("too-large", "VD-IC-05", "ignores the headers of containers when it fills a payload")
 class TooLarge(Composer):
     def compose(self, room: int) -> tuple[Container, ...]:
         header, self._sizes.ic_header = self._sizes.ic_header, 0
@@ -194,7 +198,9 @@ class TooLarge(Composer):
 
 
 @mutant(
-    "parameter", "VD-IC-05 VD-PAR-05", "fills payloads to the size that it registered with, whatever the parameter is"
+    "parameter",
+    "VD-IC-05 VD-PAR-05",
+    "fills payloads to the size registered with BP, whatever the value of VARDISPAR_MAX_PAYLOAD_SIZE",
 )
 class RegisteredSize(Vardis):
     def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
@@ -205,7 +211,7 @@ class RegisteredSize(Vardis):
             self._bp.transmit_payload(BP_PROTID_VARDIS, self._core.config.codec.encode_containers(containers), now=now)
 
 
-@mutant("empty", "VD-IC-03", "sends a container without records for every type that has nothing to say")
+@mutant("empty", "VD-IC-03", "sends an empty container for every type without records")
 class EmptyContainers(Vardis):
     def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
         if not self.active:
@@ -218,7 +224,7 @@ class EmptyContainers(Vardis):
             self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
 
 
-@mutant("unknown-behind", "VD-IC-02", "ends every payload with a container of a type of its own")
+@mutant("unknown-behind", "VD-IC-02", "ends every payload with a container of an unknown type")
 class OwnContainer(Vardis):
     def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
         if not self.active:
@@ -259,7 +265,7 @@ class RequestsExchanged(Air):
                 yield each
 
 
-@mutant("unknown-summarised", "VD-TYP-08 VD-SCP-01", "summarises variables that it has only heard summaries of")
+@mutant("unknown-summarised", "VD-TYP-08 VD-SCP-01", "summarises variables that it knows only from summaries")
 class UnknownSummarised(Air):
     def _build(self, now: int, wall: int) -> None:
         super()._build(now, wall)

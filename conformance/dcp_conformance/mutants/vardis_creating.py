@@ -32,7 +32,7 @@ def _refused(event: Event, status: VardisStatus, *states: State) -> dict[tuple[E
 
 
 class Creates(Vardis):
-    """Answers RTDB-Create in another way."""
+    """Changes RTDB-Create."""
 
     def create(
         self,
@@ -53,44 +53,44 @@ class Creates(Vardis):
         return super().create(var_id, prod_id, rep_cnt, descr, value, timeout_ms, now=now, wall=wall)
 
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
-        """A status before anything is looked at."""
+        """Return a status to be confirmed before any check; None to continue."""
         return None
 
     def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
-        """What the application is taken to have asked for."""
+        """Return the parameters to be used."""
         return rep_cnt, descr, value
 
 
 # -- RTDB-Create -------------------------------------------------------------------------------------------------------
 
 
-@mutant("foreign", "VD-CRE-02", "creates a variable that another node produces")
+@mutant("foreign", "VD-CRE-02", "creates a variable that exists and is produced by another node")
 class CreatesForeign(Cells):
     cells: ClassVar = {(Event.APP_CREATE, CONSUMED): Cell(Action.CREATE)}
 
 
-@mutant("status", "VD-CRE-02", "says NOT-PRODUCER of a variable that another node produces")
+@mutant("status", "VD-CRE-02", "answers NOT-PRODUCER for a variable produced by another node")
 class CreateStatus(Cells):
     cells: ClassVar = _refused(Event.APP_CREATE, NOT_PRODUCER, CONSUMED, DELETED)
 
 
-@mutant("deleted-refused", "VD-CRE-03", "does not create its own deleted variable anew", since=V2)
+@mutant("deleted-refused", "VD-CRE-03", "does not create its own deleted variable again", since=V2)
 class DeletedNotAnew(Cells):
     cells: ClassVar = _refused(Event.APP_CREATE, EXISTS, DELETED_OWN)
 
 
-@mutant("accepted", "VD-CRE-16 VD-CRE-02", "creates a variable that it has anew, as only 2.0 does")
+@mutant("accepted", "VD-CRE-16 VD-CRE-02", "creates an existing variable again, as in 2.0")
 class CreatesAnew(Cells):
     cells: ClassVar = {(Event.APP_CREATE, PRODUCED): Cell(Action.CREATE)}
 
 
-@mutant("deleting-accepted", "VD-CRE-16 VD-CRE-02", "creates a variable anew while its deletion is being repeated")
+@mutant("deleting-accepted", "VD-CRE-16 VD-CRE-02", "creates a variable again while its deletion is being repeated")
 class CreatesWhileDeleting(Cells):
     cells: ClassVar = {(Event.APP_CREATE, DELETED_OWN): Cell(Action.CREATE)}
 
 
 class Limits(VardisParameters):
-    """Judges lengths by other limits."""
+    """Changes the limits of lengths and repetition counts."""
 
     value: ClassVar[int] = 0
     description: ClassVar[int] = 0
@@ -109,12 +109,12 @@ class Limits(VardisParameters):
         return super().max_repetitions + self.repetitions
 
 
-@mutant("one-more", "VD-CRE-04 VD-PC-05", "takes descriptions one octet too long")
+@mutant("one-more", "VD-CRE-04 VD-PC-05", "accepts descriptions that are one octet too long")
 class DescriptionMore(Limits):
     description = 1
 
 
-@mutant("one-less", "VD-CRE-04 VD-PC-05", "refuses descriptions of the longest length")
+@mutant("one-less", "VD-CRE-04 VD-PC-05", "rejects descriptions of maximum length")
 class DescriptionLess(Limits):
     description = -1
 
@@ -133,69 +133,69 @@ class Characters(Creates):
         return confirm
 
 
-@mutant("cut", "VD-CRE-04", "cuts descriptions that are too long, and says OK")
+@mutant("cut", "VD-CRE-04", "truncates descriptions that are too long, and answers OK")
 class DescriptionCut(Creates):
     def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
         return rep_cnt, descr[: self._parameters.longest_description], value
 
 
-@mutant("one-more", "VD-CRE-05 VD-UPD-05 VD-PC-04 VD-PU-04", "takes values one octet too long")
+@mutant("one-more", "VD-CRE-05 VD-UPD-05 VD-PC-04 VD-PU-04", "accepts values that are one octet too long")
 class ValueMore(Limits):
     value = 1
 
 
-@mutant("one-less", "VD-CRE-05 VD-UPD-05 VD-PC-04 VD-PU-04", "refuses values of the longest length")
+@mutant("one-less", "VD-CRE-05 VD-UPD-05 VD-PC-04 VD-PU-04", "rejects values of maximum length")
 class ValueLess(Limits):
     value = -1
 
 
-@mutant("cut", "VD-CRE-05", "cuts values that are too long, and says OK")
+@mutant("cut", "VD-CRE-05", "truncates values that are too long, and answers OK")
 class ValueCut(Creates):
     def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
         return rep_cnt, descr, value[: self._parameters.max_value_length]
 
 
-@mutant("taken", "VD-CRE-06 VD-TYP-02", "creates variables with an empty value, for which it puts a zero")
+@mutant("taken", "VD-CRE-06 VD-TYP-02", "creates variables with an empty value, and stores a zero octet")
 class EmptyTaken(Creates):
     def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
         return rep_cnt, descr, value or b"\0"
 
 
-@mutant("status", "VD-CRE-06", "says VALUE-TOO-LONG of an empty value")
+@mutant("status", "VD-CRE-06", "answers VALUE-TOO-LONG for an empty value")
 class EmptyStatus(Creates):
     def _refused_value(self, value: bytes) -> VardisStatus | None:
         return super()._refused_value(value) and VardisStatus.VALUE_TOO_LONG
 
 
-@mutant("one-more", "VD-CRE-07 VD-PC-06", "takes repetition counts one above the maximum")
+@mutant("one-more", "VD-CRE-07 VD-PC-06", "accepts a repetition count one above the maximum")
 class RepetitionsMore(Limits):
     repetitions = 1
 
 
-@mutant("one-less", "VD-CRE-07 VD-PC-06", "refuses the highest repetition count")
+@mutant("one-less", "VD-CRE-07 VD-PC-06", "rejects the maximum repetition count")
 class RepetitionsLess(Limits):
     repetitions = -1
 
 
-@mutant("zero", "VD-CRE-07", "takes a repetition count of 0 for 1")
+@mutant("zero", "VD-CRE-07", "treats a repetition count of 0 as 1")
 class RepetitionsZero(Creates):
     def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
         return rep_cnt or 1, descr, value
 
 
-@mutant("clamped", "VD-CRE-07", "lowers repetition counts to the maximum, and says OK")
+@mutant("clamped", "VD-CRE-07", "reduces repetition counts to the maximum, and answers OK")
 class RepetitionsClamped(Creates):
     def changed(self, rep_cnt: int, descr: bytes, value: bytes) -> tuple[int, bytes, bytes]:
         return min(rep_cnt, self._parameters.max_repetitions), descr, value
 
 
-@mutant("given", "VD-CRE-08", "believes applications which node produces a variable", since=SpecVersion.V1_2)
+@mutant("given", "VD-CRE-08", "accepts the producer of a variable from the application", since=SpecVersion.V1_2)
 class ProducerGiven(Vardis):
     def _producer(self, given: bytes | None) -> bytes:
         return self._core.own_id if given is None else given
 
 
-@mutant("constant", "VD-CRE-09", "creates variables with the time of its start", since=V2)
+@mutant("constant", "VD-CRE-09", "uses the time of its start as creationTime", since=V2)
 class ConstantTime(Vardis):
     def __init__(self, *args: Any, now: int, wall: int, **more: Any) -> None:
         super().__init__(*args, now=now, wall=wall, **more)
@@ -205,13 +205,13 @@ class ConstantTime(Vardis):
         return super()._creation_time(None, self.started)
 
 
-@mutant("kept", "VD-CRE-09 VD-CRE-03", "creates variables anew with the creationTime that they had", since=V2)
+@mutant("kept", "VD-CRE-09 VD-CRE-03", "keeps the old creationTime when it creates a variable again", since=V2)
 class TimeKept(Vardis):
     def _creation_time(self, entry: DBEntry | None, wall: int) -> int | None:
         return super()._creation_time(entry, wall) if entry is None else entry.spec.creation_time
 
 
-@mutant("from-one", "VD-CRE-10", "begins with sequence number 1")
+@mutant("from-one", "VD-CRE-10", "starts with sequence number 1")
 class FromOne(Creates):
     def create(self, *args: Any, **times: Any) -> Confirm:
         var_id: int = args[0]
@@ -222,7 +222,12 @@ class FromOne(Creates):
         return confirm
 
 
-@mutant("goes-on", "VD-CRE-10 VD-CRE-03", "goes on with the number of a variable that is created anew", unseen=NOT_ANEW)
+@mutant(
+    "goes-on",
+    "VD-CRE-10 VD-CRE-03",
+    "continues the sequence numbers of a variable that is created again",
+    unseen=NOT_ANEW,
+)
 class GoesOn(Creates):
     def create(self, *args: Any, **times: Any) -> Confirm:
         var_id: int = args[0]
@@ -235,7 +240,7 @@ class GoesOn(Creates):
         return confirm
 
 
-@mutant("stamp", "VD-CRE-10 VD-DB-03", "stores variables with no time of their own")
+@mutant("stamp", "VD-CRE-10 VD-DB-03", "stores variables without a time stamp")
 class NoStamp(Creates):
     def create(self, *args: Any, **times: Any) -> Confirm:
         var_id: int = args[0]
@@ -246,7 +251,7 @@ class NoStamp(Creates):
         return confirm
 
 
-@mutant("with-update", "VD-CRE-10 VD-CRE-12", "sends an update of the first value beside the creation")
+@mutant("with-update", "VD-CRE-10 VD-CRE-12", "sends a VarUpdate with the first value along with the VarCreate")
 class WithUpdate(Creates):
     def create(self, *args: Any, **times: Any) -> Confirm:
         var_id: int = args[0]
@@ -267,7 +272,7 @@ class NotSummarised(Creates):
         return confirm
 
 
-@mutant("only-summarised", "VD-CRE-12", "only summarises its own variables, and waits for requests")
+@mutant("only-summarised", "VD-CRE-12", "only summarises its own variables, without a VarCreate")
 class OnlySummarised(Creates):
     def create(self, *args: Any, **times: Any) -> Confirm:
         var_id: int = args[0]
@@ -279,19 +284,19 @@ class OnlySummarised(Creates):
         return confirm
 
 
-@mutant("repcnt-first", "VD-CRE-13 DATA-11", "looks at the repetition count first")
+@mutant("repcnt-first", "VD-CRE-13 DATA-11", "checks the repetition count first")
 class RepcntFirst(Creates):
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
         return None if 1 <= rep_cnt <= self._parameters.max_repetitions else VardisStatus.ILLEGAL_REPCOUNT
 
 
-@mutant("value-first", "VD-CRE-13 DATA-11", "looks at the value before it looks at the description")
+@mutant("value-first", "VD-CRE-13 DATA-11", "checks the value before the description")
 class ValueFirst(Creates):
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
         return None if self._database.lookup(var_id) is not None else self._refused_value(value)
 
 
-@mutant("exists-last", "VD-CRE-13 DATA-11", "looks last whether the variable exists")
+@mutant("exists-last", "VD-CRE-13 DATA-11", "checks last whether the variable exists")
 class ExistsLast(Creates):
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
         if len(descr) > self._parameters.longest_description:
@@ -299,7 +304,7 @@ class ExistsLast(Creates):
         return self._refused_value(value)
 
 
-@mutant("inactive-last", "VD-CRE-13 VD-CRE-01", "looks at the value before it looks whether it is active")
+@mutant("inactive-last", "VD-CRE-13 VD-CRE-01", "checks the value before it checks whether it is active")
 class InactiveLast(Vardis):
     def create(self, *args: Any, **times: Any) -> Confirm:
         if status := self._refused_value(args[4]):

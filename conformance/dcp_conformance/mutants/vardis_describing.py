@@ -1,4 +1,4 @@
-"""Faults in single fields of what RTDB-DescribeDatabase, RTDB-DescribeVariable and RTDB-Read tell."""
+"""Faults in single fields of the answers to RTDB-DescribeDatabase, RTDB-DescribeVariable and RTDB-Read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .unseen import NO_TIMES
 
 
 class OtherField(Vardis):
-    """Tells another value of a field; ``alive_only``: not for a deleted variable."""
+    """Returns another value of a field."""
 
     field: ClassVar[str]
     value: ClassVar[Any]
@@ -28,7 +28,7 @@ class OtherField(Vardis):
 
 
 class OtherList(OtherField):
-    """Does so in RTDB-DescribeDatabase."""
+    """Changes a field in RTDB-DescribeDatabase."""
 
     def describe_database(self) -> DescribeDatabaseConfirm:
         confirm = super().describe_database()
@@ -37,7 +37,7 @@ class OtherList(OtherField):
 
 
 class OtherEntry(OtherField):
-    """Does so in RTDB-DescribeVariable."""
+    """Changes a field in RTDB-DescribeVariable."""
 
     def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
         confirm = super().describe_variable(var_id)
@@ -50,13 +50,13 @@ class OtherEntry(OtherField):
 def _others(
     base: type[OtherField], requirement: str, where: str, fields: dict[str, Any]
 ) -> dict[str, type[OtherField]]:
-    """A mutant for each field."""
+    """Return a mutant for each field."""
     made: dict[str, type[OtherField]] = {}
     for field, value in fields.items():
         name = f"{base.__name__}{field.title().replace('_', '')}"
         each = type(name, (base,), {"__module__": __name__, "field": field, "value": value})
         unseen = NO_TIMES if field in ("creation_time", "timeout") else None
-        what = f"tells a wrong {field} in {where}"
+        what = f"returns a wrong {field} in {where}"
         made[name] = mutant(f"other-{field.replace('_', '-')}", requirement, what, unseen=unseen)(each)
     return made
 
@@ -69,13 +69,15 @@ globals().update(
 )
 
 
-@mutant("alive-deleted", "VD-DVA-03 VD-DB-02", "tells of every variable that it is deleted")
+@mutant("alive-deleted", "VD-DVA-03 VD-DB-02", "returns isDeleted true for every variable")
 class AliveDeleted(OtherEntry):
     field = "is_deleted"
     value = True
 
 
-@mutant("creation-stamp", "VD-DVA-03 VD-DB-03", "tells when a variable was created for when it was changed")
+@mutant(
+    "creation-stamp", "VD-DVA-03 VD-DB-03", "returns the time of the creation of a variable as that of its last change"
+)
 class CreationStamp(Vardis):
     def __init__(self, *args: Any, **times: Any) -> None:
         super().__init__(*args, **times)
@@ -94,7 +96,7 @@ class CreationStamp(Vardis):
         return msgspec.structs.replace(confirm, entry=msgspec.structs.replace(confirm.entry, t_stamp=first))
 
 
-@mutant("value-with-error", "VD-SRV-03 VD-REA-03", "adds a value to every status of RTDB-Read but OK")
+@mutant("value-with-error", "VD-SRV-03 VD-REA-03", "returns a value with every status of RTDB-Read other than OK")
 class ReadsValueAlways(Vardis):
     def read(self, var_id: int) -> ReadConfirm:
         confirm = super().read(var_id)

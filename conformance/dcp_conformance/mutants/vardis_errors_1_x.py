@@ -1,4 +1,4 @@
-"""Faults in the treatment of bad containers where the version says what to do: 1.0 and 1.1."""
+"""Faults in the treatment of invalid containers in 1.0 and 1.1, which specify it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ class OtherPolicy(Extractor):
         self._policy = self.policy
 
 
-@mutant("payload", "VD-RX-10", "drops the whole payload because of one container")
+@mutant("payload", "VD-RX-10", "drops the whole payload because of one invalid container")
 class DropsPayload(OtherPolicy):
     policy = "drop-payload"
 
 
-@mutant("payload", "VD-RX-11", "drops what came before the bad container, too")
+@mutant("payload", "VD-RX-11", "also drops the containers before the invalid one")
 class DropsAll(OtherPolicy):
     policy = "drop-payload"
 
 
-@mutant("goes-on", "VD-RX-11", "goes on with the container after a bad one, as in 1.0")
+@mutant("goes-on", "VD-RX-11", "continues with the container after an invalid one, as in 1.0")
 class GoesOn(OtherPolicy):
     policy = "skip-container"

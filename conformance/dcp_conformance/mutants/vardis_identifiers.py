@@ -1,4 +1,4 @@
-"""Faults with identifiers of variables at their bounds."""
+"""Faults with variable identifiers at their limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .mutant import mutant
 
 
 class IgnoresSome(Receiver):
-    """Ignores the creation of some variables."""
+    """Ignores the VarCreates of some variables."""
 
     ignored: ClassVar[range]
 
@@ -24,17 +24,17 @@ class IgnoresSome(Receiver):
             super()._create(record, offset, now, wall)
 
 
-@mutant("zero", "VD-TYP-01 VD-PC-09", "takes the identifier 0 of a received variable for none")
+@mutant("zero", "VD-TYP-01 VD-PC-09", "treats the identifier 0 of a received variable as none")
 class IgnoresZero(IgnoresSome):
     ignored = range(1)
 
 
-@mutant("highest", "VD-TYP-01 VD-PC-09", "has no place for the received variable with the identifier 255")
+@mutant("highest", "VD-TYP-01 VD-PC-09", "cannot store a received variable with the identifier 255")
 class IgnoresHighest(IgnoresSome):
     ignored = range(255, 256)
 
 
-@mutant("signed", "VD-TYP-01 VD-PC-09", "reads identifiers of received variables with a sign")
+@mutant("signed", "VD-TYP-01 VD-PC-09", "decodes identifiers of received variables as signed")
 class IgnoresUpperHalf(IgnoresSome):
     ignored = range(128, 256)
 
@@ -54,7 +54,7 @@ class UpdatesNotHighest(Receiver):
 
 
 class RefusesSome(Vardis):
-    """Creates no own variables with some identifiers."""
+    """Rejects RTDB-Create for some identifiers."""
 
     refused: ClassVar[range]
 
@@ -64,16 +64,16 @@ class RefusesSome(Vardis):
         return super().create(var_id, *args, **params)
 
 
-@mutant("own-zero", "VD-TYP-01 VD-CRE-14", "creates no own variable with the identifier 0")
+@mutant("own-zero", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 0")
 class RefusesZero(RefusesSome):
     refused = range(1)
 
 
-@mutant("own-highest", "VD-TYP-01 VD-CRE-14", "creates no own variable with the identifier 255")
+@mutant("own-highest", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 255")
 class RefusesHighest(RefusesSome):
     refused = range(255, 256)
 
 
-@mutant("own-signed", "VD-TYP-01 VD-CRE-14", "creates no own variables with identifiers above 127")
+@mutant("own-signed", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with identifiers above 127")
 class RefusesUpperHalf(RefusesSome):
     refused = range(128, 256)

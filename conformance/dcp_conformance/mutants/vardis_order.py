@@ -1,4 +1,4 @@
-"""Faults in the order of checks: a later condition decides where an earlier one must."""
+"""Faults in the order of checks: a later condition determines the status instead of an earlier one."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Given = tuple[bytes, bytes, int]
 
 
 class Hasty(Vardis):
-    """Looks for one condition of a service before one that comes first.
+    """Checks one condition of a service too early.
 
-    ``service`` and ``first``: the status that it gives too early; ``before``: the status that would have been right.
+    ``service``: the service; ``first``: the status that is returned too early; ``before``: the correct status.
     """
 
     service: ClassVar[str]
@@ -33,7 +33,7 @@ class Hasty(Vardis):
     before: ClassVar[VardisStatus]
 
     def _also(self, var_id: int, value: bytes = b"-", descr: bytes = b"-", rep_cnt: int = 1) -> bool:
-        """Whether the condition of ``first`` holds."""
+        """Return whether the condition of ``first`` holds."""
         entry, parameters = self._database.lookup(var_id), self._parameters
         own = entry is not None and entry.spec.prod_id == self._core.own_id
         conditions: dict[VardisStatus, Callable[[], bool]] = {
@@ -98,12 +98,12 @@ def _hasty(
         (Hasty,),
         {"__module__": __name__, "service": service, "first": first, "before": before},
     )
-    what = f"answers {names[0]} where both that and {names[1]} hold (RTDB-{service.title()})"
+    what = f"answers {names[0]} if the conditions of both {names[0]} and {names[1]} hold (RTDB-{service.title()})"
     return mutant(f"{short[0]}-before-{short[1]}", requirement, what, unseen=unseen)(made)
 
 
 def _pairs(service: str, requirement: str, *order: VardisStatus) -> dict[str, type[Hasty]]:
-    """A mutant for each two conditions that can hold together."""
+    """Return a mutant for each pair of conditions that can hold together."""
     never = [{UNKNOWN, NOT_PRODUCER}, {UNKNOWN, DELETED}, {EMPTY, TOO_LONG}]
     made: dict[str, type[Hasty]] = {}
     for index, before in enumerate(order):

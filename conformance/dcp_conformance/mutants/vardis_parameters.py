@@ -28,7 +28,7 @@ V1_2 = SpecVersion.V1_2
 
 
 class Unbound(VardisParameters):
-    """Takes some values that are out of bounds."""
+    """Accepts some values beyond the limits."""
 
     name: ClassVar[str] = ""
     wrong: ClassVar[range] = range(1, 1 << 31)
@@ -41,41 +41,41 @@ class Unbound(VardisParameters):
         return violation
 
 
-@mutant("zero", "VD-PAR-02", "takes 0 as the longest value")
+@mutant("zero", "VD-PAR-02", "accepts 0 as the maximum length of values")
 class ValueZero(Unbound):
     name = VALUE_LENGTH
     wrong = range(1)
 
 
-@mutant("no-bound", "VD-PAR-02", "takes lengths of values that no payload can hold")
+@mutant("no-bound", "VD-PAR-02", "accepts a maximum length of values that does not fit into a payload")
 class ValueUnbound(Unbound):
     name = VALUE_LENGTH
 
 
-@mutant("zero", "VD-PAR-03", "takes 0 as the longest description")
+@mutant("zero", "VD-PAR-03", "accepts 0 as the maximum length of descriptions")
 class DescriptionZero(Unbound):
     name = DESCRIPTION_LENGTH
     wrong = range(1)
 
 
-@mutant("no-bound", "VD-PAR-03", "takes lengths of descriptions that no payload can hold")
+@mutant("no-bound", "VD-PAR-03", "accepts a maximum length of descriptions that does not fit into a payload")
 class DescriptionUnbound(Unbound):
     name = DESCRIPTION_LENGTH
 
 
-@mutant("zero", "VD-PAR-04", "takes 0 as the highest repetition count", unseen={"1.1": "VD-PAR-10 says it there"})
+@mutant("zero", "VD-PAR-04", "accepts 0 as the maximum repetition count", unseen={"1.1": "in 1.1 this is VD-PAR-10"})
 class RepetitionsZero(Unbound):
     name = REPETITIONS
     wrong = range(1)
 
 
-@mutant("sixteen", "VD-PAR-04", "takes repetition counts up to 255", unseen={"1.1": "1.1 has no upper bound"})
+@mutant("sixteen", "VD-PAR-04", "accepts maximum repetition counts up to 255", unseen={"1.1": "1.1 has no upper limit"})
 class RepetitionsUnbound(Unbound):
     name = REPETITIONS
     wrong = range(16, 256)
 
 
-@mutant("fifteen", "VD-PAR-10", "takes no repetition counts above 15, as all other versions")
+@mutant("fifteen", "VD-PAR-10", "accepts no maximum repetition count above 15, as in all other versions")
 class RepetitionsBound(VardisParameters):
     def set(self, name: str, value: object) -> Violation | None:
         if name == REPETITIONS and isinstance(value, int) and value > 15:
@@ -83,12 +83,12 @@ class RepetitionsBound(VardisParameters):
         return super().set(name, value)
 
 
-@mutant("zero", "VD-PAR-10", "takes 0 as the highest repetition count")
+@mutant("zero", "VD-PAR-10", "accepts 0 as the maximum repetition count")
 class RepetitionsZeroToo(RepetitionsZero):
-    """Which is the fault of the class it derives from, in 1.1."""
+    """In 1.1, the inherited fault violates this requirement."""
 
 
-@mutant("zero", "VD-PAR-05", "takes 0 as the largest payload")
+@mutant("zero", "VD-PAR-05", "accepts 0 as the maximum payload size")
 class PayloadZero(Unbound):
     name = PAYLOAD_SIZE
     wrong = range(1)
@@ -98,7 +98,7 @@ class PayloadZero(Unbound):
         return super().max_payload_size or 1000
 
 
-@mutant("no-bound", "VD-PAR-05", "takes payload sizes that no beacon can hold")
+@mutant("no-bound", "VD-PAR-05", "accepts a maximum payload size that does not fit into a beacon")
 class PayloadUnbound(Unbound):
     name = PAYLOAD_SIZE
 
@@ -107,12 +107,12 @@ class PayloadUnbound(Unbound):
         return min(super().max_payload_size, 1000)
 
 
-@mutant("no-bound", "VD-PAR-06", "takes numbers of summaries that no payload can hold")
+@mutant("no-bound", "VD-PAR-06", "accepts a maximum number of summaries that does not fit into a payload")
 class SummariesUnbound(Unbound):
     name = SUMMARIES
 
 
-@mutant("no-zero", "VD-PAR-06", "refuses 0 as the number of summaries")
+@mutant("no-zero", "VD-PAR-06", "rejects 0 as the maximum number of summaries")
 class SummariesNoZero(VardisParameters):
     def set(self, name: str, value: object) -> Violation | None:
         if name == SUMMARIES and value == 0:
@@ -120,7 +120,7 @@ class SummariesNoZero(VardisParameters):
         return super().set(name, value)
 
 
-@mutant("zero", "VD-PAR-07", "takes 0 ms between two runs of scrubbing", since=V2)
+@mutant("zero", "VD-PAR-07", "accepts a scrubbing period of 0 ms", since=V2)
 class ScrubbingZero(Unbound):
     name = SCRUBBING_PERIOD
     wrong = range(1)
@@ -130,17 +130,17 @@ class ScrubbingZero(Unbound):
         return super().scrubbing_period_ms or 1000
 
 
-@mutant("no-bound", "VD-PAR-07", "takes more than 65000 ms between two runs of scrubbing", since=V2)
+@mutant("no-bound", "VD-PAR-07", "accepts a scrubbing period above 65000 ms", since=V2)
 class ScrubbingUnbound(Unbound):
     name = SCRUBBING_PERIOD
 
 
-@mutant("no-bound", "VD-PAR-08", "takes more than 65000 ms between two looks at the buffer")
+@mutant("no-bound", "VD-PAR-08", "accepts a buffer check period above 65000 ms")
 class CheckUnbound(Unbound):
     name = BUFFER_CHECK_PERIOD
 
 
-@mutant("zero", "VD-PAR-08", "takes 0 ms between two looks at the buffer")
+@mutant("zero", "VD-PAR-08", "accepts a buffer check period of 0 ms")
 class CheckZero(Unbound):
     name = BUFFER_CHECK_PERIOD
     wrong = range(1)
@@ -150,7 +150,7 @@ class CheckZero(Unbound):
         return super().buffer_check_period_ms or 50
 
 
-@mutant("forgets", "VD-PAR-01", "goes on with the parameters that it started with")
+@mutant("forgets", "VD-PAR-01", "keeps using the initial values of parameters")
 class Forgets(VardisParameters):
     def __init__(self, config: NodeConfig) -> None:
         super().__init__(config)
@@ -173,7 +173,7 @@ class Forgets(VardisParameters):
         return self._used[SUMMARIES]
 
 
-@mutant("retroactive", "VD-PAR-01", "deletes variables whose value is longer than a lowered limit")
+@mutant("retroactive", "VD-PAR-01", "deletes variables whose value is longer than a reduced maximum")
 class Retroactive(Vardis):
     def set_parameter(self, name: str, value: object) -> Violation | None:
         violation = super().set_parameter(name, value)
@@ -185,7 +185,7 @@ class Retroactive(Vardis):
         return violation
 
 
-@mutant("check-period-fixed", "VD-PAR-09 VD-PAR-08", "has no VARDISPAR_BUFFER_CHECK_PERIOD that could be told or set")
+@mutant("check-period-fixed", "VD-PAR-09 VD-PAR-08", "has no VARDISPAR_BUFFER_CHECK_PERIOD that can be read or set")
 class NoCheckPeriod(VardisParameters):
     def as_dict(self) -> dict[str, int]:
         return {name: value for name, value in super().as_dict().items() if name != "VARDISPAR_BUFFER_CHECK_PERIOD"}
@@ -194,8 +194,8 @@ class NoCheckPeriod(VardisParameters):
 @mutant(
     "beside-the-first-value-length",
     "VD-PAR-03",
-    "checks the description length against the value length that it was started with",
-    unseen={"1.0": "1.0 bounds the sum of both lengths apart from the parameters"},
+    "uses the initial maximum value length in the limit of the description length",
+    unseen={"1.0": "in 1.0 the limit of the sum of both lengths does not depend on parameters"},
 )
 class FormerValueLength(VardisParameters):
     def set(self, name: str, value: object) -> Violation | None:

@@ -1,4 +1,4 @@
-"""Faults in taking VarDis payloads apart, and in the order of processing."""
+"""Faults in extracting containers from VarDis payloads, and in the order of processing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDAT
 
 
 class Containers(Extractor):
-    """Takes other containers out of a payload."""
+    """Changes the containers extracted from a payload."""
 
     def _collect(
         self, containers: tuple[Container, ...], offset: int, records: dict[ICType, list[tuple[int, Any]]]
@@ -37,7 +37,7 @@ class Containers(Extractor):
         return self._sizes.ic_header + sum(self._sizes.record(each) if size is None else size for each in records)
 
     def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        """The containers that are processed."""
+        """Return the containers to be processed."""
         return containers
 
 
@@ -53,14 +53,14 @@ class FirstContainer(Containers):
         return containers[:1]
 
 
-@mutant("octets", "VD-RX-04", "processes containers only that start in the first half of the octets of a payload")
+@mutant("octets", "VD-RX-04", "processes only containers that start in the first half of the octets of a payload")
 class FirstHalfOctets(Containers):
     def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
         ends = tuple(accumulate(map(self._octets, containers), initial=0))
         return tuple(each for each, start in zip(containers, ends, strict=False) if 2 * start < ends[-1])
 
 
-@mutant("last-octets", "VD-RX-04", "stops when three octets of a payload or fewer are left")
+@mutant("last-octets", "VD-RX-04", "stops if three or fewer octets of a payload remain")
 class LastOctets(Extractor):
     def extract(self, payload: bytes) -> Extracted:
         found = super().extract(payload)
@@ -84,7 +84,7 @@ class LastOfType(Containers):
         return tuple({each.ic_type: each for each in containers}.values())
 
 
-@mutant("adjacent-merged", "VD-RX-03", "takes two neighbouring containers of a type for one", since=SpecVersion.V1_1)
+@mutant("adjacent-merged", "VD-RX-03", "treats two adjacent containers of a type as one", since=SpecVersion.V1_1)
 class AdjacentIgnored(Containers):
     def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
         return containers[:1] + tuple(b for a, b in pairwise(containers) if a.ic_type != b.ic_type)
@@ -108,20 +108,20 @@ class FirstRecord(Containers):
         return tuple(Container(each.ic_type, each.records[:1], each.extra) for each in containers)
 
 
-@mutant("backwards", "VD-RX-09", "processes the records of a container from the last to the first")
+@mutant("backwards", "VD-RX-09", "processes the records of a container in reverse order")
 class Backwards(Containers):
     def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
         return tuple(Container(each.ic_type, each.records[::-1], each.extra) for each in containers)
 
 
-@mutant("signed-count", "VD-RX-09 VD-PAY-05 VD-IC-01", "takes icNumRecords above 127 for negative")
+@mutant("signed-count", "VD-RX-09 VD-PAY-05 VD-IC-01", "treats icNumRecords above 127 as negative")
 class SignedCount(Containers):
     def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
         return tuple(each for each in containers if len(each.records) < 128)
 
 
 class Fragile(Extractor):
-    """Dies of some problem."""
+    """Crashes on some problems."""
 
     reasons: ClassVar[tuple[str, ...]] = ()
 
@@ -133,33 +133,33 @@ class Fragile(Extractor):
         return found
 
 
-@mutant("dies-of-type", "VD-ROB-01 VD-RX-05", "dies of a container type that does not exist")
+@mutant("dies-of-type", "VD-ROB-01 VD-RX-05", "crashes on an unknown container type")
 class DiesOfType(Fragile):
     reasons = ("unknown-type",)
 
 
-@mutant("dies-of-zero", "VD-ROB-01 VD-RX-06", "dies of a container without records")
+@mutant("dies-of-zero", "VD-ROB-01 VD-RX-06", "crashes on a container without records")
 class DiesOfZero(Fragile):
     reasons = ("zero-count",)
 
 
-@mutant("dies-of-end", "VD-ROB-01 VD-RX-07", "dies of a record that is cut off")
+@mutant("dies-of-end", "VD-ROB-01 VD-RX-07", "crashes on a truncated record")
 class DiesOfEnd(Extractor):
     def extract(self, payload: bytes) -> Extracted:
         found = super().extract(payload)
         if any(problem.reason not in ("unknown-type", "zero-count") for problem in found.problems):
-            raise IndexError("a read beyond the payload")
+            raise IndexError("a read past the end of the payload")
         return found
 
 
-@mutant("dies-of-text", "VD-ROB-01", "dies of a description that is not UTF-8")
+@mutant("dies-of-text", "VD-ROB-01", "crashes on a description that is not UTF-8")
 class DiesOfText(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         record.spec.descr.decode()
         super()._create(record, offset, now, wall)
 
 
-@mutant("mute", "VD-ROB-01", "ignores everything after ten payloads with an error")
+@mutant("mute", "VD-ROB-01", "ignores all payloads after ten payloads with an error")
 class Mute(Extractor):
     errors = 0
 
@@ -169,7 +169,7 @@ class Mute(Extractor):
         return Extracted({kind: [] for kind in ICType}) if self.errors > 10 else found
 
 
-@mutant("half-record", "VD-ROB-01 VD-RX-07", "processes a VarUpdate that is cut off with what is there of its value")
+@mutant("half-record", "VD-ROB-01 VD-RX-07", "processes a truncated VarUpdate with the available part of its value")
 class HalfRecord(Extractor):
     def extract(self, payload: bytes) -> Extracted:
         try:
@@ -188,7 +188,7 @@ class HalfRecord(Extractor):
 
 
 class Order(Receiver):
-    """Processes types in another order."""
+    """Processes record types in another order."""
 
     order: ClassVar[tuple[ICType, ...]] = (C, D, U, S, RC, RU)
 
@@ -207,21 +207,21 @@ class PayloadOrder(Receiver):
             super().process(Extracted(records), now=now, wall=wall)
 
 
-@mutant("updates-first", "VD-RX-08 VD-RX-01", "processes updates before creations")
+@mutant("updates-first", "VD-RX-08 VD-RX-01", "processes VarUpdates before VarCreates")
 class UpdatesFirst(Order):
     order = (U, C, D, S, RC, RU)
 
 
-@mutant("deletes-first", "VD-RX-08", "processes deletions before creations")
+@mutant("deletes-first", "VD-RX-08", "processes VarDeletes before VarCreates")
 class DeletesFirst(Order):
     order = (D, C, U, S, RC, RU)
 
 
-@mutant("summaries-first", "VD-RX-08", "processes summaries before updates")
+@mutant("summaries-first", "VD-RX-08", "processes summaries before VarUpdates")
 class SummariesFirst(Order):
     order = (C, D, S, U, RC, RU)
 
 
-@mutant("deletes-last", "VD-RX-08", "processes deletions after updates")
+@mutant("deletes-last", "VD-RX-08", "processes VarDeletes after VarUpdates")
 class DeletesLast(Order):
     order = (C, U, D, S, RC, RU)

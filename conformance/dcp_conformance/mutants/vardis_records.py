@@ -1,4 +1,4 @@
-"""Faults in the records that VarDis sends: how often, and what they say."""
+"""Faults in the records that VarDis sends: number of repetitions, and contents."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDAT
 
 
 class Counts(Database):
-    """Repeats instructions another number of times."""
+    """Changes the number of repetitions."""
 
     creates: ClassVar[int] = 0
     updates: ClassVar[int] = 0
@@ -53,53 +53,55 @@ class Counts(Database):
             entry.count_delete += self.deletes if entry.count_delete > 1 or self.deletes > 0 else 0
 
 
-@mutant("one-more", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "repeats creations once too often")
+@mutant("one-more", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates once more than repCnt")
 class CreatesMore(Counts):
     creates = 1
 
 
-@mutant("one-less", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "repeats creations once less than repCnt")
+@mutant("one-less", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates once less than repCnt")
 class CreatesLess(Counts):
     creates = -1
 
 
-@mutant("one-more", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "repeats updates once too often")
+@mutant("one-more", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates once more than repCnt")
 class UpdatesMore(Counts):
     updates = 1
 
 
-@mutant("one-less", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "repeats updates once less than repCnt")
+@mutant("one-less", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates once less than repCnt")
 class UpdatesLess(Counts):
     updates = -1
 
 
-@mutant("one-more", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "repeats deletions once too often")
+@mutant("one-more", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once more than repCnt")
 class DeletesMore(Counts):
     deletes = 1
 
 
-@mutant("one-less", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "repeats deletions once less than repCnt")
+@mutant("one-less", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once less than repCnt")
 class DeletesLess(Counts):
     deletes = -1
 
 
-@mutant("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "repeats creations seven times at most")
+@mutant("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates at most seven times")
 class Capped(Database):
     def arm_create(self, entry: DBEntry) -> None:
         super().arm_create(entry)
         entry.count_create = min(entry.count_create, 7)
 
 
-@mutant("not-restarted", "VD-UPD-08 VD-PU-07", "does not count anew when a variable is updated that it is repeating")
+@mutant(
+    "not-restarted",
+    "VD-UPD-08 VD-PU-07",
+    "does not restart the repetitions of a VarUpdate when the variable is updated again",
+)
 class NotRestarted(Database):
     def arm_update(self, entry: DBEntry) -> None:
         if not entry.count_update:
             super().arm_update(entry)
 
 
-@mutant(
-    "no-rotation", "VD-CMP-06 VD-PAY-06", "repeats the first creation until it is done before it begins with the next"
-)
+@mutant("no-rotation", "VD-CMP-06 VD-PAY-06", "sends all repetitions of one VarCreate before it sends the next")
 class NoRotation(Composer):
     def _take(self, kind: ICType, var_id: int) -> Any:
         record = super()._take(kind, var_id)
@@ -111,30 +113,30 @@ class NoRotation(Composer):
 
 
 VarSpecKey = tuple[int, int | None]
-"""Identifier and creationTime: what tells creations apart."""
+"""Identifier and creationTime, which together identify a creation."""
 
 
 # -- what records say --------------------------------------------------------------------------------------------------
 
 
 class Records(Composer):
-    """Sends other records."""
+    """Changes records to be sent."""
 
     def _take(self, kind: ICType, var_id: int) -> Any:
         return self.record(super()._take(kind, var_id), self._database.lookup(var_id))
 
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - for those that look at it
-        """The record that is sent instead."""
+    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - used by overrides
+        """Return the record to be sent."""
         return record
 
 
-@mutant("summary-behind", "VD-CMP-04", "summarises the number before the current one")
+@mutant("summary-behind", "VD-CMP-04", "summarises the sequence number before the current one")
 class SummaryBehind(Records):
     def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
         return VarSumm(record.var_id, max(record.seqno - 1, 0)) if isinstance(record, VarSumm) else record
 
 
-@mutant("first-number", "VD-CMP-04", "summarises the number that a variable had at first")
+@mutant("first-number", "VD-CMP-04", "summarises the first sequence number of a variable")
 class FirstNumber(Records):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -146,7 +148,7 @@ class FirstNumber(Records):
         return VarSumm(record.var_id, self.first.setdefault((record.var_id, entry.spec.creation_time), record.seqno))
 
 
-@mutant("seqno-zero", "VD-CMP-07", "sends creations with sequence number 0")
+@mutant("seqno-zero", "VD-CMP-07", "sends VarCreates with sequence number 0")
 class CreateZero(Records):
     def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
         if not isinstance(record, VarCreate):
@@ -154,7 +156,7 @@ class CreateZero(Records):
         return VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))
 
 
-@mutant("first-value", "VD-CMP-07 VD-UPD-10", "sends creations with the value that the variable had at first")
+@mutant("first-value", "VD-CMP-07 VD-UPD-10", "sends VarCreates with the first value of the variable")
 class FirstValue(Records):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -166,7 +168,7 @@ class FirstValue(Records):
         return self.first.setdefault((record.spec.var_id, record.spec.creation_time), record)
 
 
-@mutant("first-update", "VD-UPD-10 VD-UPD-09", "repeats an update with the value that it had when it was queued")
+@mutant("first-update", "VD-UPD-10 VD-UPD-09", "repeats a VarUpdate with the value at the time of its queueing")
 class FirstUpdate(Records):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -181,7 +183,7 @@ class FirstUpdate(Records):
         return sent
 
 
-@mutant("received-number", "VD-CMP-11", "requests updates with the number that it wants, not the one that it has")
+@mutant("received-number", "VD-CMP-11", "requests updates with the sequence number in the summary instead of its own")
 class WantedNumber(Air):
     def _build(self, now: int, wall: int) -> None:
         super()._build(now, wall)
@@ -202,7 +204,7 @@ class WantedNumber(Air):
             yield Container(each.ic_type, tuple(wanted))
 
 
-@mutant("ahead", "VD-CMP-11", "requests updates with the number after the one that it has")
+@mutant("ahead", "VD-CMP-11", "requests updates with the sequence number after its own")
 class RequestsAhead(Records):
     def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
         return VarReqUpdate(record.var_id, (record.seqno + 1) % 256) if isinstance(record, VarReqUpdate) else record
@@ -230,12 +232,12 @@ class Again(Air):
             yield Payload(BP_PROTID_VARDIS, (again,))
 
 
-@mutant("twice", "VD-CMP-11", "sends every request for an update twice")
+@mutant("twice", "VD-CMP-11", "sends each request for an update twice")
 class RequestsUpdatesTwice(Again):
     kind_again = RU
 
 
-@mutant("twice", "VD-CMP-12 VD-PS-01", "sends every request for a variable twice")
+@mutant("twice", "VD-CMP-12 VD-PS-01", "sends each request for a variable twice")
 class RequestsVariablesTwice(Again):
     kind_again = RC
 
@@ -262,24 +264,24 @@ class UpdateUntilAnswered(Composer):
 
 
 class OwnSpec(Records):
-    """Sends another VarSpec."""
+    """Changes the VarSpec in VarCreates."""
 
     def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
         if not isinstance(record, VarCreate):
             return record
         return VarCreate(msgspec.structs.replace(record.spec, **self.members(record)), record.upd)
 
-    def members(self, record: VarCreate) -> dict[str, Any]:  # noqa: ARG002 - for those that look at it
-        """The members that are different."""
+    def members(self, record: VarCreate) -> dict[str, Any]:  # noqa: ARG002 - used by overrides
+        """Return the changed members."""
         return {}
 
 
 def swapped(number: int, width: int) -> int:
-    """With its octets in the other order."""
+    """Return the number with its octets in reverse order."""
     return int.from_bytes(number.to_bytes(width, "big"), "little")
 
 
-@mutant("creation-time-swapped", "DATA-01", "sends creationTime least significant octet first", unseen=NO_TIMES)
+@mutant("creation-time-swapped", "DATA-01", "sends creationTime little-endian", unseen=NO_TIMES)
 class SwappedCreationTime(OwnSpec):
     def members(self, record: VarCreate) -> dict[str, Any]:
         return {"creation_time": swapped(record.spec.creation_time or 0, 8)}
@@ -288,7 +290,7 @@ class SwappedCreationTime(OwnSpec):
 @mutant(
     "timeout-swapped",
     "DATA-01 VD-TYP-04 VD-TYP-06",
-    "sends timeouts least significant octet first",
+    "sends timeouts little-endian",
     unseen=NO_TIMES,
 )
 class SwappedTimeout(OwnSpec):
@@ -296,13 +298,15 @@ class SwappedTimeout(OwnSpec):
         return {"timeout": swapped(record.spec.timeout or 0, 2)}
 
 
-@mutant("creation-time-ms", "DATA-05 VD-CRE-09", "sends creationTime in ms where the profile has ns", unseen=NO_TIMES)
+@mutant(
+    "creation-time-ms", "DATA-05 VD-CRE-09", "sends creationTime in ms although the profile has ns", unseen=NO_TIMES
+)
 class CreationMilliseconds(OwnSpec):
     def members(self, record: VarCreate) -> dict[str, Any]:
         return {"creation_time": (record.spec.creation_time or 0) // 1_000_000}
 
 
-@mutant("timeout-seconds", "VD-TYP-04 VD-TYP-06", "sends timeouts in s", since=SpecVersion.V2_0)
+@mutant("timeout-seconds", "VD-TYP-04 VD-TYP-06", "sends timeouts in seconds", since=SpecVersion.V2_0)
 class TimeoutSeconds(OwnSpec):
     def members(self, record: VarCreate) -> dict[str, Any]:
         return {"timeout": (record.spec.timeout or 0) // 1000}
@@ -314,7 +318,7 @@ class TrailingNul(OwnSpec):
         return {"descr": record.spec.descr[:31] + b"\0"}
 
 
-@mutant("member-order", "VD-TYP-05", "sends repCnt and varId of a VarSpec in each other's place")
+@mutant("member-order", "VD-TYP-05", "exchanges repCnt and varId in VarSpecs")
 class MemberOrder(OwnSpec):
     def members(self, record: VarCreate) -> dict[str, Any]:
         return {"var_id": record.spec.rep_cnt, "rep_cnt": record.spec.var_id}

@@ -1,4 +1,4 @@
-"""Faults in what a timeout removes, in going on after a deactivation, and in limits that are equal by default."""
+"""Faults in the effect of a timeout, in continuing after a deactivation, and in limits with equal defaults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HALF = 32_768
 
 
 class LeavesQueue(Vardis):
-    """Scrubs, and leaves the variable in one queue with its counter."""
+    """Leaves the variable in one queue, with its counter, when it is scrubbed."""
 
     queue: ClassVar[str]
     counter: ClassVar[str] = ""
@@ -45,27 +45,27 @@ class LeavesQueue(Vardis):
                     setattr(entry, self.counter, count)
 
 
-@mutant("updateQ", "VD-SCR-04", "goes on repeating the update of a variable that has timed out", since=V2)
+@mutant("updateQ", "VD-SCR-04", "continues to repeat the VarUpdate of a variable after its timeout", since=V2)
 class ScrubLeavesUpdate(LeavesQueue):
     queue, counter = "updateQ", "count_update"
 
 
-@mutant("createQ", "VD-SCR-04", "goes on repeating the creation of a variable that has timed out", since=V2)
+@mutant("createQ", "VD-SCR-04", "continues to repeat the VarCreate of a variable after its timeout", since=V2)
 class ScrubLeavesCreate(LeavesQueue):
     queue, counter = "createQ", "count_create"
 
 
-@mutant("summaryQ", "VD-SCR-04 VD-CMP-05", "goes on summarising a variable that has timed out", since=V2)
+@mutant("summaryQ", "VD-SCR-04 VD-CMP-05", "continues to summarise a variable after its timeout", since=V2)
 class ScrubLeavesSummary(LeavesQueue):
     queue = "summaryQ"
 
 
-@mutant("reqUpdQ", "VD-SCR-04", "requests an update of a variable that has timed out", since=V2)
+@mutant("reqUpdQ", "VD-SCR-04", "requests an update of a variable after its timeout", since=V2)
 class ScrubLeavesRequest(LeavesQueue):
     queue = "reqUpdQ"
 
 
-@mutant("counts-left", "VD-SCR-04", "leaves the counters of a variable that has timed out as they were", since=V2)
+@mutant("counts-left", "VD-SCR-04", "does not reset the counters of a variable after its timeout", since=V2)
 class ScrubLeavesCounts(Vardis):
     def _scrub(self, now: int) -> None:
         held = {
@@ -81,7 +81,10 @@ class ScrubLeavesCounts(Vardis):
 
 
 @mutant(
-    "signed-at-once", "VD-TYP-04 VD-SCR-03", "deletes variables with timeouts of 32,768 ms and more at once", since=V2
+    "signed-at-once",
+    "VD-TYP-04 VD-SCR-03",
+    "immediately deletes variables with timeouts of 32,768 ms and more",
+    since=V2,
 )
 class SignedTimeouts(Vardis):
     def _scrub(self, now: int) -> None:
@@ -91,7 +94,7 @@ class SignedTimeouts(Vardis):
                 self._database.mark_deleted(entry)
 
 
-@mutant("one-octet", "VD-TYP-04 VD-SCR-03", "counts timeouts with one octet", since=V2)
+@mutant("one-octet", "VD-TYP-04 VD-SCR-03", "uses timeouts modulo 256", since=V2)
 class OneOctetTimeouts(Vardis):
     def _scrub(self, now: int) -> None:
         super()._scrub(now)
@@ -104,7 +107,7 @@ class OneOctetTimeouts(Vardis):
 # -- deactivation ------------------------------------------------------------------------------------------------------
 
 
-@mutant("once-deactivated", "VD-SCR-01 VD-MGT-05", "never scrubs again once it was deactivated", since=V2)
+@mutant("once-deactivated", "VD-SCR-01 VD-MGT-05", "never scrubs again after it was deactivated", since=V2)
 class ScrubbingEnds(Vardis):
     _ended = False
 
@@ -118,7 +121,10 @@ class ScrubbingEnds(Vardis):
 
 
 @mutant(
-    "no-check-after", "VD-RUN-02 VD-MGT-05", "looks at the buffer no more once it was deactivated", unseen=ALWAYS_ACTIVE
+    "no-check-after",
+    "VD-RUN-02 VD-MGT-05",
+    "no longer checks the buffer after it was deactivated",
+    unseen=ALWAYS_ACTIVE,
 )
 class CheckingEnds(Vardis):
     _ended = False
@@ -137,7 +143,9 @@ class CheckingEnds(Vardis):
 
 
 @mutant(
-    "value-by-description", "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05", "measures values with the limit for descriptions"
+    "value-by-description",
+    "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05",
+    "compares the length of values with the maximum of descriptions",
 )
 class ValueByDescription(VardisParameters):
     @property
@@ -145,21 +153,25 @@ class ValueByDescription(VardisParameters):
         return self.longest_description
 
 
-@mutant("description-by-value", "VD-PC-05 VD-CRE-04", "measures descriptions with the limit for values")
+@mutant("description-by-value", "VD-PC-05 VD-CRE-04", "compares the length of descriptions with the maximum of values")
 class DescriptionByValue(VardisParameters):
     @property
     def longest_description(self) -> int:
         return self.max_value_length
 
 
-@mutant("received-by-description", "VD-PC-04 VD-PU-04", "measures received values with the limit for descriptions")
+@mutant(
+    "received-by-description",
+    "VD-PC-04 VD-PU-04",
+    "compares the length of received values with the maximum of descriptions",
+)
 class ReceivedByDescription(Receiver):
     def _is_bad_value(self, value: bytes) -> bool:
         too_long = self._check_too_long and len(value) > self._parameters.longest_description
         return too_long or (self._check_empty_and_repcnt and not value)
 
 
-@mutant("left-in-reqCreateQ", "VD-CRE-11", "goes on requesting a variable that its application has created")
+@mutant("left-in-reqCreateQ", "VD-CRE-11", "continues to request a variable that its application has created")
 class RequestsItsOwn(Vardis):
     def create(self, var_id: int, *args: Any, **more: Any) -> Confirm:
         wanted = var_id in self._database.req_create_q

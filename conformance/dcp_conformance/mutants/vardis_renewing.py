@@ -1,4 +1,4 @@
-"""Faults in what renews the time stamp of a variable, from which its age is counted."""
+"""Faults in renewing the time stamp of a variable, from which its age is computed."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ V1_2 = SpecVersion.V1_2
 
 
 class Renews(Receiver):
-    """Takes some records that change nothing for a sign of life of their variable."""
+    """Renews a variable on some records that change nothing."""
 
     kinds: ClassVar[tuple[str, ...]]
     own: ClassVar[bool] = False
-    """Whether it does so for its own variables, too."""
+    """Whether it also does so for its own variables."""
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
         self._now, self._wall = now, wall
@@ -67,45 +67,53 @@ class Renews(Receiver):
         super()._request_create(record, offset)
 
 
-@mutant("equal-create-renews", "VD-SCR-06 VD-PC-01 VD-DB-03", "renews tStamp when a VarCreate comes again", since=V2)
+@mutant(
+    "equal-create-renews",
+    "VD-SCR-06 VD-PC-01 VD-DB-03",
+    "renews tStamp when the same VarCreate is received again",
+    since=V2,
+)
 class EqualCreateRenews(Renews):
     kinds = ("equal-create",)
 
 
 @mutant(
-    "earlier-create-renews", "VD-SCR-06 VD-PC-01 VD-DB-03", "renews tStamp when an earlier VarCreate comes", since=V2
+    "earlier-create-renews",
+    "VD-SCR-06 VD-PC-01 VD-DB-03",
+    "renews tStamp when an earlier VarCreate is received",
+    since=V2,
 )
 class EarlierCreateRenews(Renews):
     kinds = ("earlier-create",)
 
 
-@mutant("equal-update-renews", "VD-SCR-06 VD-PU-05 VD-DB-03", "renews tStamp when a VarUpdate comes again")
+@mutant("equal-update-renews", "VD-SCR-06 VD-PU-05 VD-DB-03", "renews tStamp when the same VarUpdate is received again")
 class EqualUpdateRenews(Renews):
     kinds = ("equal-update",)
 
 
-@mutant("older-update-renews", "VD-SCR-06 VD-PU-06 VD-DB-03", "renews tStamp when an older VarUpdate comes")
+@mutant("older-update-renews", "VD-SCR-06 VD-PU-06 VD-DB-03", "renews tStamp when an older VarUpdate is received")
 class OlderUpdateRenews(Renews):
     kinds = ("older-update",)
 
 
-@mutant("summary-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarSumm comes")
+@mutant("summary-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarSumm is received")
 class SummaryRenews(Renews):
     kinds = ("summary",)
 
 
-@mutant("update-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqUpdate comes")
+@mutant("update-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqUpdate is received")
 class UpdateRequestRenews(Renews):
     kinds = ("update-request",)
 
 
-@mutant("create-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqCreate comes")
+@mutant("create-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqCreate is received")
 class CreateRequestRenews(Renews):
     kinds = ("create-request",)
 
 
 class RenewsOwn(Renews):
-    """As its base, and does no harm to the variables of others."""
+    """Renews only the node's own variables."""
 
     own = True
 
@@ -116,18 +124,21 @@ class RenewsOwn(Renews):
 
 
 @mutant(
-    "own-echo-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when neighbours repeat it", since=V2
+    "own-echo-renews",
+    "VD-SCR-06 VD-DB-03",
+    "renews tStamp of its own variable when neighbours forward its records",
+    since=V2,
 )
 class OwnEchoRenews(RenewsOwn):
     kinds = ("equal-create", "equal-update", "summary")
 
 
-@mutant("own-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when somebody requests it")
+@mutant("own-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when a neighbour requests it")
 class OwnRequestRenews(RenewsOwn):
     kinds = ("create-request", "update-request")
 
 
-@mutant("read-renews", "VD-DB-03 VD-SCR-06", "renews tStamp when a variable is read or described")
+@mutant("read-renews", "VD-DB-03 VD-SCR-06", "renews tStamp when RTDB-Read or RTDB-DescribeVariable is called")
 class ReadRenews(Vardis):
     _times = (0, 0)
 
@@ -149,7 +160,7 @@ class ReadRenews(Vardis):
         return super().describe_variable(var_id)
 
 
-@mutant("refused-update-renews", "VD-DB-03 VD-UPD-08", "renews tStamp when RTDB-Update is refused")
+@mutant("refused-update-renews", "VD-DB-03 VD-UPD-08", "renews tStamp when RTDB-Update is rejected")
 class RefusedUpdateRenews(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         confirm = super().update(var_id, value, now=now, wall=wall)
@@ -186,7 +197,7 @@ class StaleAge(Database):
     def insert(self, spec: VarSpec, value: bytes, seqno: int, *, now: int, wall: int) -> DBEntry:
         before = self.lookup(spec.var_id)
         entry = super().insert(spec, value, seqno, now=now, wall=wall)
-        # Only RTDB-Create starts with sequence number 0 here: cases send others.
+        # Only RTDB-Create uses sequence number 0 here; the cases send others.
         if before is not None and (seqno == 0) is self.own and before.spec.prod_id == spec.prod_id:
             entry.refreshed, entry.t_stamp = before.refreshed, before.t_stamp
         return entry

@@ -1,4 +1,4 @@
-"""Faults in composing: what does not fit into a payload is lost, or counted as sent."""
+"""Faults in composing: records that do not fit into a payload are lost, or counted as sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .mutant import mutant
 
 
 class Loses(Composer):
-    """Takes records of one kind from their queue although there is no room for them."""
+    """Removes records of one kind from their queue although they do not fit."""
 
     kind: ClassVar[ICType]
 
@@ -30,7 +30,7 @@ class Loses(Composer):
 
 
 class LosesAllOrNone(Loses):
-    """Does so only when no record of the kind fits: the rest of a container that was begun stays queued."""
+    """Removes records only if no record of the kind fits; the rest of a partial container stays queued."""
 
     def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, used = Composer._fitting(self, kind, queue, room, largest)
@@ -40,32 +40,34 @@ class LosesAllOrNone(Loses):
         return chosen, used
 
 
-@mutant("creates-lost", "VD-CMP-13 VD-CMP-06", "counts VarCreates that have no room as sent")
+@mutant("creates-lost", "VD-CMP-13 VD-CMP-06", "counts VarCreates that do not fit as sent")
 class LosesCreates(Loses):
     kind = ICType.CREATE_VARIABLES
 
 
-@mutant("updates-lost", "VD-CMP-13 VD-CMP-09", "counts VarUpdates as sent when not one of them has room")
+@mutant("updates-lost", "VD-CMP-13 VD-CMP-09", "counts VarUpdates as sent if none of them fits")
 class LosesUpdates(LosesAllOrNone):
     kind = ICType.UPDATES
 
 
-@mutant("deletes-lost", "VD-CMP-13 VD-CMP-10", "counts VarDeletes as sent when not one of them has room")
+@mutant("deletes-lost", "VD-CMP-13 VD-CMP-10", "counts VarDeletes as sent if none of them fits")
 class LosesDeletes(LosesAllOrNone):
     kind = ICType.DELETE_VARIABLES
 
 
-@mutant("create-requests-lost", "VD-CMP-13 VD-CMP-12", "drops requests for variables when not one of them has room")
+@mutant("create-requests-lost", "VD-CMP-13 VD-CMP-12", "drops requests for variables if none of them fits")
 class LosesCreateRequests(LosesAllOrNone):
     kind = ICType.REQUEST_VARCREATES
 
 
-@mutant("update-requests-lost", "VD-CMP-13 VD-CMP-11", "drops requests for updates when not one of them has room")
+@mutant("update-requests-lost", "VD-CMP-13 VD-CMP-11", "drops requests for updates if none of them fits")
 class LosesUpdateRequests(LosesAllOrNone):
     kind = ICType.REQUEST_VARUPDATES
 
 
-@mutant("summaries-lost", "VD-CMP-13 VD-CMP-03", "summarises variables no more for which a payload had no room")
+@mutant(
+    "summaries-lost", "VD-CMP-13 VD-CMP-03", "no longer summarises variables whose summary did not fit into a payload"
+)
 class LosesSummaries(LosesAllOrNone):
     kind = ICType.SUMMARIES
 
@@ -73,17 +75,17 @@ class LosesSummaries(LosesAllOrNone):
         self._database.summary_q.remove(var_id)
 
 
-@mutant("rest-of-updates-lost", "VD-CMP-13 VD-CMP-09", "counts those VarUpdates as sent that have no room any more")
+@mutant("rest-of-updates-lost", "VD-CMP-13 VD-CMP-09", "counts the VarUpdates that do not fit as sent")
 class LosesRestOfUpdates(Loses):
     kind = ICType.UPDATES
 
 
-@mutant("rest-of-deletes-lost", "VD-CMP-13 VD-CMP-10", "counts those VarDeletes as sent that have no room any more")
+@mutant("rest-of-deletes-lost", "VD-CMP-13 VD-CMP-10", "counts the VarDeletes that do not fit as sent")
 class LosesRestOfDeletes(Loses):
     kind = ICType.DELETE_VARIABLES
 
 
-@mutant("rest-of-requests-lost", "VD-CMP-13 VD-CMP-12", "drops those requests for variables that have no room any more")
+@mutant("rest-of-requests-lost", "VD-CMP-13 VD-CMP-12", "drops the requests for variables that do not fit")
 class LosesRestOfRequests(Loses):
     kind = ICType.REQUEST_VARCREATES
 
@@ -91,13 +93,13 @@ class LosesRestOfRequests(Loses):
 @mutant(
     "rest-of-update-requests-lost",
     "VD-CMP-13 VD-CMP-11",
-    "drops those requests for updates that have no room any more",
+    "drops the requests for updates that do not fit",
 )
 class LosesRestOfUpdateRequests(Loses):
     kind = ICType.REQUEST_VARUPDATES
 
 
-@mutant("exact-fit-skipped", "VD-PAY-02", "skips records that would fill a payload alone to the last octet")
+@mutant("exact-fit-skipped", "VD-PAY-02", "skips single records that exactly fill a payload")
 class SkipsExactFit(Composer):
     def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         return super()._fitting(kind, queue, room, largest - 1)
@@ -106,14 +108,14 @@ class SkipsExactFit(Composer):
 @mutant(
     "exact-fit-refused",
     "VD-CRE-14 VD-UPD-07",
-    "refuses to create and update variables whose record fills a payload to the last octet",
+    "rejects RTDB-Create and RTDB-Update if the record exactly fills a payload",
 )
 class RefusesExactFit(Vardis):
     def _room(self) -> int:
         return super()._room() - 1
 
 
-@mutant("small-records-too-large", "VD-PAY-02", "reckons with an octet too much for each VarDelete and VarReqCreate")
+@mutant("small-records-too-large", "VD-PAY-02", "assumes one octet too many for each VarDelete and VarReqCreate")
 class WidensSmallRecords(Composer):
     def _record_size(self, kind: ICType, var_id: int) -> int:
         small = kind in (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES)

@@ -1,4 +1,4 @@
-"""Faults in initialization, running and scrubbing of VarDis, and what is left after a reset."""
+"""Faults in initialization, running and scrubbing of VarDis, and in its reset."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ V1_2 = SpecVersion.V1_2
 
 
 class Ported(Vardis):
-    """Uses BP in another way."""
+    """Changes calls to BP."""
 
     port: ClassVar[type[Port]] = Port
 
@@ -51,7 +51,7 @@ class OtherMode(Ported):
             return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
 
 
-@mutant("droptail", "VD-INI-02", "registers with mode DROPTAIL, as 1.1 did", since=V1_2)
+@mutant("droptail", "VD-INI-02", "registers with mode DROPTAIL, as in 1.1", since=V1_2)
 class OldMode(Ported):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
@@ -60,17 +60,17 @@ class OldMode(Ported):
 
 @mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
 class RepeatMode(OtherMode):
-    """Which is the fault of the class it derives from, in 1.0."""
+    """In 1.0, the inherited fault violates this requirement."""
 
 
-@mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as later versions do")
+@mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions")
 class LaterMode(Ported):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
             return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPHEAD), **times)
 
 
-@mutant("several", "VD-INI-02 VD-INI-08", "registers for several payloads in a beacon", since=SpecVersion.V1_1)
+@mutant("several", "VD-INI-02 VD-INI-08", "registers with allowMultiplePayloads true", since=SpecVersion.V1_1)
 class OtherSeveral(Ported):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
@@ -84,7 +84,7 @@ class OtherName(Ported):
             return self.bp.register(*registration(args, name=""), **times)
 
 
-@mutant("size", "VD-INI-02", "registers with half of the parameter's size")
+@mutant("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE")
 class OtherSize(Vardis):
     def _register(self, size: int, now: int, wall: int) -> Any:
         return super()._register(size // 2, now, wall)
@@ -93,8 +93,8 @@ class OtherSize(Vardis):
 @mutant(
     "other-id",
     "VD-INI-05 VD-CRE-08",
-    "creates variables with another identifier than the one that BP told",
-    unseen={"1.1": "the application names the producer up to 1.1"},
+    "creates variables with another node identifier than the one that BP returned",
+    unseen={"1.1": "the application sets the producer up to 1.1"},
 )
 class OtherIdentifier(Vardis):
     def _register(self, size: int, now: int, wall: int) -> Any:
@@ -103,7 +103,7 @@ class OtherIdentifier(Vardis):
         return status
 
 
-@mutant("survives", "VD-INI-04", "keeps its variables over a reset")
+@mutant("survives", "VD-INI-04", "keeps its variables across a reset")
 class Survives(Air):
     def reset(self, now: int, wall: int) -> None:
         entries = {} if self.vardis is None else dict(self.vardis._database.entries)
@@ -112,7 +112,7 @@ class Survives(Air):
             self.vardis._database.entries.update(entries)
 
 
-@mutant("queue-survives", "VD-INI-04", "goes on after a reset with requests from before")
+@mutant("queue-survives", "VD-INI-04", "sends requests from before a reset after it")
 class QueueSurvives(Air):
     def reset(self, now: int, wall: int) -> None:
         wanted = [] if self.vardis is None else list(self.vardis._database.req_create_q)
@@ -125,7 +125,7 @@ class QueueSurvives(Air):
 # -- activation --------------------------------------------------------------------------------------------------------
 
 
-@mutant("sends", "VD-MGT-02 VD-RUN-03", "goes on composing payloads while it is inactive", unseen=ALWAYS_ACTIVE)
+@mutant("sends", "VD-MGT-02 VD-RUN-03", "continues to compose payloads while it is inactive", unseen=ALWAYS_ACTIVE)
 class SendsInactive(Vardis):
     def handle_timeout(self, now: int, wall: int) -> None:
         active, self._core.active = self._core.active, self.registered
@@ -133,20 +133,20 @@ class SendsInactive(Vardis):
         self._core.active = active
 
 
-@mutant("ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms its deactivation and stays active", since=V1_2)
+@mutant("ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms its deactivation, but stays active", since=V1_2)
 class NeverInactive(Vardis):
     def deactivate(self) -> Confirm:
         return Confirm(VardisStatus.OK)
 
 
-@mutant("forgets", "VD-MGT-05", "empties the database when it is activated", since=V1_2)
+@mutant("forgets", "VD-MGT-05", "clears the database when it is activated", since=V1_2)
 class ActivationForgets(Vardis):
     def activate(self) -> Confirm:
         self._database.clear()
         return super().activate()
 
 
-@mutant("stays", "VD-MGT-05", "confirms its activation and stays inactive", since=V1_2)
+@mutant("stays", "VD-MGT-05", "confirms its activation, but stays inactive", since=V1_2)
 class NeverActive(Vardis):
     def activate(self) -> Confirm:
         return Confirm(VardisStatus.OK)
@@ -155,21 +155,21 @@ class NeverActive(Vardis):
 # -- running -----------------------------------------------------------------------------------------------------------
 
 
-@mutant("ignored", "VD-RUN-01", "composes payloads only when it looks at the buffer")
+@mutant("ignored", "VD-RUN-01", "composes payloads only at buffer checks")
 class IndicationIgnored(Vardis):
     def payload_transmitted(self, now: int, wall: int) -> None:
         pass
 
 
-@mutant("ignored", "VD-RUN-02", "composes payloads only when BP has sent one")
+@mutant("ignored", "VD-RUN-02", "composes payloads only after BP has sent one")
 class NeverChecks(Vardis):
     def handle_timeout(self, now: int, wall: int) -> None:
         self._last_check = now
         super().handle_timeout(now, wall)
 
 
-# What it composes too early replaces the answer to a probe: to the tester VarDis may seem to have stopped.
-@mutant("always", "VD-RUN-02 VD-ROB-01", "composes a payload at every look, whatever is in the buffer")
+# A payload composed too early replaces the answer to a probe, so VarDis may seem to have stopped.
+@mutant("always", "VD-RUN-02 VD-ROB-01", "composes a payload at every buffer check, even if the buffer is not empty")
 class AlwaysComposes(Ported):
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
@@ -182,7 +182,7 @@ class AlwaysComposes(Ported):
             return type(confirm)(confirm.status, 0 if confirm.status.is_ok else None)
 
 
-@mutant("slow", "VD-RUN-02 VD-PAR-08", "looks at the buffer ten times less often than the parameter says")
+@mutant("slow", "VD-RUN-02 VD-PAR-08", "checks the buffer ten times less often than the parameter requires")
 class ChecksSlowly(VardisParameters):
     @property
     def buffer_check_period_ms(self) -> int:
@@ -198,7 +198,7 @@ class NeverScrubs(Vardis):
         pass
 
 
-@mutant("slow", "VD-SCR-01", "scrubs at every third period", since=V2)
+@mutant("slow", "VD-SCR-01", "scrubs only in every third period", since=V2)
 class ScrubsSlowly(Vardis):
     runs = 0
 
@@ -217,7 +217,7 @@ class ScrubsZero(Vardis):
                 self._database.mark_deleted(entry)
 
 
-@mutant("deleted", "VD-SCR-02", "repeats deletions of variables that are deleted and have timed out", since=V2)
+@mutant("deleted", "VD-SCR-02", "repeats the VarDelete of deleted variables after their timeout", since=V2)
 class ScrubsDeleted(Cells):
     cells: ClassVar = {
         (Event.TIMED_OUT, State.DELETED_PRODUCER): Cell(Action.DELETE),
@@ -243,7 +243,7 @@ class ScrubsLate(Vardis):
                 self._database.mark_deleted(entry)
 
 
-@mutant("silent", "VD-SCR-04", "deletes variables that have timed out and tells nobody", since=V2)
+@mutant("silent", "VD-SCR-04", "deletes variables after their timeout without sending VarDeletes", since=V2)
 class ScrubsSilently(Vardis):
     def _scrub(self, now: int) -> None:
         before = {var_id for var_id, entry in self._database.entries.items() if not entry.is_deleted}
@@ -255,7 +255,7 @@ class ScrubsSilently(Vardis):
                 self._database.delete_q.remove(var_id)
 
 
-@mutant("removed", "VD-SCR-04 VD-DB-02", "forgets variables that have timed out", since=V2)
+@mutant("removed", "VD-SCR-04 VD-DB-02", "removes variables from the database after their timeout", since=V2)
 class ScrubsAway(Vardis):
     def _scrub(self, now: int) -> None:
         before = {var_id for var_id, entry in self._database.entries.items() if not entry.is_deleted}
@@ -267,12 +267,17 @@ class ScrubsAway(Vardis):
                 del self._database.entries[var_id]
 
 
-@mutant("foreign-only", "VD-SCR-05", "scrubs only variables of others", since=V2)
+@mutant("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes", since=V2)
 class ScrubsForeign(Cells):
     cells: ClassVar = {(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)}
 
 
-@mutant("not-refreshed", "VD-SCR-06", "does not count the time of a variable anew when an update of it comes", since=V2)
+@mutant(
+    "not-refreshed",
+    "VD-SCR-06",
+    "does not restart the timeout of a variable when it receives an update of it",
+    since=V2,
+)
 class NotRefreshed(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         entry = self._database.lookup(record.var_id)
@@ -285,7 +290,7 @@ class NotRefreshed(Receiver):
 @mutant(
     "own-not-refreshed",
     "VD-SCR-03 VD-UPD-08",
-    "does not count the time of its own variable anew when it is updated",
+    "does not restart the timeout of its own variable when it is updated",
     since=V2,
 )
 class OwnNotRefreshed(Vardis):
@@ -298,7 +303,9 @@ class OwnNotRefreshed(Vardis):
         return confirm
 
 
-@mutant("summaries-refresh", "VD-SCR-06", "takes a summary for a sign of life of a variable", since=V2)
+@mutant(
+    "summaries-refresh", "VD-SCR-06", "restarts the timeout of a variable when it receives a summary of it", since=V2
+)
 class SummariesRefresh(Receiver):
     now = 0
 
@@ -313,7 +320,7 @@ class SummariesRefresh(Receiver):
             entry.refreshed = self.now
 
 
-@mutant("by-creation-time", "VD-SCR-03", "counts the time of a variable from its creationTime", since=V2)
+@mutant("by-creation-time", "VD-SCR-03", "computes the age of a variable from its creationTime", since=V2)
 class ByCreationTime(Vardis):
     wall = 0
 

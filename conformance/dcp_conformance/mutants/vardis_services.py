@@ -1,4 +1,4 @@
-"""Faults in the services of VarDis for applications, but for RTDB-Create."""
+"""Faults in the services of VarDis for applications, except RTDB-Create."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def _refused(event: Event, status: VardisStatus, *states: State) -> dict[tuple[E
 
 
 def _later(confirm: Confirm) -> Confirm:
-    """A confirm with the status that 2.0 has for deleted variables."""
+    """Return the confirm with the status that 2.0 has for deleted variables."""
     return Confirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
 
 
 # -- RTDB-Delete, RTDB-Update, RTDB-Read -------------------------------------------------------------------------------
 
 
-@mutant("ok", "VD-DEL-02", "confirms with OK that an unknown variable was deleted")
+@mutant("ok", "VD-DEL-02", "confirms the deletion of an unknown variable with OK")
 class DeletesUnknown(Vardis):
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
         confirm = super().delete(var_id, now=now, wall=wall)
@@ -54,7 +54,7 @@ class DeletesForeign(Cells):
     cells: ClassVar = {(Event.APP_DELETE, CONSUMED): Cell(Action.DELETE)}
 
 
-@mutant("status", "VD-DEL-03", "says of a deleted variable of another node that it is deleted")
+@mutant("status", "VD-DEL-03", "answers IS-DELETED for a deleted variable of another node")
 class DeleteStatus(Cells):
     cells: ClassVar = _refused(Event.APP_DELETE, IS_DELETED, DELETED)
 
@@ -64,12 +64,12 @@ class DeletesAgain(Cells):
     cells: ClassVar = {(Event.APP_DELETE, DELETED_OWN): Cell(Action.DELETE)}
 
 
-@mutant("does-not-exist", "VD-DEL-04", "says of its own deleted variable that it does not exist", since=V2)
+@mutant("does-not-exist", "VD-DEL-04", "answers DOES-NOT-EXIST for its own deleted variable", since=V2)
 class DeletedDoesNotExist(Cells):
     cells: ClassVar = _refused(Event.APP_DELETE, DOES_NOT_EXIST, DELETED_OWN)
 
 
-@mutant("silent", "VD-DEL-05", "deletes its own variables and tells nobody")
+@mutant("silent", "VD-DEL-05", "deletes its own variables without sending VarDeletes")
 class DeletesSilently(Vardis):
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
         confirm = super().delete(var_id, now=now, wall=wall)
@@ -80,7 +80,7 @@ class DeletesSilently(Vardis):
         return confirm
 
 
-@mutant("creates", "VD-UPD-02", "creates a variable that is updated and does not exist")
+@mutant("creates", "VD-UPD-02", "creates a variable that does not exist when it is to be updated")
 class UpdateCreates(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         confirm = super().update(var_id, value, now=now, wall=wall)
@@ -94,24 +94,24 @@ class UpdatesForeign(Cells):
     cells: ClassVar = {(Event.APP_UPDATE, CONSUMED): Cell(Action.UPDATE)}
 
 
-@mutant("status", "VD-UPD-03", "says of a deleted variable of another node that it is deleted")
+@mutant("status", "VD-UPD-03", "answers IS-DELETED for a deleted variable of another node")
 class UpdateStatus(Cells):
     cells: ClassVar = _refused(Event.APP_UPDATE, IS_DELETED, DELETED)
 
 
-@mutant("later-status", "VD-UPD-12", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+@mutant("later-status", "VD-UPD-12", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
 class UpdateLaterStatus(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         return _later(super().update(var_id, value, now=now, wall=wall))
 
 
-@mutant("later-status", "VD-DEL-09", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+@mutant("later-status", "VD-DEL-09", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
 class DeleteLaterStatus(Vardis):
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
         return _later(super().delete(var_id, now=now, wall=wall))
 
 
-@mutant("later-status", "VD-REA-06", "says of a variable that is being deleted that it is deleted, as only 2.0 does")
+@mutant("later-status", "VD-REA-06", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
 class ReadLaterStatus(Vardis):
     def read(self, var_id: int) -> ReadConfirm:
         confirm = super().read(var_id)
@@ -125,7 +125,7 @@ class UpdatesDeleted(Vardis):
         return Confirm(OK) if confirm.status is IS_DELETED else confirm
 
 
-@mutant("revives", "VD-UPD-04", "revives its own deleted variable with an update", since=V2)
+@mutant("revives", "VD-UPD-04", "restores its own deleted variable when it is updated", since=V2)
 class UpdateRevives(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         confirm = super().update(var_id, value, now=now, wall=wall)
@@ -136,13 +136,13 @@ class UpdateRevives(Vardis):
         return confirm
 
 
-@mutant("cut", "VD-UPD-05", "cuts values of updates that are too long, and says OK")
+@mutant("cut", "VD-UPD-05", "truncates values of updates that are too long, and answers OK")
 class UpdateCut(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         return super().update(var_id, value[: self._parameters.max_value_length], now=now, wall=wall)
 
 
-@mutant("ok", "VD-UPD-06", "confirms an empty update with OK")
+@mutant("ok", "VD-UPD-06", "confirms an update with an empty value with OK")
 class UpdateEmpty(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         confirm = super().update(var_id, value, now=now, wall=wall)
@@ -150,31 +150,31 @@ class UpdateEmpty(Vardis):
         return Confirm(OK) if confirm.status in empty else confirm
 
 
-@mutant("constant", "VD-UPD-07", "does not count updates")
+@mutant("constant", "VD-UPD-07", "does not increase the sequence number with updates")
 class NumberStays(Sequence):
     def after(self, seqno: int) -> int:
         return seqno
 
 
-@mutant("by-two", "VD-UPD-07", "counts updates by two")
+@mutant("by-two", "VD-UPD-07", "increases the sequence number by two with each update")
 class ByTwo(Sequence):
     def after(self, seqno: int) -> int:
         return (seqno + 2) % self._modulus
 
 
-@mutant("wraps-early", "VD-UPD-07 VD-TYP-03", "counts updates to 254, and then from 0")
+@mutant("wraps-early", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 0 after 254")
 class WrapsEarly(Sequence):
     def after(self, seqno: int) -> int:
         return (seqno + 1) % (self._modulus - 1)
 
 
-@mutant("wraps-to-one", "VD-UPD-07 VD-TYP-03", "leaves out 0 when the numbers wrap")
+@mutant("wraps-to-one", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 1 instead of 0")
 class WrapsToOne(Sequence):
     def after(self, seqno: int) -> int:
         return (seqno + 1) % self._modulus or 1
 
 
-@mutant("shared", "VD-TYP-03 VD-UPD-07", "counts the updates of all variables with one counter")
+@mutant("shared", "VD-TYP-03 VD-UPD-07", "uses one sequence of numbers for the updates of all variables")
 class SharedCounter(Vardis):
     counter = 0
 
@@ -187,7 +187,7 @@ class SharedCounter(Vardis):
         return confirm
 
 
-@mutant("once", "VD-UPD-08", "sends updates once, whatever repCnt is")
+@mutant("once", "VD-UPD-08", "sends a VarUpdate once, whatever the repCnt")
 class UpdatedOnce(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         confirm = super().update(var_id, value, now=now, wall=wall)
@@ -197,7 +197,7 @@ class UpdatedOnce(Vardis):
         return confirm
 
 
-@mutant("stamp", "VD-UPD-08 VD-DB-03", "keeps the time of the creation when it is updated")
+@mutant("stamp", "VD-UPD-08 VD-DB-03", "keeps the time stamp of the creation when a variable is updated")
 class UpdateStamp(Vardis):
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
         entry = self._database.lookup(var_id)
@@ -208,24 +208,24 @@ class UpdateStamp(Vardis):
         return confirm
 
 
-@mutant("unknown-empty", "VD-REA-02", "reads an empty value of a variable that does not exist")
+@mutant("unknown-empty", "VD-REA-02", "returns an empty value for a variable that does not exist")
 class ReadsUnknown(Vardis):
     def read(self, var_id: int) -> ReadConfirm:
         confirm = super().read(var_id)
         return ReadConfirm(OK, b"", 0) if confirm.status is DOES_NOT_EXIST else confirm
 
 
-@mutant("deleted", "VD-REA-03", "reads the last value of a deleted variable", since=V2)
+@mutant("deleted", "VD-REA-03", "returns the last value of a deleted variable", since=V2)
 class ReadsDeleted(Cells):
     cells: ClassVar = {(Event.APP_READ, state): Cell(Action.READ) for state in (DELETED, DELETED_OWN)}
 
 
-@mutant("does-not-exist", "VD-REA-03", "says of a deleted variable that it does not exist", since=V2)
+@mutant("does-not-exist", "VD-REA-03", "answers DOES-NOT-EXIST for a deleted variable", since=V2)
 class ReadDoesNotExist(Cells):
     cells: ClassVar = _refused(Event.APP_READ, DOES_NOT_EXIST, DELETED, DELETED_OWN)
 
 
-@mutant("with-value", "VD-REA-03", "adds the last value to IS-DELETED", since=V2)
+@mutant("with-value", "VD-REA-03", "returns the last value together with IS-DELETED", since=V2)
 class ReadsWithValue(Vardis):
     def read(self, var_id: int) -> ReadConfirm:
         confirm = super().read(var_id)
@@ -235,7 +235,7 @@ class ReadsWithValue(Vardis):
         return confirm
 
 
-@mutant("first-value", "VD-REA-04", "reads the value that a variable had when it was read first")
+@mutant("first-value", "VD-REA-04", "always returns the value of the first RTDB-Read of a variable")
 class ReadsFirst(Vardis):
     def __init__(self, *args: Any, **times: Any) -> None:
         super().__init__(*args, **times)
@@ -249,7 +249,7 @@ class ReadsFirst(Vardis):
         return self._first.setdefault((var_id, entry.spec.creation_time), confirm)
 
 
-@mutant("no-stamp", "VD-REA-04 VD-DB-03", "reads the value without a time")
+@mutant("no-stamp", "VD-REA-04 VD-DB-03", "returns the value without a time stamp")
 class ReadsNoStamp(Vardis):
     def read(self, var_id: int) -> ReadConfirm:
         return msgspec.structs.replace(super().read(var_id), t_stamp=None)
@@ -258,7 +258,7 @@ class ReadsNoStamp(Vardis):
 # -- descriptions ------------------------------------------------------------------------------------------------------
 
 
-@mutant("hides-deleted", "VD-DDB-02 VD-DB-02", "leaves deleted variables out of the database that it describes")
+@mutant("hides-deleted", "VD-DDB-02 VD-DB-02", "omits deleted variables from RTDB-DescribeDatabase")
 class HidesDeleted(Vardis):
     def describe_database(self) -> DescribeDatabaseConfirm:
         confirm = super().describe_database()
@@ -275,14 +275,14 @@ class OwnOnly(Vardis):
         return msgspec.structs.replace(confirm, variables=own)
 
 
-@mutant("unknown-ok", "VD-DVA-02", "describes variables that do not exist with OK")
+@mutant("unknown-ok", "VD-DVA-02", "answers OK when a variable to be described does not exist")
 class DescribesUnknown(Vardis):
     def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
         confirm = super().describe_variable(var_id)
         return DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
 
 
-@mutant("deleted", "VD-DVA-03", "says of a deleted variable that it cannot describe it")
+@mutant("deleted", "VD-DVA-03", "rejects RTDB-DescribeVariable for a deleted variable")
 class HidesEntry(Vardis):
     def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
         confirm = super().describe_variable(var_id)
@@ -290,7 +290,7 @@ class HidesEntry(Vardis):
         return DescribeVariableConfirm(IS_DELETED) if deleted else confirm
 
 
-@mutant("no-answer", "DATA-10", "does not answer when a variable to be deleted does not exist")
+@mutant("no-answer", "DATA-10", "does not answer if a variable to be deleted does not exist")
 class NoAnswer(Vardis):
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
         confirm = super().delete(var_id, now=now, wall=wall)
@@ -303,7 +303,7 @@ class NoAnswer(Vardis):
 
 
 class Inactive(Vardis):
-    """Serves some requests while it is inactive."""
+    """Executes some requests while it is inactive."""
 
     serves: ClassVar[str] = ""
 
@@ -322,12 +322,12 @@ class Inactive(Vardis):
         return served
 
 
-@mutant("served", "VD-DDB-01 VD-MGT-04", "describes the database while it is inactive", unseen=ALWAYS_ACTIVE)
+@mutant("served", "VD-DDB-01 VD-MGT-04", "executes RTDB-DescribeDatabase while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveDatabase(Inactive):
     serves = "describe_database"
 
 
-@mutant("served", "VD-DVA-01 VD-MGT-04", "describes variables while it is inactive", unseen=ALWAYS_ACTIVE)
+@mutant("served", "VD-DVA-01 VD-MGT-04", "executes RTDB-DescribeVariable while it is inactive", unseen=ALWAYS_ACTIVE)
 class InactiveVariable(Inactive):
     serves = "describe_variable"
 
@@ -352,7 +352,7 @@ class InactiveRead(Inactive):
     serves = "read"
 
 
-@mutant("silently", "VD-MGT-04 VD-CRE-01", "says INACTIVE, and creates the variable all the same", unseen=ALWAYS_ACTIVE)
+@mutant("silently", "VD-MGT-04 VD-CRE-01", "answers INACTIVE, but creates the variable", unseen=ALWAYS_ACTIVE)
 class InactiveSilently(Inactive):
     def create(self, *args: Any, **times: Any) -> Confirm:
         if self.active or not self.registered:

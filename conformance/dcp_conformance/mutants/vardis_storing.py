@@ -1,4 +1,4 @@
-"""Faults in what VarDis stores of what it receives, and in what it leaves in its queues."""
+"""Faults in what VarDis stores of received records, and in its queues."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from .unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_REPLACED, PURGED
 
 
 class Stores(Receiver):
-    """Stores another creation."""
+    """Changes the VarCreate to be stored."""
 
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         super()._create(self.record(record, wall), offset, now, wall)
 
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - for those that look at it
-        """What is stored instead."""
+    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - used by overrides
+        """Return the record to be stored."""
         return record
 
     def changed(self, record: VarCreate, **members: Any) -> VarCreate:
-        """With other members of its VarSpec."""
+        """Return the record with changed members of its VarSpec."""
         return VarCreate(msgspec.structs.replace(record.spec, **members), record.upd)
 
 
-@mutant("seqno-zero", "VD-PC-07", "stores variables of others with sequence number 0")
+@mutant("seqno-zero", "VD-PC-07", "stores variables of other nodes with sequence number 0")
 class SeqnoZero(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
         return VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))
 
 
-@mutant("nul-value", "VD-PC-07 DATA-06", "stores values up to the first octet that is zero")
+@mutant("nul-value", "VD-PC-07 DATA-06", "stores values only up to the first zero octet")
 class NulValue(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
         value = record.upd.value[:1] + record.upd.value[1:].partition(b"\0")[0]
@@ -50,7 +50,7 @@ class NulValue(Stores):
 @mutant(
     "producer",
     "VD-PC-10 VD-TYP-06",
-    "puts itself as the producer into variables that it sends on",
+    "forwards variables with itself as the producer",
 )
 class OtherProducer(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
@@ -61,7 +61,7 @@ class OtherProducer(Stores):
 @mutant(
     "creation-time",
     "VD-PC-10 VD-TYP-06",
-    "gives variables that it sends on a creationTime of its own",
+    "forwards variables with its own creationTime",
     unseen=NO_TIMES,
 )
 class OtherTime(Stores):
@@ -71,27 +71,27 @@ class OtherTime(Stores):
         return self.changed(record, creation_time=self._core.clock.stamp(wall)) if fresh else record
 
 
-@mutant("repcnt-down", "VD-TYP-06 VD-PC-09", "sends variables on with a lower repCnt, as if it was a hop count")
+@mutant("repcnt-down", "VD-TYP-06 VD-PC-09", "forwards variables with a decremented repCnt, like a hop count")
 class CountsHops(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
         return self.changed(record, rep_cnt=max(record.spec.rep_cnt - 1, 1)) if record.spec.rep_cnt <= 15 else record
 
 
-@mutant("timeout-lost", "VD-TYP-06 VD-TYP-04", "sends variables on without their timeout", unseen=NO_TIMES)
+@mutant("timeout-lost", "VD-TYP-06 VD-TYP-04", "forwards variables without their timeout", unseen=NO_TIMES)
 class TimeoutLost(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
         return self.changed(record, timeout=0)
 
 
 @mutant(
-    "descr-nul", "DATA-07 VD-TYP-06", "sends descriptions on up to the first octet that is zero", since=SpecVersion.V1_1
+    "descr-nul", "DATA-07 VD-TYP-06", "forwards descriptions only up to the first zero octet", since=SpecVersion.V1_1
 )
 class DescriptionNul(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
         return self.changed(record, descr=record.spec.descr.partition(b"\0")[0] or record.spec.descr)
 
 
-@mutant("descr-short", "VD-TYP-06", "sends at most 16 octets of a description on")
+@mutant("descr-short", "VD-TYP-06", "forwards at most 16 octets of a description")
 class DescriptionShort(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
         longest = self._parameters.longest_description
@@ -99,10 +99,10 @@ class DescriptionShort(Stores):
 
 
 class Inserts(Database):
-    """Leaves another state behind when a variable is stored, updated or deleted."""
+    """Leaves a variable in a queue when it is stored, updated or deleted."""
 
     forgets: ClassVar[str] = ""
-    """The queue that is forgotten when a variable is stored anew or deleted."""
+    """The queue from which the variable is not removed when it is stored again or deleted."""
     at: ClassVar[str] = "create"
 
     def insert(self, spec: VarSpec, value: bytes, seqno: int, *, now: int, wall: int) -> DBEntry:
@@ -129,47 +129,47 @@ CREATED = "VD-PC-08 VD-CRE-11"
 DELETED = "VD-PD-04 VD-DEL-05"
 
 
-@mutant("deleteQ", CREATED, "leaves a variable in deleteQ that is created anew", unseen=NOT_REPLACED)
+@mutant("deleteQ", CREATED, "leaves a variable in deleteQ when it is created again", unseen=NOT_REPLACED)
 class CreateKeepsDelete(Inserts):
     forgets = "deleteQ"
 
 
-@mutant("updateQ", CREATED, "leaves a variable in updateQ that is created anew", unseen=NOT_REPLACED)
+@mutant("updateQ", CREATED, "leaves a variable in updateQ when it is created again", unseen=NOT_REPLACED)
 class CreateKeepsUpdate(Inserts):
     forgets = "updateQ"
 
 
-@mutant("reqUpdQ", CREATED, "leaves a variable in reqUpdQ that is created anew", unseen=NOT_REPLACED)
+@mutant("reqUpdQ", CREATED, "leaves a variable in reqUpdQ when it is created again", unseen=NOT_REPLACED)
 class CreateKeepsRequest(Inserts):
     forgets = "reqUpdQ"
 
 
-@mutant("reqCreateQ", CREATED, "goes on requesting a variable that it has got")
+@mutant("reqCreateQ", CREATED, "continues to request a variable that it has received")
 class CreateKeepsCreate(Inserts):
     forgets = "reqCreateQ"
 
 
-@mutant("createQ", DELETED, "leaves a variable in createQ that is deleted")
+@mutant("createQ", DELETED, "leaves a variable in createQ when it is deleted")
 class DeleteKeepsCreate(Inserts):
     forgets, at = "createQ", "delete"
 
 
-@mutant("updateQ", DELETED, "leaves a variable in updateQ that is deleted")
+@mutant("updateQ", DELETED, "leaves a variable in updateQ when it is deleted")
 class DeleteKeepsUpdate(Inserts):
     forgets, at = "updateQ", "delete"
 
 
-@mutant("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ that is deleted", unseen=PURGED)
+@mutant("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ when it is deleted", unseen=PURGED)
 class DeleteKeepsSummary(Inserts):
     forgets, at = "summaryQ", "delete"
 
 
-@mutant("reqUpdQ", DELETED, "leaves a variable in reqUpdQ that is deleted", unseen=PURGED)
+@mutant("reqUpdQ", DELETED, "leaves a variable in reqUpdQ when it is deleted", unseen=PURGED)
 class DeleteKeepsRequest(Inserts):
     forgets, at = "reqUpdQ", "delete"
 
 
-@mutant("request-kept", "VD-PU-08", "requests an update although it has come")
+@mutant("request-kept", "VD-PU-08", "requests an update that it has received")
 class RequestKept(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         asked = record.var_id in self._database.req_upd_q
@@ -178,7 +178,7 @@ class RequestKept(Receiver):
             self._database.req_upd_q.append(record.var_id)
 
 
-@mutant("own-only", "VD-PC-09 VD-SCP-02", "does not send variables of others on")
+@mutant("own-only", "VD-PC-09 VD-SCP-02", "does not forward variables of other nodes")
 class NotSentOn(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         before = self._database.lookup(record.spec.var_id)
@@ -189,7 +189,7 @@ class NotSentOn(Receiver):
             self._database.create_q.remove(record.spec.var_id)
 
 
-@mutant("once", "VD-PC-09 VD-SCP-02", "sends variables of others on once, whatever repCnt is")
+@mutant("once", "VD-PC-09 VD-SCP-02", "forwards variables of other nodes once, whatever the repCnt")
 class SentOnOnce(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         before = self._database.lookup(record.spec.var_id)
@@ -199,7 +199,7 @@ class SentOnOnce(Receiver):
             entry.count_create = 1
 
 
-@mutant("not-summarised", "VD-PC-09", "does not summarise variables of others")
+@mutant("not-summarised", "VD-PC-09", "does not summarise variables of other nodes")
 class NotSummarised(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         super()._create(record, offset, now, wall)
@@ -208,7 +208,7 @@ class NotSummarised(Receiver):
             self._database.summary_q.remove(record.spec.var_id)
 
 
-@mutant("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of others and does not send them on")
+@mutant("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of other nodes without forwarding them")
 class UpdateNotSentOn(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         entry = self._database.lookup(record.var_id)
@@ -219,7 +219,7 @@ class UpdateNotSentOn(Receiver):
             self._database.update_q.remove(record.var_id)
 
 
-@mutant("number-kept", "VD-PU-07", "stores the value of an update and keeps its own number")
+@mutant("number-kept", "VD-PU-07", "stores the value of a VarUpdate, but keeps its old sequence number")
 class NumberKept(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         entry = self._database.lookup(record.var_id)
@@ -229,7 +229,7 @@ class NumberKept(Receiver):
             entry.seqno = before
 
 
-@mutant("value-kept", "VD-PU-07", "stores the number of an update, and not its value")
+@mutant("value-kept", "VD-PU-07", "stores the sequence number of a VarUpdate, but not its value")
 class ValueKept(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         entry = self._database.lookup(record.var_id)
@@ -239,7 +239,7 @@ class ValueKept(Receiver):
             entry.value = before
 
 
-@mutant("stamp-kept", "VD-DB-03 VD-PU-07 VD-REA-04", "keeps the time of the creation when an update comes")
+@mutant("stamp-kept", "VD-DB-03 VD-PU-07 VD-REA-04", "keeps the time stamp of the creation when it receives an update")
 class StampKept(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         entry = self._database.lookup(record.var_id)
@@ -249,7 +249,7 @@ class StampKept(Receiver):
             entry.t_stamp = before
 
 
-@mutant("not-sent-on", "VD-PD-04 VD-SCP-02", "deletes variables of others and does not send that on")
+@mutant("not-sent-on", "VD-PD-04 VD-SCP-02", "deletes variables of other nodes without forwarding the VarDelete")
 class DeleteNotSentOn(Receiver):
     def _delete(self, record: VarDelete, offset: int) -> None:
         entry = self._database.lookup(record.var_id)
@@ -260,14 +260,19 @@ class DeleteNotSentOn(Receiver):
             self._database.delete_q.remove(record.var_id)
 
 
-@mutant("forgets", "VD-DB-02 VD-PD-04 VD-DEL-06", "forgets variables when they are deleted", since=SpecVersion.V2_0)
+@mutant(
+    "forgets",
+    "VD-DB-02 VD-PD-04 VD-DEL-06",
+    "removes variables from the database when they are deleted",
+    since=SpecVersion.V2_0,
+)
 class ForgetsDeleted(Core):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self.database.remove_deleted = True
 
 
-@mutant("remembers", "VD-DEL-08", "keeps deleted variables, as only later versions do")
+@mutant("remembers", "VD-DEL-08", "keeps deleted variables in the database, as in later versions")
 class RemembersDeleted(Core):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -286,7 +291,7 @@ class CopiesSummaries(Receiver):
             entry.seqno = record.seqno
 
 
-@mutant("request-relayed", "VD-SCP-01", "sends requests for updates on that it can answer")
+@mutant("request-relayed", "VD-SCP-01", "forwards requests for updates that it can answer")
 class RelaysRequests(Receiver):
     def _request_update(self, record: Any, offset: int) -> None:
         super()._request_update(record, offset)
@@ -295,7 +300,7 @@ class RelaysRequests(Receiver):
             self._database.req_upd_q.append(record.var_id)
 
 
-@mutant("create-request-relayed", "VD-SCP-01 VD-RC-03", "sends requests for variables on that it can answer")
+@mutant("create-request-relayed", "VD-SCP-01 VD-RC-03", "forwards requests for variables that it can answer")
 class RelaysCreateRequests(Receiver):
     def _request_create(self, record: Any, offset: int) -> None:
         super()._request_create(record, offset)
@@ -309,7 +314,9 @@ class ReceivesInactive(Vardis):
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
 
-@mutant("later", "VD-MGT-03", "processes what came while it was inactive when it is activated", unseen=ALWAYS_ACTIVE)
+@mutant(
+    "later", "VD-MGT-03", "processes payloads received while it was inactive when it is activated", unseen=ALWAYS_ACTIVE
+)
 class ReceivesLater(Vardis):
     def __init__(self, *args: Any, **times: Any) -> None:
         super().__init__(*args, **times)

@@ -13,6 +13,7 @@ _OUTCOMES = {
     Verdict.FAIL: "failure",
     Verdict.ERROR: "error",
     Verdict.NOT_APPLICABLE: "skipped",
+    Verdict.TOO_LITTLE: "skipped",
     Verdict.INCONCLUSIVE: "skipped",
 }
 

@@ -27,7 +27,12 @@ def headline(run: RunResult) -> str:
     else:
         one = "requirement passes" if passed == 1 else "requirements pass"
         said = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
-    others = {Verdict.INCONCLUSIVE: "inconclusive", Verdict.ERROR: "in error", Verdict.INFO: "only reported"}
+    others = {
+        Verdict.INCONCLUSIVE: "inconclusive",
+        Verdict.ERROR: "in error",
+        Verdict.INFO: "only reported",
+        Verdict.TOO_LITTLE: "seen too seldom to say",
+    }
     more = [f"{count[each]} {_are(count[each])} {word}" for each, word in others.items() if count[each]]
     return "; ".join(filter(None, [said, *more, undecided_deaths(run)]))
 

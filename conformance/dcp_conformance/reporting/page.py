@@ -9,12 +9,14 @@ from collections.abc import Iterator
 from importlib import resources
 from typing import Any
 
+import msgspec
 from dcp_spec.requirements import requirements
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from dcp_codec.codec import Codec
 from dcp_codec.plain import plain
+from dcp_conformance.check.wording import moment
 from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
 from dcp_conformance.verdict import Verdict
 
@@ -31,6 +33,7 @@ _ORDER = (
     Verdict.INCONCLUSIVE,
     Verdict.PASS,
     Verdict.INFO,
+    Verdict.TOO_LITTLE,
     Verdict.NOT_APPLICABLE,
 )
 
@@ -97,8 +100,18 @@ def render(run: RunResult, codec: Codec | None) -> str:
             requirement_counts=_counts(run),
             readings=list(observed_readings(run)),
             known=known,
+            holdings=msgspec.json.encode(run.holdings).decode() if run.holdings.get("changes") else "",
+            links=_links(run),
         )
     )
+
+
+def _links(run: RunResult) -> dict[str, Any] | None:
+    """Who hears whom as a matrix: listeners, speakers, and the link of each pair."""
+    if not run.links:
+        return None
+    nodes = sorted({node for each in run.links for node in (each.listener, each.speaker)})
+    return {"nodes": nodes, "of": {(each.listener, each.speaker): each for each in run.links}}
 
 
 def _counts(run: RunResult) -> dict[str, int]:
@@ -176,6 +189,9 @@ def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
         "recording": case.recording,
         "linked": _RECORDING.fullmatch(case.recording) is not None,
         "rerun": case.rerun,
+        "occasions": case.occasions,
+        "consequence": case.consequence,
+        "show": case.show,
         "killed": case.killed,
         "detail": case.error_detail,
         "search": f"{case.id} {case.purpose} {' '.join(case.requirements)} {case.section}".lower(),
@@ -193,6 +209,7 @@ def _check(check: Check, events: dict[int, EventRecord], apart: Frames, case: Ca
         "requirements": check.requirements,
         "expected": check.expected,
         "observed": check.observed,
+        "moment": "" if check.seconds is None else moment(check.seconds),
         "frames": [apart.frame(event, marks[event.frame], begin_of(case)) for event in shown],
         "more": len(marks) - len(shown) if notable else 0,
     }

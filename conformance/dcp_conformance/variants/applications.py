@@ -136,13 +136,13 @@ _VD_WHY = "dcp-vardis.md: applications create and update variables at any time; 
 _BP_WHY = "dcp-bp.md: any number of client protocols may be registered"
 
 #: An application that goes on sending leaves no beacon period in which the node has nothing to send.
-_NO_PAUSE = r"^TC_BP_HDR_BV_(09|12): a pause in which it has nothing to send"
+_NO_PAUSE = r"^TC_BP_HDR_BV_(09|12): no beacon during the pause"
 #: What waits while BP is inactive is what the application has handed down last.
 _REPLACED = r"^TC_SRP_REC_(TI_01|BV_04): .*: an application on the node replaces"
 #: A variable of the node's own is summarised in every payload for as long as it exists.
 _SUMMARISED = (
-    r"^TC_VD_RUN_TI_0.*: variables from elsewhere are being summarised"
-    r"|^TC_VD_SUM_BV_04: .*: an application on the node has a variable"
+    r"^TC_VD_RUN_TI_0.*: variables from other sources are still summarised"
+    r"|^TC_VD_SUM_BV_04: .*: an application on the node has created a variable"
 )
 
 VARIANTS = (

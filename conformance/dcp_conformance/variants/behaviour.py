@@ -263,9 +263,9 @@ _MANY = "dcp-bp.md, Transmit Path: how many payloads and which is left to the im
 _ORDER = "dcp-bp.md: the order of clients is free, and no payload is promised a beacon (BP-GEN-02)"
 _INTERVALS = "dcp-bp.md, Transmit Path: the mean interval tends to the period (BP-TX-01, BP-TX-02)"
 #: Before 1.2 BP cannot be deactivated, so that no two payloads can be submitted between two triggered beacons.
-_NO_GAP = r"are submitted (and counted )?between two beacons: a beacon came in between each time"
+_NO_GAP = r"submission (of|and counting of) .* between two beacons: a beacon in between in each attempt"
 #: A mean of intervals that vary so much is only known after more of them than a case has time for.
-_TOO_FEW = r"^TC_BP_TX_TI_0[12].*: the sample is too small for how much they vary"
+_TOO_FEW = r"^TC_BP_TX_TI_0[12].*: too few beacons for their variance"
 
 VARIANTS = (
     Variant("V-BP-TX-one-block", "puts one payload into each beacon", _MANY, _part(OneBlock)),

@@ -16,7 +16,7 @@ from .variant import Setup, Variant, has_srp, setup
 #: one whose VarDis is broken as long as the PICS does not say so.
 _NO_VARDIS = (
     r"; but VarDis answered nothing that could be read when the run began$",
-    r"if there is none, say so \(\[pics\] vardis = false\)$",
+    r"if the implementation has no VarDis, set vardis = false in \[pics\]$",
     # It takes nothing that it is sent, as with parameters that nobody has told.
     NOBODY_TOLD,
     r"the implementation (learns|notices|sends) .*: it does not( repeat it| pass it on)?$",
@@ -28,7 +28,7 @@ _NO_VARDIS = (
     r"takes part again after its restart: no answer to five probes",
 )
 #: The same for SRP.
-_NO_SRP = (r"^TC_SRP_INI_BV_0[123]: .*\[pics\] srp = false",)
+_NO_SRP = (r"^TC_SRP_INI_BV_0[123]: .*srp = false in \[pics\]",)
 
 
 def _only(*, srp: bool, vardis: bool, told: bool, hidden: tuple[str, ...] = ()) -> Callable[[str], Setup]:

@@ -34,15 +34,15 @@ def _vardis(field: str) -> Callable[[int], dict[str, Any]]:
 #: Inconclusive verdicts that follow from a value, by corner.
 _EXPLAINS: Final = {
     # No payload size is so small that it bounds what is this long already.
-    "value-255": (r"^TC_VD_PAR_BI_02: a payload size whose bound is below",),
+    "value-255": (r"^TC_VD_PAR_BI_02: a payload size whose limit is below",),
     "description-255": (
-        r"^TC_VD_PAR_BI_02: a payload size whose bound is below",
+        r"^TC_VD_PAR_BI_02: a payload size whose limit is below",
         # No longer one can be sent.
         r"^TC_DCP_DATA_BI_02: a description longer than the maximum",
     ),
     # By the time of the update all repetitions may be over.
-    "repetitions-3": (r"^TC_VD_UPD_BV_06: VarCreates that are still to be repeated",),
-    "repetitions-2": (r"^TC_VD_UPD_BV_06: VarCreates that are still to be repeated",),
+    "repetitions-3": (r"^TC_VD_UPD_BV_06: VarCreates with repetitions left",),
+    "repetitions-2": (r"^TC_VD_UPD_BV_06: VarCreates with repetitions left",),
     # Without summaries VarDis falls silent after the repetitions.
     "summaries-0": (r"^TC_BP_HDR_BV_03: 4 beacons",),
 }

@@ -219,13 +219,13 @@ _USED_UP = r"identifiers used up: .* A reset frees them"
 #: Where nobody has told a limit, cases end as inconclusive and name the entry of the PIXIT that would help.
 NOBODY_TOLD: Final = r"was taken to be .*\(pixit\."
 #: Up to 1.2 state reports of earlier cases are repeated until a reset.
-_STILL_TALKING = r"^TC_BP_HDR_BV_09: a pause in which it has nothing to send"
+_STILL_TALKING = r"^TC_BP_HDR_BV_09: no beacon during the pause"
 #: A call takes a sixth of the time after which a neighbour is forgotten.
-_TOO_SLOW = r"^TC_SRP_NT_TI_0[245]: the neighbours are in the table"
+_TOO_SLOW = r"^TC_SRP_NT_TI_0[245]: entries of the neighbours"
 #: Up to 1.1 BP cannot be deactivated while payloads are submitted.
-TOO_SLOW_FOR_A_GAP = r"between two beacons: a beacon came in between each time; calls take up to \d+ ms"
+TOO_SLOW_FOR_A_GAP = r"between two beacons: a beacon in between in each attempt; calls take up to \d+ ms"
 #: A call takes longer than the first beacons after it.
-_TOO_SLOW_TO_COUNT = r"^TC_VD_CRE_BV_08: .*: calls take so long that it may come before them"
+_TOO_SLOW_TO_COUNT = r"^TC_VD_CRE_BV_08: .*: calls take so long that it may be sent before them"
 
 VARIANTS = (
     *_without_each(),

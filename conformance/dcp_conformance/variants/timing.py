@@ -22,12 +22,12 @@ from .variant import Setup, Variant, setup
 _V = SpecVersion
 
 #: Two payloads of one beacon are taken apart, so that what the second takes back may have left.
-_ONE_BY_ONE = r"^TC_VD_PEND_BV_0[123]: .*; but it takes received payloads one at a time, and may answer between"
+_ONE_BY_ONE = r"^TC_VD_PEND_BV_0[123]: .*; but it processes received payloads one at a time and may answer in between"
 
 #: After idling, a variable with a short timeout has timed out before VarDis looks at the buffer.
 _TIMED_OUT = (
-    r"^TC_VD_(INI_BV_05|STATE_TI_01-[a-z-]+\.timeout): .*, which this case needs: it does not( repeat it)?$",
-    r"^TC_VD_SCR_TI_0[18](-1500)?: the implementation learns a variable with a timeout: it does not pass it on$",
+    r"^TC_VD_(INI_BV_05|STATE_TI_01-[a-z-]+\.timeout): .*, which this case needs: none in time$",
+    r"^TC_VD_SCR_TI_0[18](-1500)?: a forwarded VarCreate of a variable with a timeout: none in time$",
 )
 
 

@@ -1,0 +1,52 @@
+"""``dcp-codec layout``: a layout with which Foxglove shows an MCAP file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from dcp_codec.capture import CaptureError
+from dcp_codec.commandline import ExpectedError
+from dcp_codec.wholefile import write_whole
+
+from .common import note
+
+
+@click.command(
+    "layout",
+    epilog="In Foxglove: open FILE, then choose Layouts, Import from file. docs/mcap.md describes the topics. "
+    "Exit status: 0 all good, 2 wrong usage or a file that cannot be read.",
+)
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE.json",
+    help="The layout. [default: the name of FILE with .foxglove.json, here; - is standard output]",
+)
+@click.option("--force", is_flag=True, help="Replace what is at --out.")
+def command(file: Path, out: Path | None, force: bool) -> int:
+    """Write a Foxglove layout for FILE, an MCAP file that convert wrote.
+
+    It shows the positions of all nodes in space and over time, beacons, instructions, and what is wrong with frames.
+    """
+    from dcp_codec.foxglove import layout_of, layout_text
+
+    target = out or Path(f"{file.stem}.foxglove.json")
+    if str(target) != "-" and target.exists() and not force:
+        raise ExpectedError(f"{target}: is there already; --force replaces it")
+    try:
+        text = layout_text(layout_of(file))
+    except CaptureError as error:
+        raise ExpectedError(str(error)) from None
+    if str(target) == "-":
+        click.echo(text, nl=False)
+        return 0
+    try:
+        write_whole(target, text.encode())
+    except OSError as error:
+        raise ExpectedError(f"{target}: {error.strerror or error}") from None
+    note(f"{target}: import it in Foxglove, where {file.name} is open")
+    return 0

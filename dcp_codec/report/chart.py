@@ -1,0 +1,339 @@
+"""One interactive plot with Bokeh: how lines, dots and boxes look, and what the pointer shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from bokeh.embed import json_item
+from bokeh.models import (
+    BoxZoomTool,
+    ColumnDataSource,
+    FixedTicker,
+    HoverTool,
+    Legend,
+    LegendItem,
+    NumeralTickFormatter,
+    PanTool,
+    Range1d,
+    ResetTool,
+    SaveTool,
+    TimedeltaAxis,
+    TimedeltaTickFormatter,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
+from bokeh.themes import Theme
+
+from .colours import DASHES, SYMBOLS, light, series_colour
+from .recorded import Column
+
+_FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif"
+_TEXT = {"text_color": light("ink"), "text_font": _FONT}
+_LABEL = {"label_text_color": light("ink"), "label_text_font": _FONT}
+#: Applies to every plot; the script of the page exchanges the colours for the dark scheme.
+_THEME = Theme(
+    json={
+        "attrs": {
+            "Plot": {
+                "background_fill_color": light("card"),
+                "border_fill_color": light("card"),
+                "outline_line_color": None,
+            },
+            "Axis": {
+                "axis_line_color": light("soft"),
+                "major_tick_line_color": light("soft"),
+                "minor_tick_line_color": None,
+                "major_label_text_color": light("ink"),
+                "major_label_text_font": _FONT,
+                "major_label_text_font_size": "12px",
+                "axis_label_text_color": light("ink"),
+                "axis_label_text_font": _FONT,
+                "axis_label_text_font_size": "12px",
+                "axis_label_text_font_style": "normal",
+            },
+            "Grid": {"grid_line_color": light("line")},
+            "Legend": {
+                **_LABEL,
+                "label_text_font_size": "12px",
+                "background_fill_color": light("card"),
+                "border_line_color": None,
+                "inactive_fill_color": light("line"),
+                "padding": 0,
+                "margin": 4,
+                "spacing": 12,
+                "glyph_width": 18,
+            },
+        }
+    }
+)
+
+#: Times are drawn in milliseconds since the first frame, which is how Bokeh tells durations.
+_MS = 1000.0
+#: Pixels that a legend may take, so that it is whole on a telephone.
+_LEGEND = 300
+_CLOCK = "%H:%M:%S.%3N"
+
+
+@dataclass
+class Plot:
+    """One plot of the page. ``summary`` says in words what it shows, for those who do not see it."""
+
+    name: str
+    title: str
+    caption: str
+    summary: str
+    figure: Any
+    #: Values of the vertical axis, to give the plots of two recordings the same one; None for rows.
+    limits: tuple[float, float] | None
+    over_time: bool
+
+    def item(self, target: str) -> dict[str, Any]:
+        """What BokehJS embeds, as JSON."""
+        found: dict[str, Any] = _numbered(json_item(self.figure, target, theme=_THEME), {})
+        return found
+
+
+def _numbered(value: Any, known: dict[str, str]) -> Any:
+    """JSON with models numbered from 1, so that the same recording gives the same page: Bokeh counts on."""
+    if isinstance(value, list):
+        return [_numbered(each, known) for each in value]
+    if not isinstance(value, dict):
+        return value
+    return {
+        key: known.setdefault(each, f"m{len(known) + 1}")
+        if key in ("id", "root_id") and isinstance(each, str)
+        else _numbered(each, known)
+        for key, each in value.items()
+    }
+
+
+def safe_text(text: str) -> str:
+    """A text that Bokeh does not take for TeX."""
+    return text.replace("$", "＄")
+
+
+@dataclass
+class Chart:
+    """Collects what is drawn in one plot. ``duration`` (s) gives it a time axis; ``rows`` name horizontal rows."""
+
+    name: str
+    title: str
+    caption: str
+    label: str = ""
+    duration: float | None = None
+    rows: Sequence[str] = ()
+    height: int = 300
+    unit: str = ""
+    _entries: list[tuple[str, list[Any]]] = field(default_factory=list)
+    _ends: list[float] = field(default_factory=list)
+    _words: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.figure = figure(
+            height=self.height,
+            sizing_mode="stretch_width",
+            tools=[],
+            toolbar_location="above",
+            x_axis_type=None if self.duration is not None else "linear",
+            output_backend="canvas",
+        )
+        self.figure.toolbar.logo = None
+        self.figure.min_border_right = 16
+        self.figure.name = self.name
+        zoom = BoxZoomTool(dimensions="width" if self.duration is not None else "both")
+        wheel = WheelZoomTool(dimensions="width" if self.duration is not None else "both")
+        self.figure.add_tools(zoom, PanTool(), wheel, SaveTool(filename=self.name), ResetTool())
+        self.figure.toolbar.active_drag = zoom
+        self.figure.toolbar.active_scroll = None
+        if self.duration is not None:
+            formats = TimedeltaTickFormatter(
+                milliseconds="%s.%MS s", seconds="%M:%S", minsec="%M:%S", minutes="%H:%M h", hourmin="%H:%M h",
+                hours="%H:%M h", days="%d days",
+            )  # fmt: skip
+            self.figure.add_layout(TimedeltaAxis(formatter=formats, axis_label="time since the first frame"), "below")
+            room = 0.01 * (self.duration or 1.0) * _MS
+            self.figure.x_range = Range1d(-room, (self.duration or 1.0) * _MS + room)
+        if self.rows:
+            places = list(range(len(self.rows)))
+            self.figure.yaxis.ticker = FixedTicker(ticks=places)
+            names = {place: safe_text(name) for place, name in zip(places, self.rows, strict=True)}
+            self.figure.yaxis.major_label_overrides = names
+            self.figure.y_range = Range1d(len(self.rows) - 0.4, -0.6)
+            self.figure.ygrid.visible = False
+        else:
+            self.figure.yaxis.axis_label = safe_text(self.label)
+            self.figure.yaxis.formatter = NumeralTickFormatter(format="0,0.[000]")
+            self.figure.yaxis[0].ticker.desired_num_ticks = 5
+
+    # -- what can be drawn ------------------------------------------------------------------------------------------
+
+    def line(self, number: int, name: str, x: Column, y: Column, *, step: bool = False, **shown: Any) -> None:
+        """A line of series ``number``; ``shown`` are further columns for the pointer. NaN interrupts it."""
+        source = self._source(name, x, y, shown)
+        style = {
+            "line_color": series_colour(number), "line_dash": DASHES[number // 10 % len(DASHES)], "line_width": 1.8,
+        }  # fmt: skip
+        draw = self.figure.step if step else self.figure.line
+        options = {"mode": "after"} if step else {}
+        drawn = draw("x", "y", source=source, **style, **options)
+        # A mark for each series, few enough to be told apart.
+        marks = self._marks(number, source, np.linspace(0, x.size - 1, min(x.size, 9)).astype(int))
+        if step:
+            # Bokeh does not find steps under the pointer; it finds these.
+            drawn_there = self.figure.scatter("x", "y", source=source, size=9, fill_alpha=0, line_alpha=0)
+        self._pointer([drawn_there if step else drawn], shown)
+        self._entry(name, [drawn, marks], y)
+
+    def dots(self, number: int, name: str, x: Column, y: Column, **shown: Any) -> None:
+        """Dots of series ``number``."""
+        source = self._source(name, x, y, shown)
+        drawn = self.figure.scatter(
+            "x", "y", source=source, marker=SYMBOLS[number % 10][0], size=6, fill_color=series_colour(number),
+            line_color=series_colour(number), fill_alpha=0.55,
+        )  # fmt: skip
+        self._pointer([drawn], shown)
+        self._entry(name, [drawn], y)
+
+    def levels(self, number: int, name: str, edges: Column, values: Column) -> None:
+        """A line that is level between each two of ``edges`` (s), as for means; NaN interrupts it."""
+        self.line(number, name, edges, np.append(values, values[-1:]), step=True)
+
+    def boxes(
+        self, role: str, left: Column, right: Column, bottom: Column, top: Column, *, legend: str = "",
+        hatch: str | None = None, **shown: Any,
+    ) -> None:  # fmt: skip
+        """Boxes in the colour of a role, with a hatch that says the same; ``shown`` is for the pointer."""
+        scale = _MS if self.duration is not None else 1.0
+        source = ColumnDataSource({"left": left * scale, "right": right * scale, "bottom": bottom, "top": top, **shown})
+        drawn = self.figure.quad(
+            "left", "right", "bottom", "top", source=source, fill_color=light(role), line_color=None,
+            hatch_pattern=hatch, hatch_color=light("card"), hatch_scale=6, hatch_weight=1.2,
+        )  # fmt: skip
+        self._pointer([drawn], shown, span=True)
+        if legend:
+            self._entries.append((legend, [drawn]))
+
+    def areas(self, series: Sequence[tuple[str, Column]], edges: Column) -> None:
+        """Steps stacked upon each other, one for each name; values between each two of ``edges`` (s)."""
+        below = np.zeros(edges.size - 1)
+        for number, (name, values) in enumerate(series):
+            above = below + values
+            source = ColumnDataSource(
+                {"left": edges[:-1] * _MS, "right": edges[1:] * _MS, "bottom": below, "top": above, self.label: values},
+                name=safe_text(name),
+            )
+            drawn = self.figure.quad(
+                "left", "right", "bottom", "top", source=source, fill_color=series_colour(number), line_color=None,
+                hatch_pattern=(None, "/", "x", "-", ".", "\\", "|", "o")[number % 8], hatch_color=light("card"),
+                hatch_scale=8, hatch_weight=1,
+            )  # fmt: skip
+            self._pointer([drawn], {self.label: values}, span=True)
+            self._entry(name, [drawn], values)
+            below = above
+        self._ends += [0.0, float(below.max(initial=0))]
+
+    def marks_at(self, symbol: str, role: str, x: Column, y: Column, *, size: int = 9, **shown: Any) -> None:
+        """Symbols in the colour of a role at places that matter."""
+        source = ColumnDataSource({"x": x * _MS if self.duration is not None else x, "y": y, **shown})
+        drawn = self.figure.scatter(
+            "x", "y", source=source, marker=symbol, size=size, fill_color=light(role), line_color=light(role),
+            line_width=1.5,
+        )  # fmt: skip
+        self._pointer([drawn], shown)
+
+    def plot(self) -> Plot:
+        """The finished plot."""
+        if self._entries:
+            items = [LegendItem(label=safe_text(name), renderers=drawn) for name, drawn in self._entries]
+            columns = max(1, min(4, _LEGEND // (36 + 7 * max(len(name) for name, _ in self._entries))))
+            # Below the plot, where it hides nothing; a click hides a series.
+            self.figure.add_layout(Legend(items=items, ncols=columns, click_policy="hide", location="left"), "below")
+            self.figure.height += 22 * -(-len(items) // columns)
+        limits = None
+        if not self.rows:
+            known = [end for end in self._ends if np.isfinite(end)] or [0.0, 1.0]
+            limits = (min(known), max(known))
+        plot = Plot(
+            self.name, self.title, self.caption, "; ".join(self._words), self.figure, limits, self.duration is not None
+        )
+        if limits is not None and self.duration is not None:
+            scale(plot, limits)
+        return plot
+
+    # -- how ----------------------------------------------------------------------------------------------------------
+
+    def _source(self, name: str, x: Column, y: Column, shown: dict[str, Any]) -> ColumnDataSource:
+        scaled = x * _MS if self.duration is not None else x
+        columns = {
+            "x": scaled,
+            "y": np.asarray(y, np.float64),
+            **{each: _compact(found) for each, found in shown.items()},
+        }
+        return ColumnDataSource(columns, name=safe_text(name))
+
+    def _marks(self, number: int, source: ColumnDataSource, rows: Column) -> Any:
+        own = ColumnDataSource({axis: np.asarray(source.data[axis])[rows] for axis in "xy"})
+        return self.figure.scatter(
+            "x", "y", source=own, marker=SYMBOLS[number % 10][0], size=7, fill_color=series_colour(number),
+            line_color=series_colour(number),
+        )  # fmt: skip
+
+    def _pointer(self, drawn: list[Any], shown: dict[str, Any], *, span: bool = False) -> None:
+        """What is shown under the pointer: the name, when, the value, and the further columns."""
+        rows = [(name, f"@{{{name}}}{_number_format(values)}") for name, values in shown.items()]
+        at = "@left{" + _CLOCK + "} to @right{" + _CLOCK + "}" if span else "@x{" + _CLOCK + "}"
+        if self.duration is not None:
+            rows.insert(0, ("time", at))
+        elif not span:
+            rows.insert(0, ("x", "@x{0,0.[000]}"))
+        if not span and not self.rows:
+            rows.insert(1, (self.label or "value", "@y{0,0.[000000]}"))
+        names = drawn[0].data_source.name
+        if names:
+            rows.insert(0, ("", names.replace("@", "＠").replace("$", "＄")))
+        keys = ("left", "right") if span else ("x",)
+        formatters: Any = {f"@{key}": "datetime" for key in keys} if self.duration is not None else {}
+        self.figure.add_tools(
+            HoverTool(
+                renderers=drawn,
+                tooltips=rows,
+                formatters=formatters,
+                point_policy="follow_mouse" if span else "snap_to_data",
+                visible=False,
+                limit=1,
+            )
+        )
+
+    def _entry(self, name: str, drawn: list[Any], y: Column) -> None:
+        self._entries.append((name, drawn))
+        known = np.asarray(y, np.float64)
+        known = known[np.isfinite(known)]
+        if known.size:
+            low, high = float(known.min()), float(known.max())
+            self._ends += [low, high]
+            self._words.append(f"{name}: {low:.4g} to {high:.4g}{self.unit and ' ' + self.unit}")
+
+
+def scale(plot: Plot, limits: tuple[float, float]) -> None:
+    """Give a plot these limits of its vertical axis, with some room."""
+    low, high = limits
+    if low >= 0 and low <= 0.5 * high:
+        low = 0.0
+    # Never so narrow that both ends are one number.
+    room = 0.06 * max(high - low, 1e-3, 1e-6 * abs(low), 1e-6 * abs(high))
+    plot.figure.y_range = Range1d(low - (room if low else 0), high + room if high > low else low + 1)
+
+
+def _compact(values: Any) -> Any:
+    """Whole numbers in four octets where they fit."""
+    if isinstance(values, np.ndarray) and values.dtype.kind == "i" and values.size and abs(values).max() < 1 << 31:
+        return values.astype(np.int32)
+    return values
+
+
+def _number_format(values: Any) -> str:
+    first = np.asarray(values)
+    return "{0,0.[000]}" if first.dtype.kind in "fiu" else ""

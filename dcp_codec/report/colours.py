@@ -1,0 +1,63 @@
+"""The colours of a page, light and dark, and the symbols that say the same without colour.
+
+Text and lines have a contrast of at least 4.5 to 1 to what is behind them, in both schemes.
+"""
+
+from __future__ import annotations
+
+#: Role -> light, dark. Roles are CSS variables of the page; the plots are drawn with the light ones, and the script of
+#: the page exchanges them.
+SCHEMES: dict[str, tuple[str, str]] = {
+    "paper": ("#fbfbfa", "#14171a"),
+    "card": ("#ffffff", "#1c2024"),
+    "ink": ("#1c1f23", "#e3e6e9"),
+    "soft": ("#57606a", "#a3adb8"),
+    "line": ("#dfe2e6", "#333a41"),
+    "code": ("#f3f4f5", "#23282e"),
+    "fail": ("#c0272d", "#ff7b73"),
+    "good": ("#a9c8e8", "#2f5478"),
+    "accent": ("#2b5fa9", "#8fb8f0"),
+    "s0": ("#1f6cae", "#62aee8"),
+    "s1": ("#b84a06", "#ff9a52"),
+    "s2": ("#18773f", "#4cc27e"),
+    "s3": ("#9333a8", "#d58ae6"),
+    "s4": ("#8a6400", "#e5ae45"),
+    "s5": ("#0b7676", "#4fcaca"),
+    "s6": ("#bb2c74", "#f27db5"),
+    "s7": ("#5f50c4", "#a89cf5"),
+    "s8": ("#7a4b21", "#cc9a6e"),
+    "s9": ("#5a6c00", "#b5cc4d"),
+}
+#: Roles whose text or lines must be read; against each of BACKGROUNDS.
+FOREGROUNDS = ("ink", "soft", "fail", "accent", *(f"s{number}" for number in range(10)))
+BACKGROUNDS = ("paper", "card", "code")
+
+#: Marker of Bokeh, the same as a character: one for each series, in the order of colours.
+SYMBOLS = (
+    ("circle", "●"), ("square", "■"), ("triangle", "▲"), ("diamond", "◆"), ("inverted_triangle", "▼"),
+    ("plus", "✚"), ("star", "★"), ("hex", "⬢"), ("x", "✖"), ("asterisk", "✱"),
+)  # fmt: skip
+#: How lines are dashed: the first ten series, the next ten.
+DASHES = ("solid", "dashed")
+
+
+def light(role: str) -> str:
+    """The colour of a role in the light scheme."""
+    return SCHEMES[role][0]
+
+
+def series_colour(number: int) -> str:
+    """The colour of a series, in the light scheme; it repeats after ten."""
+    return light(f"s{number % 10}")
+
+
+def contrast(one: str, other: str) -> float:
+    """The contrast ratio of two colours (``#rrggbb``) as WCAG 2 defines it: 1 to 21."""
+    bright, dim = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (bright + 0.05) / (dim + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    red, green, blue = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue

@@ -1,0 +1,275 @@
+"""Who holds what: the number of each variable that each node says it holds, held against that of the producer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dcp_codec.holdings import DELETED
+
+from .analysis import Time
+from .recorded import Column, Recorded
+from .series import usual_interval
+
+#: Nodes and variables that are compared: those of which most was heard.
+_NODES, _VARIABLES = 60, 200
+#: A node that says nothing of a variable for so long (s), or for so many of its beacons, may have forgotten it.
+_FORGOTTEN, _FORGOTTEN_BEACONS = 10.0, 20
+#: A difference is worth a row of the list if it lasts so long (s), and for so many beacons of the node.
+_PATIENCE, _PATIENCE_BEACONS = 2.0, 10
+
+Span = tuple[float, float]
+
+
+@dataclass
+class Pair:
+    """One node and one variable of another node. Spans are in seconds since the first frame.
+
+    ``known``: the node says which number it holds. ``differs``: that number is not the producer's, or the node has
+    never said one. ``held`` and ``produced`` are the last numbers of the two: DELETED, or None if there was none.
+    ``values`` counts the values of the producer that the node could have said, ``said`` those that it did say.
+    """
+
+    variable: int
+    node: int
+    producer: int
+    known: list[Span] = field(default_factory=list)
+    differs: list[Span] = field(default_factory=list)
+    held: int | None = None
+    produced: int | None = None
+    values: int = 0
+    said: int = 0
+    #: Whether the last numbers differ while the node is still heard, and have for long.
+    differs_at_end: bool = False
+    #: What was said when, by the node (None: nothing) and by the producer.
+    claims: tuple[_Claims | None, _Claims] | None = None
+
+    def at(self, second: float) -> tuple[int | None, int | None]:
+        """The numbers that node and producer had said last before this time."""
+        assert self.claims is not None
+        rows = [-1 if each is None else int(np.searchsorted(each.time, second, "left")) - 1 for each in self.claims]
+        held, produced = (
+            None if each is None or row < 0 else int(each.number[row])
+            for each, row in zip(self.claims, rows, strict=True)
+        )
+        return held, produced
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """A node held another number than the producer for long. ``missed`` values of the producer it did not say.
+
+    ``frame`` is that in which the producer said the first of them, ``produced`` the producer's number when it ended.
+    """
+
+    variable: int
+    node: int
+    producer: int
+    start: float
+    end: float
+    to_the_end: bool
+    held: int | None
+    produced: int
+    missed: int
+    frame: int
+
+
+@dataclass
+class Holding:
+    """What all nodes hold. ``left_out`` counts pairs of a node and a variable that were not compared."""
+
+    pairs: list[Pair] = field(default_factory=list)
+    divergences: list[Divergence] = field(default_factory=list)
+    #: Variables of which no CREATE was heard, or whose producer said nothing of them.
+    without_producer: list[int] = field(default_factory=list)
+    left_out: int = 0
+
+
+@dataclass(frozen=True)
+class _Claims:
+    """What one node says of one variable: ascending times (s), numbers, frames."""
+
+    time: Column
+    number: Column
+    frame: Column
+
+    def changes(self) -> _Claims:
+        new = np.ones(self.number.size, bool)
+        new[1:] = self.number[1:] != self.number[:-1]
+        return _Claims(self.time[new], self.number[new], self.frame[new])
+
+    def at(self, times: Column) -> Column:
+        """The place of the last claim at each time, -1 before the first."""
+        found: Column = np.searchsorted(self.time, times, "right") - 1
+        return found
+
+
+def holding(recorded: Recorded, time: Time) -> Holding:
+    """Compare what every node says it holds with what the producer says."""
+    held, found = recorded.tables["held"], Holding()
+    claims = dict(_claims(held, time))
+    spoken, chatter = np.unique(held["node"], return_counts=True)
+    about, words = np.unique(held["variable"], return_counts=True)
+    nodes = spoken[np.argsort(-chatter, kind="stable")][:_NODES].tolist()
+    variables = about[np.argsort(-words, kind="stable")][:_VARIABLES].tolist()
+    found.left_out = max(0, spoken.size * about.size - len(nodes) * len(variables))
+    beacons = {node: _times(recorded, time, node) for node in nodes}
+    for variable in variables:
+        known = recorded.variables.get(variable)
+        producer = known.producer if known is not None else -1
+        if (variable, producer) not in claims:
+            found.without_producer.append(variable)
+            continue
+        produced = claims[variable, producer].changes()
+        for node in nodes:
+            if node != producer and beacons[node].size:
+                pair = Pair(variable, node, producer)
+                found.divergences += _compare(pair, produced, claims.get((variable, node)), beacons[node])
+                found.pairs.append(pair)
+    found.divergences.sort(key=lambda each: (not each.to_the_end, each.start - each.end))
+    return found
+
+
+def _times(recorded: Recorded, time: Time, node: int) -> Column:
+    table = recorded.tables["beacons"]
+    return np.sort(time.seconds(table["time"][table["node"] == node]))
+
+
+def _claims(held: dict[str, Column], time: Time) -> Iterator[tuple[tuple[int, int], _Claims]]:
+    order = np.lexsort((held["frame"], held["node"], held["variable"]))
+    variable, node = held["variable"][order], held["node"][order]
+    # The clock of the recorder may have been set back; time of claims does not go back.
+    seconds, number, frame = time.seconds(held["time"][order]), held["seqno"][order], held["frame"][order]
+    turns = np.flatnonzero((np.diff(variable) != 0) | (np.diff(node) != 0)) + 1
+    for start, end in zip([0, *turns.tolist()], [*turns.tolist(), order.size], strict=True):
+        if start < end:
+            yield (
+                (int(variable[start]), int(node[start])),
+                _Claims(np.maximum.accumulate(seconds[start:end]), number[start:end], frame[start:end]),
+            )
+
+
+def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Column) -> list[Divergence]:
+    """Fill in the pair; returns the differences that last."""
+    end, interval = float(beacons[-1]), usual_interval(beacons)
+    pair.produced = int(produced.number[-1])
+    heard = np.zeros(produced.time.size, bool)
+    if said is None:
+        start = max(float(produced.time[0]), float(beacons[0]))
+        missing = end > start and pair.produced != DELETED
+        pieces = np.array([(start, end)] if missing else [], np.float64).reshape(-1, 2)
+        differs = np.ones(len(pieces), bool)
+    else:
+        said = _with_deletions(said, produced, end)
+        heard = _heard(produced, said)
+        pair.held = int(said.number[-1])
+        forgotten = max(_FORGOTTEN, _FORGOTTEN_BEACONS * interval)
+        pieces, differs = _pieces(produced, said, end, forgotten)
+        pair.known = _joined(pieces)
+    pair.claims = said, produced
+    could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number != DELETED)
+    pair.values, pair.said = int(could.sum()), int((could & heard).sum())
+    pair.differs = _joined(pieces[differs])
+    # What it says in its last beacon counts, too.
+    final = np.array([end])
+    agrees = said is not None and said.number[said.at(final)[0]] == produced.number[produced.at(final)[0]]
+    open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
+    found = []
+    for start, stop in pair.differs:
+        if stop - start < max(_PATIENCE, _PATIENCE_BEACONS * interval):
+            continue
+        to_the_end = open_end and stop == end
+        pair.differs_at_end |= to_the_end
+        inside = (produced.time >= start) & (produced.time < stop)
+        missed = inside & ~heard
+        # What differs at the start is the value before, or the first one said during it.
+        first = int(np.argmax(missed)) if missed.any() else int(max(produced.at(np.array([start]))[0], 0))
+        last = int(said.at(np.array([stop - 1e-9]))[0]) if said is not None else -1
+        found.append(
+            Divergence(
+                variable=pair.variable,
+                node=pair.node,
+                producer=pair.producer,
+                start=start,
+                end=stop,
+                to_the_end=to_the_end,
+                held=int(said.number[last]) if said is not None and last >= 0 else None,
+                produced=int(produced.number[max(int(produced.at(np.array([stop - 1e-9]))[0]), 0)]),
+                missed=int(missed.sum()),
+                frame=int(produced.frame[first]),
+            )
+        )
+    return found
+
+
+def _with_deletions(said: _Claims, produced: _Claims, end: float) -> _Claims:
+    """Take a node that falls silent about a variable after its deletion for one that deleted it.
+
+    ``end`` is its last beacon: nothing is silent after that.
+    """
+    times, frames = [], []
+    ends = [*produced.time[1:].tolist(), np.inf]
+    for at, until, number in zip(produced.time.tolist(), ends, produced.number.tolist(), strict=True):
+        if number != DELETED:
+            continue
+        inside = np.flatnonzero((said.time > at) & (said.time < until))
+        before = np.flatnonzero(said.time <= at)
+        if (said.number[inside] == DELETED).any() or not (inside.size or before.size):
+            continue
+        last = inside[-1] if inside.size else before[-1]
+        silent = max(at, float(said.time[last]) + 1e-9)
+        if silent < end and (inside.size or said.number[last] != DELETED):
+            times.append(silent)
+            frames.append(int(said.frame[last]))
+    if not times:
+        return said
+    stamps = np.concatenate([said.time, times])
+    order = np.argsort(stamps, kind="stable")
+    number = np.concatenate([said.number, np.full(len(times), DELETED)])
+    return _Claims(stamps[order], number[order], np.concatenate([said.frame, frames])[order])
+
+
+def _pieces(produced: _Claims, said: _Claims, end: float, forgotten: float) -> tuple[Column, Column]:
+    """Pieces of time in which it is known what the node holds, (start, end) each, and whether that differs."""
+    gaps = np.append(said.time[1:], max(end, float(said.time[-1]))) - said.time
+    silent = (gaps > forgotten) & (said.number != DELETED)
+    times = np.concatenate([produced.time, said.changes().time, said.time[silent], said.time[silent] + forgotten])
+    times = np.sort(times[times < end])
+    times = np.append(times[np.diff(times, prepend=-np.inf) > 0], end)
+    mine, theirs = said.at(times[:-1]), produced.at(times[:-1])
+    row = np.maximum(mine, 0)
+    known = (mine >= 0) & (theirs >= 0) & ~(silent[row] & (times[:-1] >= said.time[row] + forgotten))
+    differs = said.number[row] != produced.number[np.maximum(theirs, 0)]
+    return np.stack([times[:-1], times[1:]], axis=1)[known], differs[known]
+
+
+def _heard(produced: _Claims, said: _Claims) -> Column:
+    """Which values of the producer the node said after it."""
+    order = np.lexsort((produced.time, produced.number))
+    span = max(float(produced.time[-1]), float(said.time[-1])) + 1
+    known = (produced.number[order] + 1) * span + produced.time[order]
+    place = np.searchsorted(known, (said.number + 1) * span + said.time, "right") - 1
+    good = (place >= 0) & (produced.number[order[np.maximum(place, 0)]] == said.number)
+    heard = np.zeros(produced.time.size, bool)
+    heard[order[place[good]]] = True
+    return heard
+
+
+def _joined(pieces: Column) -> list[Span]:
+    """Pieces of time with those that touch made one."""
+    apart = pieces[1:, 0] != pieces[:-1, 1]
+    starts = pieces[np.concatenate([[True], apart])[: len(pieces)], 0]
+    ends = pieces[np.concatenate([apart, [True]])[: len(pieces)], 1]
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))
+
+
+def shares(spans: list[Span], edges: Column) -> Column:
+    """The share of each piece between ``edges`` that the spans cover."""
+    if not spans:
+        return np.zeros(edges.size - 1)
+    ends = np.array(spans).ravel()
+    covered = np.concatenate([[0.0], np.cumsum(np.diff(ends) * (np.arange(ends.size - 1) % 2 == 0))])
+    found: Column = np.diff(np.interp(edges, ends, covered)) / np.diff(edges)
+    return found

@@ -1,0 +1,376 @@
+"""The plots of a report, one function each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from bokeh.models import BasicTickFormatter
+
+from dcp_codec.holdings import DELETED, UNKNOWN
+
+from . import analysis, holding
+from .analysis import KINDS, Part, Steps, Time
+from .chart import Chart, Plot
+from .recorded import NOBODY, Column, Recorded
+from .series import extremes, in_unit, ordinal, runs, seconds_text, usual_interval
+from .variables import Passings, Values, counted, numeric
+
+#: Nodes and variables that are drawn one by one; rows of who holds what.
+DRAWN, ROWS = 20, 40
+#: Points that one plot may have, and pieces of each series at least: more are thinned to extremes of each piece.
+_POINTS, _PIECES = 8_000, 60
+#: Reports of each node that a piece of time should have, so that its greatest age is one.
+_REPORTS = 4
+#: Marks of the kinds of anomalies.
+_KIND_SYMBOLS = ("x", "diamond", "triangle", "square", "inverted_triangle")
+#: Positions beyond this many units are not on this planet.
+_FAR = 1e8
+
+
+@dataclass
+class Easel:
+    """What all plots of one recording share: time, and who is drawn in which colour."""
+
+    recorded: Recorded
+    time: Time
+    #: Numbers of the nodes that are drawn, in the order of their colours.
+    nodes: list[int]
+    variables: list[int]
+    prefix: str = ""
+    short: dict[int, str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.short = short_names({node: self.recorded.nodes[node] for node in self.nodes})
+
+    def name(self, node: int) -> str:
+        """How a node is called in plots and narrow tables."""
+        return self.short.get(node) or (self.recorded.nodes[node] if node >= 0 else NOBODY)
+
+    def chart(self, name: str, title: str, caption: str, **options: object) -> Chart:
+        """A new plot of this recording over time."""
+        return Chart(f"{self.prefix}{name}", title, caption, **{"duration": self.time.duration, **options})  # type: ignore[arg-type]
+
+
+def short_names(names: dict[int, str]) -> dict[int, str]:
+    """The shortest ends of identifiers that tell them apart, two octets at least."""
+    for octets in range(2, 256):
+        found = {}
+        for node, name in names.items():
+            parts = name.split(":") if ":" in name else [name[at : at + 2] for at in range(0, len(name), 2)]
+            joined = (":" if ":" in name else "").join(parts[-octets:])
+            found[node] = joined if joined == name or name == NOBODY else f"…{joined}"
+        found = {node: names[node] if names[node] == NOBODY else text for node, text in found.items()}
+        if len(set(found.values())) == len(set(names.values())):
+            return found
+    return dict(names)
+
+
+def pieces_for(series: int) -> int:
+    """Pieces of time into which each of so many series is thinned."""
+    return max(_PIECES, _POINTS // (4 * max(1, series)))
+
+
+def drawn_words(drawn: int, of: int) -> str:
+    """What to say where a series was thinned; nothing where it was not."""
+    if drawn >= of:
+        return ""
+    return f" 1 of {of / max(1, drawn):.3g} drawn: the first, last, least and greatest of each piece of time."
+
+
+def over_time(
+    easel: Easel, name: str, title: str, caption: str, label: str, ends: Column, series: dict[int, Column]
+) -> Plot:
+    """One line for each node, level in each piece of time that ``ends`` bound."""
+    chart = easel.chart(name, title, caption, label=label)
+    for node, each in series.items():
+        chart.levels(easel.nodes.index(node), easel.name(node), ends, each)
+    return chart.plot()
+
+
+def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
+    """Who holds what over time, the rows that differ longest; and how many rows are left out."""
+    pairs = [pair for pair in found.pairs if pair.known or pair.differs]
+    longest = sorted(pairs, key=lambda each: -sum(b - a for a, b in each.differs))[:ROWS]
+    rows = sorted(longest, key=lambda each: (each.variable, easel.recorded.nodes[each.node]))
+    if not rows:
+        return None, 0
+    time = easel.time
+    edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 9_000 // len(rows))) + 1)
+    caption = (
+        "One row for each variable and node. Blue: the node says the number that the producer said last. Red and "
+        "hatched: it says another number, or none at all; the height is the share of the time. White: it says nothing "
+        f"of the variable. Each piece is {seconds_text(float(edges[1]))} long."
+    )
+    names = [f"{pair.variable} at {easel.name(pair.node)}{' ≠' if pair.differs_at_end else ''}" for pair in rows]
+    chart = easel.chart("holding", "Who holds what", caption, rows=names, height=110 + 19 * len(rows))
+    same: list[tuple[float, float, int]] = []
+    other: list[tuple[float, float, int]] = []
+    share: list[float] = []
+    held: list[str] = []
+    produced: list[str] = []
+    for row, pair in enumerate(rows):
+        known, differs = (holding.shares(spans, edges) for spans in (pair.known, pair.differs))
+        same += [(edges[a], edges[b], row) for a, b in runs(known > 0)]
+        # Neighbouring pieces of the same share are one box.
+        turns = np.flatnonzero(np.diff(np.round(differs, 3), prepend=-1.0, append=-1.0))
+        for a, b in pairwise(turns.tolist()):
+            if differs[a]:
+                other.append((edges[a], edges[b], row))
+                share.append(float(differs[a]))
+                # While they differ for the last time in it.
+                numbers = map(number_text, pair.at(next(y for x, y in reversed(pair.differs) if x < edges[b])))
+                for texts, text in zip((held, produced), numbers, strict=True):
+                    texts.append(text)
+    _boxes(chart, "good", same, np.ones(len(same)), legend="as the producer", row=names)
+    shown = {"percent of the time": 100 * np.array(share), "it holds": np.array(held), "producer": np.array(produced)}
+    _boxes(chart, "fail", other, np.array(share), legend="another number, or none", hatch="/", row=names, **shown)
+    places = [(pair.differs[-1][1], row) for row, pair in enumerate(rows) if pair.differs_at_end]
+    if places:
+        ends = np.array(places)
+        chart.marks_at("x", "fail", ends[:, 0], ends[:, 1], size=10)
+    return chart.plot(), len(pairs) - len(rows)
+
+
+def _boxes(
+    chart: Chart, role: str, boxes: Sequence[tuple[float, float, int]], share: Column, *, row: list[str], **options: Any
+) -> None:
+    """Boxes as high as their share of a row; ``row`` are the names of rows."""
+    if boxes:
+        left, right, place = np.array(boxes, np.float64).T
+        # A short difference stays visible.
+        top = place + 0.42 - 0.84 * np.maximum(share, 0.12)
+        names = np.array([row[int(each)] for each in place])
+        chart.boxes(role, left, right, place + 0.42, top, row=names, **options)
+
+
+def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
+    """Beacons per second, and the share of them that is lost."""
+    recorded, time = easel.recorded, easel.time
+    senders = [node for node in easel.nodes if (recorded.column("beacons", "node") == node).any()]
+    found = {node: analysis.rates(recorded, time, steps, node) for node in senders}
+    rate = {node: each for node, (each, _) in found.items()}
+    mean = f"Mean over {seconds_text(time.width)}."
+    plots = [over_time(easel, "beacon-rate", "Beacons heard", mean, "beacons per second", time.edges, rate)]
+    if recorded.modulus and steps.lost.any():
+        loss = {node: 100 * each for node, (_, each) in found.items()}
+        caption = f"Sequence numbers that are missing, of all in {seconds_text(time.width)}."
+        plots.append(over_time(easel, "loss", "Beacons lost", caption, "lost (%)", time.edges, loss))
+    return plots
+
+
+def presence(easel: Easel) -> Plot:
+    """Who was heard when."""
+    time, beacons = easel.time, easel.recorded.tables["beacons"]
+    senders = [node for node in easel.nodes if (beacons["node"] == node).any()]
+    seconds = {node: time.seconds(beacons["time"][beacons["node"] == node]) for node in senders}
+    # No finer than beacons come, or each interval would be a gap.
+    ends = time.finer(3 * max(map(usual_interval, seconds.values()), default=0))
+    names = [easel.name(node) for node in senders]
+    caption = "Times without a beacon are blank."
+    chart = easel.chart("heard", "Who was heard when", caption, rows=names, height=90 + 24 * len(senders))
+    bars = [
+        (ends[a], ends[b], row)
+        for row, node in enumerate(senders)
+        for a, b in runs(np.histogram(seconds[node], ends)[0] > 0)
+    ]
+    left, right, row = np.array(bars, np.float64).T if bars else np.zeros((3, 0))
+    node = np.array([names[int(each)] for each in row])
+    chart.boxes("accent", left, right, row + 0.32, row - 0.32, node=node)
+    return chart.plot()
+
+
+def ages(easel: Easel) -> Plot:
+    """The age of each node's last report over time."""
+    recorded, time = easel.recorded, easel.time
+    reports = recorded.tables["srp"]
+    nodes = [node for node in easel.nodes if (reports["node"] == node).any()]
+    seconds = {node: np.sort(time.seconds(reports["time"][reports["node"] == node])) for node in nodes}
+    ends = time.finer(_REPORTS * max(map(usual_interval, seconds.values()), default=0))
+    caption = f"Since the last state report that was heard; the greatest age in each {seconds_text(ends[1] - ends[0])}."
+    found = {node: analysis.age(each, ends) for node, each in seconds.items()}
+    return over_time(easel, "age", "Age of information", caption, "age of the last report (s)", ends, found)
+
+
+def positions(easel: Easel) -> list[Plot]:
+    """Where nodes were: in plan, and their height."""
+    reports, time = easel.recorded.tables["srp"], easel.time
+    place = {
+        node: rows[np.argsort(reports["time"][rows], kind="stable")]
+        for node in easel.nodes
+        for rows in [np.flatnonzero((reports["node"] == node) & usable(reports))]
+        if rows.size
+    }
+    if not place:
+        return []
+    unit, pieces = easel.recorded.units, pieces_for(len(place))
+    total = sum(rows.size for rows in place.values())
+    kept = {}
+    for node, rows in place.items():
+        at = time.seconds(reports["time"][rows])
+        kept[node] = [rows[extremes(at, reports[axis][rows], pieces)] for axis in "xyz"]
+    drawn = {node: np.union1d(kept[node][0], kept[node][1]) for node in place}
+    words = drawn_words(sum(rows.size for rows in drawn.values()), total)
+    caption = f"The square is where a node was last.{words}"
+    x_label = f"x{in_unit(unit.get('position.x'))}"
+    chart = Chart(
+        f"{easel.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380
+    )
+    chart.figure.xaxis.axis_label = x_label
+    chart.figure.match_aspect = True
+    for node, rows in drawn.items():
+        rows = rows[np.argsort(reports["time"][rows], kind="stable")]
+        x, y, at = reports["x"][rows], reports["y"][rows], time.seconds(reports["time"][rows])
+        chart.line(easel.nodes.index(node), easel.name(node), x, y, seconds=at)
+        chart.marks_at("square", f"s{easel.nodes.index(node) % 10}", x[-1:], y[-1:], size=8)
+    plots = [chart.plot()]
+    if "position.z" not in unit:
+        return plots
+    words = drawn_words(sum(rows[2].size for rows in kept.values()), total)
+    chart = easel.chart(
+        "height", "Height", f"As state reports say it.{words}", label=f"z{in_unit(unit.get('position.z'))}"
+    )
+    for node, (_, _, rows) in kept.items():
+        chart.line(easel.nodes.index(node), easel.name(node), time.seconds(reports["time"][rows]), reports["z"][rows])
+    return [*plots, chart.plot()]
+
+
+def usable(reports: dict[str, Column]) -> Column:
+    """Which reports say a place that can be drawn; a height may be missing."""
+    good = np.ones(reports["x"].size, bool)
+    for axis in "xy":
+        good &= np.abs(np.nan_to_num(reports[axis], nan=np.inf)) < _FAR
+    return good & ~(np.abs(reports["z"]) >= _FAR)
+
+
+def values(easel: Easel, found: Values) -> list[Plot]:
+    """Sequence numbers, and values that fit a number, over time."""
+    pieces, drawn, total, again = pieces_for(len(easel.variables)), 0, 0, 0
+    modulus = easel.recorded.number_modulus
+    series = []
+    for number, each in enumerate(easel.variables):
+        rows, count, created = counted(easel.recorded, found, each)
+        kept = np.union1d(extremes(found.time[rows], count, pieces), np.flatnonzero(created))
+        series.append((number, each, rows[kept], count[kept], rows[created], count[created]))
+        drawn, total, again = drawn + kept.size, total + rows.size, again + int(created.sum())
+    caption = (
+        f"Each value when it was first heard. Numbers count modulo {modulus:,} and are drawn as if they did not."
+        f"{' A star: the variable was created again, and its numbers start again.' if again else ''}"
+        f"{drawn_words(drawn, total)}"
+    )
+    chart = easel.chart("seqno", "Sequence numbers of variables", caption, label="sequence number, unwrapped")
+    for number, each, rows, count, created, restarted in series:
+        chart.line(
+            number,
+            f"variable {each}",
+            found.time[rows],
+            count,
+            step=True,
+            sent=found.seqno[rows],
+            frame=found.frame[rows],
+        )
+        if created.size:
+            chart.marks_at(
+                "star", f"s{number % 10}", found.time[created], restarted, size=12, frame=found.frame[created]
+            )
+    plots = [chart.plot()]
+    numbers = [each for each in easel.variables if numeric(found, each)]
+    if not numbers:
+        return plots
+    lines, drawn, total = [], 0, 0
+    for each in numbers:
+        rows = np.flatnonzero(found.variable == each)
+        kept = rows[extremes(found.time[rows], found.number[rows], pieces_for(len(numbers)))]
+        lines.append((each, kept))
+        drawn, total = drawn + kept.size, total + rows.size
+    high = float(np.nanmax(found.number[np.isin(found.variable, numbers)]))
+    caption = (
+        "Those whose values all have one length of at most 8 octets, read as unsigned, most significant octet first."
+        f"{drawn_words(drawn, total)}"
+    )
+    chart = easel.chart("values", "Values of variables", caption, label="value")
+    for each, rows in lines:
+        chart.line(
+            easel.variables.index(each), f"variable {each}", found.time[rows], found.number[rows], step=True,
+            frame=found.frame[rows],
+        )  # fmt: skip
+    if high >= 1e5:
+        chart.figure.yaxis.formatter = BasicTickFormatter(power_limit_high=4, precision=2)
+    return [*plots, chart.plot()]
+
+
+def delays(easel: Easel, passed: Passings) -> list[Plot]:
+    """How long values take to be passed on."""
+    ours = passed.counted & np.isin(passed.node, easel.nodes)
+    nodes = [node for node in easel.nodes if (ours & (passed.node == node)).any()]
+    series, drawn, total = [], 0, 0
+    for node in nodes:
+        rows = np.flatnonzero(ours & (passed.node == node))
+        rows = rows[np.argsort(passed.time[rows], kind="stable")]
+        kept = rows[extremes(passed.time[rows], passed.delay[rows], pieces_for(len(nodes)))]
+        series.append((node, kept))
+        drawn, total = drawn + kept.size, total + rows.size
+    caption = (
+        "From the first beacon with a value to the first of each other node that passes it on."
+        f"{drawn_words(drawn, total)}"
+    )
+    chart = easel.chart("delay", "Dissemination delay of each value", caption, label="delay (s)")
+    for node, rows in series:
+        chart.dots(
+            easel.nodes.index(node), easel.name(node), passed.time[rows], passed.delay[rows],
+            variable=passed.variable[rows], frame=passed.frame[rows],
+        )  # fmt: skip
+    plots = [chart.plot()]
+    caption = (
+        "Share of values that the 1st, 2nd, ... further node had passed on within this delay. The order in which nodes "
+        "pass a value on is not a number of hops."
+    )
+    ranked = Chart(
+        f"{easel.prefix}delay-order", "Delay by order of passing on", caption, label="values (%)", height=300
+    )
+    for number, rank in enumerate(np.unique(passed.order[ours]).tolist()[:DRAWN]):
+        delay = np.sort(passed.delay[ours & (passed.order == rank)])
+        share = 100 * np.arange(1, delay.size + 1) / delay.size
+        kept = extremes(np.arange(delay.size), delay, 400)
+        ranked.line(
+            number, f"{ordinal(rank)} node", np.append(delay[:1], delay[kept]), np.append(0.0, share[kept]), step=True
+        )
+    ranked.figure.xaxis.axis_label = "delay (s)"
+    return [*plots, ranked.plot()]
+
+
+def load(easel: Easel, parts: Sequence[Part]) -> Plot:
+    """Octets on the air over time."""
+    time = easel.time
+    caption = f"Mean over {seconds_text(time.width)}, one kind upon the other."
+    chart = easel.chart("load", "Load over time", caption, label="bit/s", unit="bit/s")
+    chart.areas([(part.name, part.over_time * 8 / time.width) for part in parts], time.edges)
+    return chart.plot()
+
+
+def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
+    """When something was odd."""
+    drawn, total = 0, sum(each.size for each in times.values())
+    kept = {}
+    for kind in KINDS:
+        at = np.sort(times[kind])
+        kept[kind] = at[extremes(at, np.zeros(at.size), pieces_for(len(KINDS)))]
+        drawn += kept[kind].size
+    caption = (
+        "Malformed frames, gaps in sequence numbers, restarts (numbers that go back), repeated numbers, and a clock "
+        f"of the recorder that was set back.{drawn_words(drawn, total)}"
+    )
+    names = [f"{kind} ({times[kind].size:,})" for kind in KINDS]
+    chart = easel.chart("anomalies", "When something was odd", caption, rows=names, height=230)
+    for row, (kind, symbol) in enumerate(zip(KINDS, _KIND_SYMBOLS, strict=True)):
+        role = "fail" if kind in ("malformed", "gap") else "accent"
+        chart.marks_at(symbol, role, kept[kind], np.full(kept[kind].size, row))
+    return chart.plot()
+
+
+def number_text(number: int | None) -> str:
+    """A held number as a table shows it."""
+    return "nothing" if number is None else {DELETED: "deleted", UNKNOWN: "asked for it"}.get(number, str(number))
