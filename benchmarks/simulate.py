@@ -4,7 +4,7 @@
 
 Each network is played with nodes that take in known beacons cheaply and, for a shorter time, with plain ones that
 handle each beacon by themselves; the two take turns, and both have to give the same digest. The default scenario:
-10 Hz, a position for each beacon, two variables. The first half of each run is not counted: nodes meet each other only once.
+10 Hz, a position for each beacon, two variables. The first half of each run is not counted: in it nodes meet.
 """
 
 from __future__ import annotations
