@@ -33,11 +33,12 @@ PUBLISH_INTERVAL: Final = 20 * MS
 HEARTBEAT_INTERVAL: Final = 100 * MS
 HOUSEKEEPING_INTERVAL: Final = 1000 * MS
 SLACK: Final = 150 * MS
-"""What comes up so shortly before a beacon is done with it: a wake-up costs more than what it is for.
+"""Timers and frames that come up so shortly before a beacon are handled with it: a wake-up costs more than they do.
 
-Nothing is lost by it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames
-that wait in the kernel, with their time of arrival, are processed before it is made. Nobody sees the difference: before
-a request is answered the frames are taken, too, and while somebody is to be told of them they are taken at once.
+Without it a quiet node among three takes twice the CPU time (``benchmarks/quiet.py``, "no slack"). Nothing is lost by
+it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames that wait in the
+kernel, with their time of arrival, are processed before it is made. Before a request is answered the frames are
+processed, too, and while a client is subscribed to indications they are processed at once.
 """
 FLOOD: Final = 64
 """As many frames that waited for a beacon are processed before it, however late it is; more at once are a flood, after

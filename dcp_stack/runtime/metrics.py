@@ -164,7 +164,8 @@ class MetricsServer:
 
             from prometheus_client.openmetrics import exposition
         except ImportError:
-            raise MetricsError("metrics need prometheus_client: pip install 'dcp-conformance-kit[metrics]'") from None
+            advice = "pip install 'dcp-conformance-kit[metrics]'"
+            raise MetricsError(f"prometheus_client is not installed: {advice}") from None
         self._exposition: Any = exposition
         self._parser: Any = http.server.BaseHTTPRequestHandler
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

@@ -34,6 +34,8 @@ class VardisSettings(VardisConfig, frozen=True, forbid_unknown_fields=True, kw_o
     """Variable dissemination, and whether there is any."""
 
     enabled: bool = True
+    recommended: bool = True
+    """Start with what the profile recommends among its implementations (``[among]``) where nothing is set here."""
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -156,13 +158,27 @@ def node_config(settings: Settings, codec: Codec, *, default_id: bytes | None = 
             codec=codec,
             bp=settings.bp,
             srp=srp,
-            vardis=settings.vardis if settings.vardis.enabled else None,
+            vardis=_among_others(settings.vardis, profile) if settings.vardis.enabled else None,
             readings=settings.readings,
         )
     except UnknownReadingError as error:
         raise SettingsError(f"readings: {error}") from None
     except ValueError as error:
         raise SettingsError(str(error)) from None
+
+
+def _among_others(vardis: VardisSettings, profile: Profile) -> VardisSettings:
+    """The settings with what the profile recommends among its implementations in place of what nobody has set."""
+    if not vardis.recommended:
+        return vardis
+    among = profile.among
+    recommended = {
+        "max_payload_size": among.max_vardis_payload,
+        "max_summaries": among.max_summaries,
+    }
+    return msgspec.structs.replace(
+        vardis, **{name: value for name, value in recommended.items() if getattr(vardis, name) is None}
+    )
 
 
 def parse_node_id(text: str, profile: Profile) -> bytes:

@@ -223,7 +223,8 @@ class Reception:
         for bit, (share, count, due) in inferred.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
-                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound))
+                alone = outcomes.get(bit, (0, 0))[1]
+                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
     def _suspect(self, key: Group, group: list[Trial], others: list[Trial]) -> None:
         """Add what was expected of a group, as all trials of the node that are well show it."""
@@ -311,10 +312,13 @@ class Reception:
         }
         found = [each for each in found if each.var_id is not None or (each.station.node, each.kind) not in alone]
         kept = [each for each in found if each.var_id is None or (each.station.node, each.kind) not in every - alone]
-        single = {(each.station.node, each.kind) for each in found if each.var_id is not None and each.certain}
+        # What is uncertain is told once, of all variables, and not beside what is certain.
+        told = {(each.station.node, each.kind) for each in kept if each.var_id is None or each.certain}
         kept = [
-            each for each in kept if each.certain or each.var_id is None or (each.station.node, each.kind) not in single
+            each for each in kept if each.certain or (each.var_id is None) or (each.station.node, each.kind) not in told
         ]
+        single = {(each.station.node, each.kind) for each in kept if each.var_id is not None and each.certain}
+        kept = [each for each in kept if each.certain or (each.station.node, each.kind) not in single]
         return sorted(kept, key=lambda each: each.tally.chance)
 
 
