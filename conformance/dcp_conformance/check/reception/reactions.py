@@ -154,6 +154,8 @@ class _Known(NamedTuple):
     """The same with caution, of those speakers of whom it is certain."""
     sure: dict[int, list[int]]
     """Speaker -> when it was shown, in order."""
+    heard: dict[int, int]
+    """Frame -> its speaker, of beacons that the node has heard for sure."""
 
 
 class Reception:
@@ -256,19 +258,19 @@ class Reception:
         bounds = {
             bit: bound for bit, bound in bounds.items() if bound >= _HEARS and outcomes.get(bit, (0, 0))[1] >= _ALONE
         }
-        return _Known(shares, bounds, self._sure(others, shares))
+        # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
+        heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
+        return _Known(shares, bounds, self._sure(others, shares), heard)
 
     def _suspect(self, key: Group, group: list[Trial], known: _Known) -> None:
         """Add what was expected of a group, as what is known of the node shows it."""
-        shares, bounds, sure = known
+        shares, bounds, sure, heard = known
         tally = self._tallies.get(key)
         if tally is None:
             if len(self._tallies) >= _GROUPS:
                 return
             tally = self._tallies[key] = Tally()
         gaps: dict[tuple[int, int, bool], _Gap] = {}
-        # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
-        heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
         for trial in group:
             bounds_of = {bit: bounds[bit] for bit in bits(trial.speakers) if bit in bounds}
             tally.all_trials += 1
