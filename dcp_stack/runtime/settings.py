@@ -46,8 +46,13 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     interface: str | None = None
     link: str | None = None
     control: str | None = None
+    control_group: str | None = None
+    control_mode: str | None = None
     record: str | None = None
     record_decoded: bool = True
+    record_max_mb: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    record_max_minutes: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    record_keep: Annotated[int, msgspec.Meta(ge=1)] | None = None
     position: str | None = None
     neighbour_file: str | None = None
     metrics: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
@@ -55,6 +60,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     seed: int | None = None
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["text", "json"] = "text"
+    log_file: str | None = None
     bp: BPConfig = BPConfig()
     srp: SRPSettings = SRPSettings()
     vardis: VardisSettings = VardisSettings()
