@@ -128,6 +128,7 @@ class Node:
             self.srp.handle_payload(effect.payload, effect.sender_id, now=now, wall=wall)
             return True
         if effect.protocol_id == BP_PROTID_VARDIS and self.vardis is not None and self._vardis_port.holds:
+            self.vardis.hears(effect.sender_id)
             self.vardis.handle_payload(effect.payload, now=now, wall=wall)
             return True
         return False

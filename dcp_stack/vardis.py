@@ -21,6 +21,7 @@ from .vardis_compose import Composer
 from .vardis_confirms import Confirm
 from .vardis_core import Core
 from .vardis_db import DBEntry
+from .vardis_delivery import Obstacle
 from .vardis_port import BPPort
 from .vardis_receive import Receiver
 from .vardis_services import VariableServices
@@ -91,6 +92,7 @@ class Vardis(VariableServices):
             status = self._register(size, now, wall)
         ##= VD-INI-04
         self._database.clear()
+        self._core.delivery.clear()
         if not status.is_ok:
             return status
         ##= VD-INI-06
@@ -277,6 +279,14 @@ class Vardis(VariableServices):
         """What the database holds of a variable now, whether VarDis serves or not; it is not a service, nor a copy."""
         return self._database.lookup(var_id)
 
+    def hears(self, sender: bytes) -> None:
+        """The payload that comes next was sent by this neighbour; BP's indication does not say."""
+        self._core.delivery.peer = sender
+
+    def obstacles(self, now: int) -> list[Obstacle]:
+        """The variables that do not get through to neighbours, and why; usually none."""
+        return self._core.delivery.obstacles(now)
+
     def snapshot(self) -> dict[str, Any]:
         """The state as plain data: octets in hexadecimal, times in ns, everything else under its own name."""
         return {
@@ -284,6 +294,7 @@ class Vardis(VariableServices):
             "registered": self.registered,
             "ownNodeIdentifier": self._core.own_id.hex(":"),
             "parameters": self.parameters(),
+            "max_variables": self._core.max_variables,
             **self._database.snapshot(),
         }
 

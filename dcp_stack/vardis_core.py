@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar
 
-from .config import NodeConfig
+from .config import MAX_VARIABLES, NodeConfig
 from .effects import Effect, VariableChanged
 from .timestamps import StampClock
 from .vardis_db import Database, DBEntry
+from .vardis_delivery import Delivery
 from .vardis_parameters import VardisParameters
 from .vardis_table import Cell, Event, State, table
 
@@ -55,6 +56,8 @@ class Core:
         self.parameters = self.parameters_class(config)
         self.sizes = config.record_sizes
         self.sequence = self.sequence_class(self.sizes.seqno_modulus, _half_range(config))
+        self.delivery = Delivery(self.sequence)
+        """Whether what this node says gets through."""
         self.database = self.database_class(remove_deleted=self.features.removed_after_deletion)
         # The wall clock counts from 1970 in every profile: a start of the node must not make creations look earlier.
         self.clock = StampClock(config.profile.types.timestamp)
@@ -64,8 +67,11 @@ class Core:
         """``vardisActive``."""
         assert config.vardis is not None
         self.settings = config.vardis
-        limit = config.profile.limits.max_variables
-        self.max_variables = min(self.settings.max_variables, limit or self.settings.max_variables)
+        ahead = self.settings.max_creation_ahead_s
+        if ahead is not None and not ahead >= 0:
+            raise ValueError(f"max_creation_ahead_s is a number of seconds from 0 on, not {ahead:g}")
+        room = self.settings.max_variables
+        self.max_variables = room if room is not None else config.profile.limits.max_variables or MAX_VARIABLES
         self._table = table(config)
 
     def cell(self, event: Event, entry: DBEntry | None) -> Cell:
@@ -81,6 +87,8 @@ class Core:
     def changed(self, event: str, entry: DBEntry) -> None:
         """Tell that a variable was ``created``, ``updated`` or ``deleted``."""
         spec = entry.spec
+        if event == "deleted" or spec.prod_id != self.own_id:
+            self.delivery.deleted(spec.var_id)
         self.emit(VariableChanged(event, spec.var_id, entry.seqno, entry.value, spec.prod_id))
 
 

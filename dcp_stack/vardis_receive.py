@@ -36,6 +36,8 @@ class Receiver:
         self._emit = core.emit
         self._check_too_long = core.features.receive_checks_too_long
         self._check_empty_and_repcnt = core.features.receive_checks_empty_and_repcnt
+        most = core.settings.max_creation_ahead_s
+        self._most_ahead = None if most is None else round(most * 1e9)
         self._drop_mismatch = core.config.reading("X14") == "drop-mismatch"
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
@@ -62,8 +64,17 @@ class Receiver:
 
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         var_id = record.spec.var_id
+        if self._most_ahead is not None and self._ahead(record, wall) > self._most_ahead:
+            self._dropped("creation-ahead", offset, var_id)
+            return
         entry = self._database.lookup(var_id)
-        cell = self._core.cell(self._create_event(record, entry), entry)
+        event = self._create_event(record, entry)
+        if record.spec.prod_id == self._core.own_id:
+            known = None if entry is None else entry.spec.creation_time
+            self._core.delivery.own_creation(var_id, record.spec.creation_time, known)
+        elif entry is not None and record.upd.seqno == entry.seqno:
+            self._core.delivery.has(var_id)
+        cell = self._core.cell(event, entry)
         if cell.action is not Action.ADOPT:
             self._drop(cell, offset, var_id)
             return
@@ -73,6 +84,11 @@ class Receiver:
         ##= VD-PC-07
         stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
         self._core.changed("created", stored)
+
+    def _ahead(self, record: VarCreate, wall: int) -> int:
+        """How far (ns) the creation time of a VarCreate is ahead of the own clock; negative as it should be."""
+        created = record.spec.creation_time
+        return 0 if created is None else self._core.clock.wall(created, near=wall) - wall
 
     def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
         """How a VarCreate compares with what is known, in the order of the steps."""
@@ -152,8 +168,11 @@ class Receiver:
         entry = self._database.lookup(var_id)
         event = _SUMMARY_NEWER
         if entry is not None:
+            if entry.spec.prod_id == self._core.own_id:
+                self._core.delivery.summary_of_own(var_id, record.seqno)
             if record.seqno == entry.seqno:
                 event = _SUMMARY_EQUAL
+                self._core.delivery.has(var_id)
             elif self._core.sequence.received_is_older(record.seqno, entry.seqno):
                 event = _SUMMARY_OLDER
         self._answer(self._core.cell(event, entry), entry, var_id, offset)
@@ -188,9 +207,11 @@ class Receiver:
             elif action is Action.SEND_UPDATE:
                 ##= VD-RU-04
                 database.arm_update(entry)
+                self._core.delivery.asked(var_id)
             elif action is Action.SEND_CREATE:
                 ##= VD-RC-03
                 database.arm_create(entry)
+                self._core.delivery.asked(var_id)
             elif action is Action.REQUEST_UPDATE:
                 ##= VD-PS-04
                 database.req_upd_q.append(var_id)

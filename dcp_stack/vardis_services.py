@@ -78,7 +78,7 @@ class VariableServices:
         ##= VD-CRE-07
         if not 1 <= rep_cnt <= min(self._core.parameters.max_repetitions, self._core.sizes.highest_rep_cnt):
             return self._confirm(VardisStatus.ILLEGAL_REPCOUNT)
-        creation_time = self._creation_time(entry, wall)
+        creation_time = self._later_than_heard(var_id, self._creation_time(entry, wall))
         ##= VD-TYP-05
         spec = VarSpec(
             var_id=var_id,
@@ -100,6 +100,7 @@ class VariableServices:
         if creation_time is not None and creation_time > self._core.sizes.highest_stamp:
             # The variable was created at the end of time; there is nothing later.
             return self._confirm(VardisStatus.VARIABLE_EXISTS)
+        self._core.delivery.created(var_id)
         self._core.changed("created", self._core.database.insert(spec, value, 0, now=now, wall=wall))
         ##= VD-CRE-14
         return self._confirm(VardisStatus.OK)
@@ -123,6 +124,7 @@ class VariableServices:
             return self._confirm(status)
         ##= VD-UPD-07
         self._core.database.store(entry, value, self._core.sequence.after(entry.seqno), now=now, wall=wall)
+        self._core.delivery.updated(var_id, entry.seqno, now)
         self._core.changed("updated", entry)
         return self._confirm(VardisStatus.OK)
 
@@ -265,3 +267,14 @@ class VariableServices:
         known = entry.spec.creation_time if entry is not None else None
         ##= VD-CRE-09 | exception: later than the creation that is known, if the system time is not (X38)
         return max(stamp, known + 1) if known is not None and self._steady else stamp
+
+    def _later_than_heard(self, var_id: int, creation_time: int | None) -> int | None:
+        """The creation time, or the one after the latest creation by this node that neighbours still tell of (X38).
+
+        They do so after a restart with a clock that is behind, and would ignore an earlier creation.
+        """
+        heard = self._core.delivery.latest_creation(var_id)
+        if creation_time is None or heard is None or not self._steady:
+            return creation_time
+        ##= VD-CRE-09 | exception: later than the creations that were heard, if the system time is not (X38)
+        return max(creation_time, heard + 1)

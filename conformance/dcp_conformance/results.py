@@ -101,6 +101,47 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     """For a fault of the tester: where it happened."""
 
 
+class Probable(msgspec.Struct, frozen=True, kw_only=True):
+    """A fault that the implementation probably has."""
+
+    fault: str
+    """Its identifier in the dictionary."""
+    requirements: tuple[str, ...]
+    what: str
+    """What the implementation seems to do: a sentence without its subject."""
+    explains: tuple[str, ...]
+    """The failed cases that it accounts for."""
+    alone: tuple[str, ...]
+    """Those that no other probable fault accounts for."""
+    share: float
+    """The share of all failed cases that it accounts for."""
+    missing: tuple[str, ...]
+    """Cases that should have failed with this fault, and passed."""
+    expected: int
+    """The number of decided cases that should fail with this fault."""
+    alternatives: tuple[str, ...] = ()
+    """What the implementation may do instead: faults with the same consequences in this run."""
+    case: str = ""
+    """The case that shows it best."""
+    check: Check | None = None
+    """Its failed check."""
+    mark: Mark | None = None
+    """The frame that shows it best."""
+    rerun: str = ""
+    """The command that runs that case again."""
+
+
+class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
+    """What explains the failures of a run."""
+
+    faults: tuple[Probable, ...] = ()
+    """The one that accounts for most failures first."""
+    failed: int = 0
+    """The number of failed cases."""
+    unexplained: tuple[str, ...] = ()
+    """Failed cases that no probable fault accounts for."""
+
+
 class Sut(msgspec.Struct, frozen=True, kw_only=True):
     """The implementation under test, as it called itself and as it was reached."""
 
@@ -163,6 +204,8 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     """Mandatory requirements that the PICS denies, and how; each of them fails."""
     reference_readings: dict[str, str] = {}
     """Of those texts for which another reading than the reference's was observed: the reference's."""
+    diagnosis: Diagnosis | None = None
+    """Which faults explain the failed cases; None if none failed, or where no diagnosis is made."""
     notes: tuple[str, ...] = ()
     """What the reader should know of the run as a whole: losses of the tester, restarts, a fallback of the link."""
 

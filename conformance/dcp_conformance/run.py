@@ -24,7 +24,7 @@ from .moment import timestamp
 from .outcome import INTERRUPTED, TESTER_ERROR, USAGE, assemble, exit_status
 from .passive import cases as invariants
 from .passive import joined
-from .results import CaseResult, Check, RunResult, Sut
+from .results import CaseResult, Check, Diagnosis, RunResult, Sut
 from .runner import Runner
 from .selection import Selection, left_out, matches, select
 from .signals import deferred
@@ -385,4 +385,13 @@ class ConformanceRun:
             command=self.command,
             notes=notes,
         )
-        return msgspec.structs.replace(run, invariants=tuple(each for each in self.passive if each not in found))
+        invariants = tuple(each for each in self.passive if each not in found)
+        return msgspec.structs.replace(run, invariants=invariants, diagnosis=self._diagnosis())
+
+    def _diagnosis(self) -> Diagnosis | None:
+        """Which faults explain the failed cases; None if none failed."""
+        if not any(each.verdict is Verdict.FAIL for each in self.results):
+            return None
+        from .diagnosis import explain, load
+
+        return explain(self.results, load())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import click
@@ -47,7 +48,11 @@ def command() -> None:
     metavar="TEXT",
     help="Description; other nodes ignore a variable without one.",
 )
-@click.option("--repcnt", type=int, default=3, show_default=True, help="In how many beacons each change is sent.")
+@click.option(
+    "--repcnt",
+    type=int,
+    help="In how many beacons each change is sent.  [default: 3, or VARDISPAR_MAX_REPETITIONS if that is less]",
+)
 @click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
 @node_options
 def create(
@@ -55,21 +60,45 @@ def create(
     octets: str | None,
     text: str | None,
     descr: str,
-    repcnt: int,
+    repcnt: int | None,
     timeout: int,
     control: str,
     as_json: bool,
 ) -> int:
     """Create variable ID, with this node as its producer."""
-    params: dict[str, Any] = {
-        "varId": var_id,
-        "repCnt": repcnt,
-        "descr": descr,
-        "value": octets_given("--value", octets, text),
-    }
+    params: dict[str, Any] = {"varId": var_id, "descr": descr, "value": octets_given("--value", octets, text)}
     if timeout:
         params["timeout"] = timeout
-    return simple(control, as_json, "RTDB-Create", **params)
+    with connect(control) as client:
+        params["repCnt"] = _repetitions(client) if repcnt is None else repcnt
+        result = client.call("RTDB-Create", **params)
+        if is_ok(result):
+            for warning in _ignored_by_others(client, descr, repcnt):
+                note(f"warning: {warning}")
+    return finish("RTDB-Create", result, as_json)
+
+
+def _repetitions(client: ControlClient) -> int:
+    """As often as is sensible on a lossy link, and not more than the node allows."""
+    most = client.call("VD-GetParameters")["parameters"].get("VARDISPAR_MAX_REPETITIONS", 3)
+    return min(3, int(most))
+
+
+def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) -> Iterator[str]:
+    """Why other nodes may ignore a variable that this node has created without complaint."""
+    from dcp_spec.profile_loading import ProfileError, load_profile
+
+    if not descr:
+        yield "other nodes ignore a variable without a description"
+    if repcnt is None:
+        return
+    try:
+        limits = load_profile(client.call("UT-Hello")["profile"]).limits
+    except (ProfileError, KeyError):
+        # A profile of its own, in a file that only the node knows.
+        return
+    if repcnt > limits.max_repetitions:
+        yield f"nodes with the limits of this profile take at most {limits.max_repetitions} repetitions, not {repcnt}"
 
 
 @command.command("update", epilog=EXIT_STATUS)

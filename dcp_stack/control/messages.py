@@ -309,6 +309,9 @@ class StatusConfirm(Result, frozen=True):
     node: Annotated[dict[str, Any], Meta(description="Snapshots of bp, srp and vardis.")]
     drops: Annotated[dict[str, int], Meta(description="What was ignored, by layer/reason.")]
     runtime: Annotated[dict[str, Any], Meta(description="Link, clients, recording and the like.")]
+    obstacles: Annotated[
+        list[dict[str, Any]], Meta(description="Variables that do not get through to neighbours; usually none.")
+    ] = []
 
 
 # -- notifications ----------------------------------------------------------------------------------------------------

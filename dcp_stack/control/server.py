@@ -340,6 +340,10 @@ class ControlServer:
             wall=times.wall,
             node=_finite(self.node.snapshot()),
             drops=dict(sorted(self.drops.items())),
+            obstacles=[
+                {**msgspec.to_builtins(each), "text": str(each)}
+                for each in (() if self.node.vardis is None else self.node.vardis.obstacles(times.now))
+            ],
             runtime={"sessions": len(self._sessions), **self._runtime()},
         )
 

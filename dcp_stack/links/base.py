@@ -20,6 +20,8 @@ class LinkCounters(msgspec.Struct):
     ignored: int = 0
     kernel_drops: int = 0
     outages: int = 0
+    own_address: int = 0
+    """Of ``ignored``, frames that came in from our own address: another node has the same one, or it is loopback."""
 
 
 class Reception(msgspec.Struct, frozen=True, gc=False):
@@ -55,6 +57,11 @@ class Link(Protocol):
     @property
     def source(self) -> bytes:
         """Our own address, as it is in ``Reception.source`` at those who hear us; empty if the link has none."""
+        ...
+
+    @property
+    def up(self) -> bool:
+        """Whether it can carry frames as far as it knows; False from the first sign of an outage to its end."""
         ...
 
     def fileno(self) -> int:

@@ -375,6 +375,11 @@ class MemoryLink:
         self._inbox: deque[Reception] = deque()
         self._inbox_limit = inbox_limit
 
+    @property
+    def up(self) -> bool:
+        """Whether it is open."""
+        return not self.closed
+
     def fileno(self) -> int:
         """There is none."""
         return -1

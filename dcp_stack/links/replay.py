@@ -67,6 +67,11 @@ class ReplayLink:
         """What is wrong with the recording so far; complete when it is finished."""
         return self._capture.problems
 
+    @property
+    def up(self) -> bool:
+        """Whether it is open."""
+        return not self._closed
+
     def fileno(self) -> int:
         """There is none."""
         return -1

@@ -125,6 +125,11 @@ class SocketLink:
         """Our own address."""
         raise NotImplementedError
 
+    @property
+    def up(self) -> bool:
+        """Whether it is open and in no outage."""
+        return not self._down and not self._closed
+
     def fileno(self) -> int:
         """The descriptor to wait for, -1 after :meth:`close`."""
         return -1 if self._closed else self._selector.fileno()

@@ -18,7 +18,7 @@ from dcp_stack.config import MS
 from dcp_stack.control.server import ControlServer
 from dcp_stack.effects import Dropped, Effect, NeighbourExpired, NeighbourSeen, SendBeacon
 from dcp_stack.links.base import Link, TimedLink
-from dcp_stack.links.recording import Recorder
+from dcp_stack.links.rotation import RotatingRecorder
 from dcp_stack.neighbour_file import NeighbourFileWriter
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource
@@ -33,15 +33,19 @@ PUBLISH_INTERVAL: Final = 20 * MS
 HEARTBEAT_INTERVAL: Final = 100 * MS
 HOUSEKEEPING_INTERVAL: Final = 1000 * MS
 SLACK: Final = 150 * MS
-"""What comes up so shortly before a beacon is done with it: a wake-up costs more than what it is for.
+"""Timers and frames that come up so shortly before a beacon are handled with it: a wake-up costs more than they do.
 
-Nothing is lost by it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames
-that wait in the kernel, with their time of arrival, are processed before it is made. Nobody sees the difference: before
-a request is answered the frames are taken, too, and while somebody is to be told of them they are taken at once.
+Without it a quiet node among three takes twice the CPU time (``benchmarks/quiet.py``, "no slack"). Nothing is lost by
+it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames that wait in the
+kernel, with their time of arrival, are processed before it is made. Before a request is answered the frames are
+processed, too, and while a client is subscribed to indications they are processed at once.
 """
 FLOOD: Final = 64
 """As many frames that waited for a beacon are processed before it, however late it is; more at once are a flood, after
 which the link is not left alone until the next beacon."""
+OBSTACLE_INTERVAL: Final = 10_000 * MS
+MOST_TOLD: Final = 100
+"""Least time between two lines of the log about what does not get through, and how many there are in a life."""
 _NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
 #: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -71,7 +75,7 @@ class Driver:
         node: Node,
         link: Link,
         *,
-        recorder: Recorder | None = None,
+        recorder: RotatingRecorder | None = None,
         positions: PositionSource | None = None,
         neighbour_file: NeighbourFileWriter | None = None,
         attachments: tuple[Attachment, ...] = (),
@@ -90,7 +94,7 @@ class Driver:
         self._controls: list[ControlSocket | StandardStreams] = []
         self._stopping = False
         self._wake: int | None = None
-        self._node_time = self.started
+        self._arrived = self.started
         self._link_fd = link.fileno()
         self._lazy = self._flooded = False
         self._srp_slack = self._slack_of_srp()
@@ -100,6 +104,8 @@ class Driver:
         self._dirty = True
         self._published = self._heartbeat = 0
         self._bad_samples = 0
+        self._told: set[tuple[str, int, str]] = set()
+        self._obstacles_told = self.started - OBSTACLE_INTERVAL
 
     def add_control(self, control: ControlSocket | StandardStreams) -> None:
         """Let clients in by this."""
@@ -188,7 +194,6 @@ class Driver:
         for control in self._controls:
             for channel in control.channels:
                 if channel.busy or channel.session.output:
-                    self._node_time = now
                     channel.advance(now, wall)
 
     def _on_link(self, _events: int = 0) -> None:
@@ -205,8 +210,9 @@ class Driver:
             if number >= before_it and self._wake is not None and now >= self._wake:
                 self._timeout(now, time.time_ns())
                 self._plan()
-            # For the node time goes forward, whatever the clocks do.
-            arrived = self._node_time = min(max(reception.wall - offset, self._node_time), now)
+            # Soft state is as old as its frame, also if that waited in the kernel. From frame to frame time goes
+            # forward, whatever the clocks do.
+            arrived = self._arrived = min(max(reception.wall - offset, self._arrived), now)
             node.handle_frame(reception.octets, now=arrived, wall=reception.wall)
             effects = node.take_effects()
             if effects:
@@ -217,7 +223,6 @@ class Driver:
     def _timeout(self, now: int, wall: int) -> None:
         if self._wake is not None and now - self._wake > self.late_ns:
             self.late_ns = now - self._wake
-        self._node_time = now
         # Positions first: the newest goes into the beacon of now.
         if self._positions is not None and (due := self._positions.poll_timeout()) is not None and now >= due:
             self._poll_positions()
@@ -302,12 +307,25 @@ class Driver:
         self._srp_slack = self._slack_of_srp()
         if self._recorder is not None:
             self._recorder.tick()
+        self._tell_obstacles(now)
         for attachment in self._attachments:
             attachment.tick(now)
         for control in self._controls:
             for channel in control.channels:
                 if channel.stalled_since is not None:
                     channel.busy = True
+
+    def _tell_obstacles(self, now: int) -> None:
+        """Log what does not get through: each kind and variable once, and at most one line in a while."""
+        if self.node.vardis is None or now < self._obstacles_told + OBSTACLE_INTERVAL:
+            return
+        for obstacle in self.node.vardis.obstacles(now):
+            key = (obstacle.kind, obstacle.var_id, obstacle.peer)
+            if key not in self._told and len(self._told) < MOST_TOLD:
+                self._told.add(key)
+                self._obstacles_told = now
+                log.warning("%s", obstacle)
+                return
 
     def _slack_of_srp(self) -> int:
         # SRP traverses its table six times in a timeout and must five times: 1/6 + 1/30 = 1/5.
@@ -323,6 +341,7 @@ class Driver:
             "pid": os.getpid(),
             "link": {
                 "name": self.link.name,
+                "up": self.link.up,
                 "max_packet_size": self.link.max_packet_size,
                 **{name: getattr(counters, name) for name in counters.__struct_fields__},
             },
@@ -335,6 +354,8 @@ class Driver:
                 "frames": recorder.frames,
                 "recording": recorder.recording,
                 "problem": recorder.problem,
+                "interruptions": recorder.interruptions,
+                "frames_lost": recorder.frames_lost,
             }
         if self._positions is not None:
             source = self._positions

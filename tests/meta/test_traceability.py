@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from pathlib import Path
 
@@ -78,7 +79,23 @@ def test_citations_tests_and_cases_are_joined(repository):
     assert row.cases == ("TC_VD_PAY_BV_01",)
     (line,) = [each for each in render(matrix(repository, EVERYTHING)).splitlines() if each.startswith("| VD-IC-03 ")]
     assert line.startswith("| VD-IC-03 | M | W | vardis ")
-    assert line.endswith("| all, some | unit/test_some | VD_PAY_BV_01 |")
+    assert line.endswith("| all, some | unit/test_some | VD_PAY_BV_01 |  |")
+
+
+def test_rules_of_recordings_are_in_the_ledger_and_beside_their_requirements():
+    found = matrix(ROOT)
+    assert {"CK_VD_SEQNO", "CK_BP_JITTER"} <= set(found.rule_ids) <= set(found.ledger)
+    row = next(each for each in found.rows if each.requirement.id == "VD-PU-06")
+    assert "CK_VD_SEQNO" in row.rules
+    (line,) = [each for each in render(found).splitlines() if each.startswith("| VD-PU-06 ")]
+    assert "VD_SEQNO" in line.rsplit("|", 2)[1]
+
+
+def test_the_identifier_of_a_rule_is_never_used_again(repository):
+    found = dataclasses.replace(matrix(repository, EVERYTHING), rule_ids=("CK_NEW",))
+    assert any("not in" in each and "CK_NEW" in each for each in found.problems())
+    retired = dataclasses.replace(found, ledger={**found.ledger, "CK_NEW": True})
+    assert any("CK_NEW is retired" in each for each in retired.problems())
 
 
 def test_unknown_ids_are_found_wherever_they_stand(repository):
@@ -172,6 +189,6 @@ def test_the_command_writes_both_files_and_checks_them(tmp_path, capsys):
     assert traceability.main(["--check", str(tmp_path)]) == 1
     assert "run make matrix" in capsys.readouterr().err
     found = write(tmp_path)
-    assert set(found.ledger) == set(found.case_ids)
+    assert set(found.ledger) == {*found.case_ids, *found.rule_ids}
     assert not outdated(tmp_path, found)
     assert traceability.main([str(tmp_path)]) == bool(found.problems())

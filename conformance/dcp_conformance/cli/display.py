@@ -21,7 +21,9 @@ from dcp_conformance.outcome import nothing_decided
 from dcp_conformance.reporting.overview import (
     Death,
     bad_checks,
+    certainty,
     deaths,
+    diagnosed,
     observed_readings,
     undecided_deaths,
 )
@@ -52,6 +54,8 @@ _FRAMES = 8
 _CHECKS = 4
 #: Notes that are shown: an implementation that dies often has one for each time.
 _NOTES = 6
+#: Probable faults that are shown.
+_FAULTS = 8
 #: Observations in a recording that are shown.
 _OBSERVATIONS = 12
 _HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl.", Verdict.TOO_LITTLE: "too little"}
@@ -168,6 +172,7 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     out.print(f"\n{data(sut)} as {data(run.profile)}{where}: {decided}", soft_wrap=True)
     if run.kind != "check" and (failing := _failing(run)):
         out.print(f"[{STYLES[Verdict.FAIL]}]failing[/]: {data(failing)}", soft_wrap=True)
+    _print_diagnosis(out, run)
     if lost := undecided_deaths(run):
         out.print(f"[{STYLES[Verdict.FAIL]}]died[/]: {data(lost)}", soft_wrap=True)
     for identifier, instead in run.declared.items():
@@ -185,6 +190,26 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     count = sum(case.counted for case in run.cases)
     number = f"{count} case" + ("" if count == 1 else "s")
     out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {data(report)}" if report else ""))
+
+
+def _print_diagnosis(out: Console, run: RunResult) -> None:
+    """The faults that probably are behind the failures, the one that explains most first."""
+    if run.diagnosis is None or not (said := diagnosed(run)):
+        return
+    out.print(f"\n[bold]{data(said)}[/]", soft_wrap=True)
+    for number, fault in enumerate(run.diagnosis.faults[:_FAULTS], 1):
+        out.print(
+            f"  {number}. the implementation {data(fault.what)}  \\[{data(', '.join(fault.requirements))}]",
+            soft_wrap=True,
+        )
+        for other in fault.alternatives:
+            out.print(f"     or it {data(other)}", soft_wrap=True)
+        out.print(f"     {data(certainty(fault))}", soft_wrap=True)
+        frame = f", frame {fault.mark.frame}" if fault.mark is not None else ""
+        if fault.case:
+            out.print(f"     best seen in {data(fault.case)}{frame}; again: {data(fault.rerun)}", soft_wrap=True)
+    if len(run.diagnosis.faults) > _FAULTS:
+        out.print(f"  ... and {len(run.diagnosis.faults) - _FAULTS} more, which the report shows")
 
 
 def _failing(run: RunResult) -> str:

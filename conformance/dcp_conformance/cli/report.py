@@ -3,16 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from dcp_codec.commandline import say
 from dcp_conformance.errors import UsageError
+
+if TYPE_CHECKING:
+    from dcp_conformance.results import RunResult
 
 
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Where the page goes (HTML).")
-def command(results: tuple[Path, ...], output: Path | None) -> int:
+@click.option(
+    "--issues",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="For one run: write a report for each probable fault there, to be pasted into an issue tracker.",
+)
+@click.option(
+    "--requirements",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="For one run: the verdict of each requirement as a table (.csv or .md).",
+)
+@click.option(
+    "--summary",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="For one run: everything that matters on one page (.md).",
+)
+@click.option(
+    "--badge", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="For one run: a badge (.svg)."
+)
+def command(results: tuple[Path, ...], output: Path | None, issues: Path | None, **exports: Path | None) -> int:
     """Make the page of a run again, or put several runs side by side.
 
     RESULTS are results.json files, or the folders they are in. Of several, a table of implementations and requirements
@@ -24,6 +50,12 @@ def command(results: tuple[Path, ...], output: Path | None) -> int:
     from dcp_conformance.reporting.page import render
 
     runs = [load_results(path) for path in results]
+    if issues is not None or any(exports.values()):
+        if len(runs) != 1:
+            raise UsageError("--issues, --requirements, --summary and --badge are for the results of one run")
+        _export(runs[0], issues, exports)
+        if output is None:
+            return 0
     if len(runs) == 1:
         from .display import print_summary
 
@@ -48,6 +80,32 @@ def command(results: tuple[Path, ...], output: Path | None) -> int:
         table.add_row(data(identifier), *cells)
     console().print(table)
     return 0
+
+
+def _export(run: RunResult, issues: Path | None, exports: dict[str, Path | None]) -> None:
+    """Write what is made of one run for others."""
+    from dcp_conformance.reporting import exports as making
+    from dcp_conformance.reporting.files import codec_of
+
+    table = exports["requirements"]
+    if table is not None and table.suffix not in (".csv", ".md"):
+        raise UsageError(f"--requirements {table}: the name must end in .csv or .md")
+    makers = {
+        "requirements": making.requirements_csv
+        if table is not None and table.suffix == ".csv"
+        else making.requirements_markdown,
+        "summary": making.summary_markdown,
+        "badge": making.badge,
+    }
+    for name, make in makers.items():
+        path = exports[name]
+        if path is not None:
+            _write(path, make(run))
+    if issues is not None:
+        from dcp_conformance.issue_reports import write_issues
+
+        for path in write_issues(run, issues, codec_of(run)):
+            say(str(path))
 
 
 def _write(path: Path, text: str) -> None:

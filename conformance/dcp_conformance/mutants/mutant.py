@@ -80,6 +80,8 @@ class Mutant:
     """First and last version of the specification in which this is a fault."""
     unseen: Mapping[SpecVersion, str] = field(default_factory=dict)
     """By version: why this is not a fault although the version has the requirement, or cannot be observed."""
+    part: type | None = None
+    """The changed part of the node; None if the fault is not a single part, and cannot be combined with others."""
 
     @property
     def versions(self) -> tuple[SpecVersion, ...]:
@@ -134,7 +136,7 @@ def mutant(
             raise ValueError(f"M-{first}-{fault} is not tried on {version}, which has {first}: give a reason in unseen")
 
     def decorate(part: Part) -> Part:
-        made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, _maker(node_with(part)), begin, end, excused)
+        made = Mutant(f"M-{first}-{fault}", first, tuple(also), what, maker(node_with(part)), begin, end, excused, part)
         setattr(part, _ATTRIBUTE, made)
         return part
 
@@ -151,7 +153,9 @@ def node_with(part: type) -> type[Node]:
     raise TypeError(f"{part.__name__} does not derive from a part of the node")
 
 
-def _maker(made_of: type[Node]) -> MakeNode:
+def maker(made_of: type[Node]) -> MakeNode:
+    """Make nodes of a class."""
+
     def make(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Any:
         return made_of(config, rng=rng, now=now, wall=wall)
 
@@ -179,4 +183,4 @@ def all_mutants() -> dict[str, Mutant]:
     return found
 
 
-__all__ = ["Mutant", "all_mutants", "mutant", "mutants_of", "node_with"]
+__all__ = ["Mutant", "all_mutants", "maker", "mutant", "mutants_of", "node_with"]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from dcp_spec.readings import differs_from_reference, readings, told
 
-from dcp_conformance.results import CaseResult, Check, RunResult
+from dcp_conformance.results import CaseResult, Check, Probable, RunResult
 from dcp_conformance.verdict import Verdict
 
 #: How the expectation begins that an implementation lives through a case.
@@ -27,6 +27,8 @@ def headline(run: RunResult) -> str:
     else:
         one = "requirement passes" if passed == 1 else "requirements pass"
         said = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
+        if run.diagnosis is not None and (faults := len(run.diagnosis.faults)):
+            said += f" for {faults} probable reason{'' if faults == 1 else 's'}"
     others = {
         Verdict.INCONCLUSIVE: "inconclusive",
         Verdict.ERROR: "in error",
@@ -35,6 +37,28 @@ def headline(run: RunResult) -> str:
     }
     more = [f"{count[each]} {_are(count[each])} {word}" for each, word in others.items() if count[each]]
     return "; ".join(filter(None, [said, *more, undecided_deaths(run)]))
+
+
+def diagnosed(run: RunResult) -> str:
+    """How far the failures are explained, in a sentence; empty if none failed."""
+    found = run.diagnosis
+    if found is None or not found.failed:
+        return ""
+    failed = f"{found.failed} case{'' if found.failed == 1 else 's'}"
+    if not found.faults:
+        return f"{failed} failed; no known fault explains {'it' if found.failed == 1 else 'them'}"
+    explained = found.failed - len(found.unexplained)
+    faults = f"{len(found.faults)} probable fault{'' if len(found.faults) == 1 else 's'}"
+    return f"{faults} explain{'s' if len(found.faults) == 1 else ''} {explained} of {failed} that failed"
+
+
+def certainty(fault: Probable) -> str:
+    """How well the failures of a run fit a fault, in words."""
+    hits = fault.expected - len(fault.missing)
+    text = f"explains {len(fault.explains)} failed case{'' if len(fault.explains) == 1 else 's'}"
+    if fault.expected:
+        text += f"; {hits} of the {fault.expected} cases that fail with this fault did"
+    return text
 
 
 def _are(count: int) -> str:

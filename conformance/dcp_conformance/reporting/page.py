@@ -21,7 +21,7 @@ from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunRes
 from dcp_conformance.verdict import Verdict
 
 from .frames import Frames
-from .overview import deaths, headline, observed_readings
+from .overview import certainty, deaths, diagnosed, headline, observed_readings
 from .recordings import FOLDER
 from .timeline import MOST_FRAMES, begin_of, timeline_of, told_together
 
@@ -86,6 +86,9 @@ def render(run: RunResult, codec: Codec | None) -> str:
             run=run,
             title=" ".join(filter(None, (run.sut.name, run.sut.version))) or "An implementation of DCP",
             headline=headline(run),
+            diagnosed=diagnosed(run),
+            certainty=certainty,
+            keys={case["id"]: ("f-" if case["shown_above"] else "") + case["key"] for case in cases},
             summary=summary,
             number=sum(case.counted for case in run.cases),
             tables=[table for table in ("conformance", "robustness") if any(summary[table].values())],

@@ -1,0 +1,84 @@
+"""How fast ``dcp-conformance check`` judges, beside decoding alone, and how much memory it needs.
+
+``python benchmarks/check.py [--beacons N ...] [--attack]``: recordings of a made-up bus of 30 nodes with 50 variables
+(``flights.py``) are judged in a process of their own each. Compare ratios within one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import resource
+import time
+from collections.abc import Iterator
+
+from dcp_conformance.check.judge import Judge
+from dcp_conformance.pics import Pics
+from flights import Attack, Flight
+from rich.console import Console
+from rich.table import Table
+
+from dcp_codec.capture import Frame
+from dcp_codec.codec import Codec
+from dcp_codec.framing import OtherTraffic, locate
+
+PROFILE = "dcp-2.0"
+#: Frames that are made, and then judged: making them is not measured.
+_CHUNK = 2_000
+
+
+def chunks(flight: Flight, beacons: int) -> Iterator[list[Frame]]:
+    """The frames of a flight, some thousand at a time."""
+    frames: list[Frame] = []
+    for frame in flight.frames(beacons):
+        frames.append(frame)
+        if len(frames) >= _CHUNK:
+            yield frames
+            frames = []
+    if frames:
+        yield frames
+
+
+def measure(beacons: int, attack: bool) -> tuple[float, float, float, int]:
+    """Processor seconds for decoding and for judging, peak memory in MB, and findings."""
+    codec = Codec(PROFILE)
+    judge = Judge(codec, Pics(), recording="made up", period_known=False)
+    decoding = judging = 0.0
+    base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for frames in chunks((Attack if attack else Flight)(codec), beacons):
+        begin = time.process_time()
+        for frame in frames:
+            framing = locate(frame.data, codec.profile.link)
+            assert not isinstance(framing, OtherTraffic)
+            codec.decode(frame.data[framing.start : framing.end])
+        middle = time.process_time()
+        for frame in frames:
+            judge.feed(frame)
+        judging += time.process_time() - middle
+        decoding += middle - begin
+    begin = time.process_time()
+    run = judge.result()
+    judging += time.process_time() - begin
+    found = sum(check.verdict == "fail" for case in run.cases for check in case.checks)
+    return decoding, judging, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - base) / 1024, found
+
+
+def main() -> None:
+    """Measure, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--beacons", type=int, nargs="+", default=[20_000, 100_000])
+    parser.add_argument("--attack", action="store_true", help="with a station that forges creations and requests")
+    options = parser.parse_args()
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("beacons", "decode/s", "check/s", "check : decode", "memory MB", "findings"):
+        table.add_column(heading, justify="right")
+    for beacons in options.beacons:
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            decoding, judging, memory, found = pool.apply(measure, (beacons, options.attack))
+        rates = (f"{beacons / decoding:,.0f}", f"{beacons / judging:,.0f}", f"{judging / decoding:.1f}")
+        table.add_row(f"{beacons:,}", *rates, f"{memory:.0f}", str(found))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

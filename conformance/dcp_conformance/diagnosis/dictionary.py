@@ -1,0 +1,94 @@
+"""The fault dictionary: which cases fail for which fault."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import Final
+
+import msgspec
+
+FILE: Final = "fault-dictionary.json"
+
+
+class Fault(msgspec.Struct, frozen=True, kw_only=True):
+    """A fault with its signature."""
+
+    id: str
+    """The identifier of the mutant with this fault."""
+    requirements: tuple[str, ...]
+    """The requirement that it violates, and those that may be named instead."""
+    what: str
+    """What a node with this fault does wrong: a sentence without its subject."""
+    fails: frozenset[str]
+    """The cases that fail."""
+    undecided: frozenset[str]
+    """The cases that become inconclusive."""
+
+
+class Dictionary(msgspec.Struct, frozen=True):
+    """All faults whose signatures are known."""
+
+    faults: tuple[Fault, ...]
+
+
+class _Entry(msgspec.Struct, frozen=True, array_like=True):
+    """A fault as it is stored: cases are places in the list of the file."""
+
+    id: str
+    requirements: list[str]
+    what: str
+    fails: list[int]
+    undecided: list[int]
+
+
+class _Stored(msgspec.Struct, frozen=True):
+    about: str
+    cases: list[str]
+    faults: list[_Entry]
+
+
+_ABOUT: Final = "Made by `dcp-conformance selftest --dictionary`; do not edit."
+
+
+def encode(dictionary: Dictionary) -> bytes:
+    """The dictionary as the octets of its file, one fault in a line: the same for the same faults."""
+    cases = sorted({case for fault in dictionary.faults for case in fault.fails | fault.undecided})
+    place = {case: number for number, case in enumerate(cases)}
+    faults = [
+        msgspec.json.encode(
+            _Entry(
+                fault.id,
+                list(fault.requirements),
+                fault.what,
+                sorted(place[case] for case in fault.fails),
+                sorted(place[case] for case in fault.undecided),
+            )
+        ).decode()
+        for fault in sorted(dictionary.faults, key=lambda fault: fault.id)
+    ]
+    head = msgspec.json.encode({"about": _ABOUT, "cases": cases}).decode()
+    return f'{head[:-1]},\n"faults": [\n{",".join(f"{each}{chr(10)}" for each in faults)}]}}\n'.encode()
+
+
+def decode(octets: bytes) -> Dictionary:
+    """The dictionary in a file. Raises ``msgspec.ValidationError`` or ``msgspec.DecodeError`` for other octets."""
+    stored = msgspec.json.decode(octets, type=_Stored)
+    return Dictionary(
+        tuple(
+            Fault(
+                id=each.id,
+                requirements=tuple(each.requirements),
+                what=each.what,
+                fails=frozenset(stored.cases[place] for place in each.fails),
+                undecided=frozenset(stored.cases[place] for place in each.undecided),
+            )
+            for each in stored.faults
+        )
+    )
+
+
+@cache
+def load() -> Dictionary:
+    """The dictionary that comes with this version."""
+    return decode(files("dcp_conformance").joinpath("data", FILE).read_bytes())

@@ -1,0 +1,167 @@
+"""Find the fewest faults that explain a set of failed cases.
+
+Each fault of the dictionary predicts failures. A case fails with the probability that at least one of the assumed
+faults makes it fail, or, rarely, for a reason that no fault of the dictionary has. The search adds the fault that makes
+what was observed most likely, and takes back one that later ones have made superfluous. Every further fault must pay a
+price, so that few faults are preferred to many (a minimum description length, searched greedily).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from dcp_conformance.results import CaseResult, Check, Diagnosis, Probable
+from dcp_conformance.verdict import Verdict
+
+from .dictionary import Dictionary, Fault
+
+#: Probability that a case fails, if an assumed fault has made it fail before; if it has made it inconclusive; and if no
+#: assumed fault has to do with it.
+_FAILS, _UNDECIDED, _NOISE = 0.93, 0.03, 0.003
+#: Log likelihood that a further fault must add, and that explanations may differ by and still count as equal.
+_PRICE, _EQUAL = 5.0, 0.7
+#: Faults that are named at most, and alternatives to each.
+_MOST, _ALTERNATIVES = 12, 4
+#: The share of its expected failures that a fault must have caused.
+_LEAST = 0.5
+
+
+def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
+    """Diagnose the results of a run. Cases that were not decided, or did not apply, are no evidence."""
+    failed: dict[str, CaseResult] = {}
+    passed: set[str] = set()
+    for result in results:
+        if result.verdict is Verdict.FAIL:
+            failed[result.id] = result
+        elif result.verdict in (Verdict.PASS, Verdict.INFO):
+            passed.add(result.id)
+    passed -= failed.keys()
+    search = _Search(dictionary, failed, passed)
+    chosen = search.run()
+    explained = {case for fault in chosen for case in search.explained_by(fault)}
+    found = [search.probable(fault, chosen) for fault in chosen]
+    found.sort(key=lambda each: (-len(each.explains), each.fault))
+    return Diagnosis(
+        faults=tuple(found),
+        failed=len(failed),
+        unexplained=tuple(case for case in failed if case not in explained),
+    )
+
+
+class _Search:
+    """The search for the faults of one run."""
+
+    def __init__(self, dictionary: Dictionary, failed: Mapping[str, CaseResult], passed: set[str]) -> None:
+        self._failed, self._passed = failed, passed
+        decided = failed.keys() | passed
+        self._chances: dict[str, dict[str, float]] = {}
+        """By fault: the probability that a decided case fails because of it."""
+        self._faults: dict[str, Fault] = {}
+        for fault in dictionary.faults:
+            chances = dict.fromkeys(fault.fails & decided, _FAILS)
+            chances.update((case, _UNDECIDED) for case in fault.undecided & decided)
+            # Without a single failure it explains nothing.
+            if failed.keys() & fault.fails:
+                self._faults[fault.id] = fault
+                self._chances[fault.id] = chances
+        self._survives: dict[str, float] = {}
+        """By case: the probability that it does not fail with the chosen faults, where that is not that of noise."""
+
+    def run(self) -> list[Fault]:
+        """The most likely set of faults."""
+        chosen: list[str] = []
+        while len(chosen) < _MOST:
+            rest = (name for name in self._chances if name not in chosen and self._plausible(name))
+            best = max(rest, key=lambda name: (self._gain(name), name), default=None)
+            if best is None or self._gain(best) <= _PRICE:
+                break
+            chosen.append(best)
+            self._assume(chosen)
+            chosen = self._without_superfluous(chosen)
+        return [self._faults[name] for name in chosen]
+
+    def _plausible(self, name: str) -> bool:
+        """Whether enough of what the fault makes fail has failed."""
+        fails = self._faults[name].fails
+        hits, misses = len(fails & self._failed.keys()), len(fails & self._passed)
+        return hits >= _LEAST * (hits + misses)
+
+    def _gain(self, name: str) -> float:
+        """How much more likely the observed verdicts become with this fault, as a logarithm."""
+        gain = 0.0
+        for case, chance in self._chances[name].items():
+            before = self._survives.get(case, 1 - _NOISE)
+            after = before * (1 - chance)
+            gain += math.log((1 - after) / (1 - before)) if case in self._failed else math.log(after / before)
+        return gain
+
+    def _assume(self, chosen: Iterable[str]) -> None:
+        self._survives = {}
+        for name in chosen:
+            for case, chance in self._chances[name].items():
+                self._survives[case] = self._survives.get(case, 1 - _NOISE) * (1 - chance)
+
+    def _without_superfluous(self, chosen: list[str]) -> list[str]:
+        """Take back faults that those chosen later explain as well."""
+        for name in chosen[:-1]:
+            others = [each for each in chosen if each != name]
+            self._assume(others)
+            if self._gain(name) <= _PRICE:
+                return self._without_superfluous(others) if len(others) > 1 else others
+        self._assume(chosen)
+        return chosen
+
+    def explained_by(self, fault: Fault) -> list[str]:
+        """The failed cases that the fault accounts for."""
+        return [case for case in self._failed if case in fault.fails or case in fault.undecided]
+
+    def probable(self, fault: Fault, chosen: list[Fault]) -> Probable:
+        """Describe a chosen fault."""
+        explains = self.explained_by(fault)
+        others = [each for each in chosen if each is not fault]
+        elsewhere = {case for each in others for case in self.explained_by(each)}
+        alone = [case for case in explains if case not in elsewhere]
+        self._assume(each.id for each in others)
+        gain = self._gain(fault.id)
+        equal = sorted(
+            (name for name in self._chances if self._faults[name] not in chosen and gain - self._gain(name) <= _EQUAL),
+            key=lambda name: (-self._gain(name), name),
+        )
+        decided = self._failed.keys() | self._passed
+        shown = self._best(fault, alone or explains)
+        check = _decisive(self._failed[shown], fault) if shown else None
+        return Probable(
+            fault=fault.id,
+            requirements=fault.requirements,
+            what=fault.what,
+            explains=tuple(explains),
+            alone=tuple(alone),
+            share=len(explains) / len(self._failed),
+            missing=tuple(sorted(fault.fails & self._passed)),
+            expected=len(fault.fails & decided),
+            alternatives=tuple(self._faults[name].what for name in equal[:_ALTERNATIVES]),
+            case=shown,
+            check=check,
+            mark=check.frames[0] if check is not None and check.frames else None,
+            rerun=self._failed[shown].rerun if shown else "",
+        )
+
+    def _best(self, fault: Fault, explains: Iterable[str]) -> str:
+        """The case whose failure shows the fault best: it names the requirement, has a frame, and is a short one."""
+
+        def rank(name: str) -> tuple[bool, bool, bool, int, str]:
+            result = self._failed[name]
+            check = _decisive(result, fault)
+            named = check is not None and not set(check.requirements).isdisjoint(fault.requirements)
+            frames = check is not None and bool(check.frames)
+            return (not named, not (check is not None and check.shown), not frames, len(result.evidence), name)
+
+        return min(explains, key=rank, default="")
+
+
+def _decisive(result: CaseResult, fault: Fault) -> Check | None:
+    """The failed check that names a requirement of the fault, or else the first one."""
+    bad = [check for check in result.checks if check.verdict is Verdict.FAIL]
+    named = [check for check in bad if not set(check.requirements).isdisjoint(fault.requirements)]
+    return next(iter([*(check for check in named if check.frames), *named, *bad]), None)

@@ -1,0 +1,169 @@
+"""What is made of results for others: requirements as a table, a summary on one page, a badge."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+from xml.sax.saxutils import escape
+
+from dcp_spec.requirements import requirements
+
+from dcp_codec.plain import plain
+from dcp_conformance.results import CaseResult, RunResult
+from dcp_conformance.verdict import Verdict
+
+from .overview import certainty, diagnosed, headline
+
+_COLUMNS: Final = ("requirement", "verdict", "document", "section", "step", "statement", "cases", "why")
+#: Colours of a badge: with white text, each has a contrast of at least 4.5:1.
+_GREEN, _RED, _GREY, _DARK = "#1b7a3d", "#b42318", "#5f6670", "#3c434c"
+#: Width of a character of a badge, in pixels: that of a wide one, since fonts differ.
+_CHARACTER: Final = 6.8
+#: Characters with which a spreadsheet begins a formula.
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
+
+
+class Row(NamedTuple):
+    """A requirement with its verdict."""
+
+    requirement: str
+    verdict: str
+    document: str
+    section: str
+    step: str
+    statement: str
+    cases: str
+    """Cases that decide it, separated by spaces."""
+    why: str
+    """Why it is no pass: the first failed or undecided check."""
+
+
+def rows(run: RunResult) -> Iterator[Row]:
+    """The requirements of a run in the order of the catalogue."""
+    known = requirements()
+    order = {name: number for number, name in enumerate(known)}
+    deciding: dict[str, list[CaseResult]] = {}
+    for case in run.cases:
+        if case.verdict is Verdict.NOT_APPLICABLE:
+            continue
+        for name in dict.fromkeys(
+            (*case.requirements, *(each for check in case.checks for each in check.requirements))
+        ):
+            deciding.setdefault(name, []).append(case)
+    for name, verdict in sorted(run.requirements.items(), key=lambda each: order.get(each[0], len(order))):
+        entry = known.get(name)
+        place = (entry.section if entry is not None else "").replace("`", "")
+        # An anchor, or the words of a heading.
+        document, section = (*re.split("#|: ", place, maxsplit=1), "")[:2]
+        cases = deciding.get(name, [])
+        yield Row(
+            name,
+            str(verdict),
+            document,
+            section,
+            str(entry.step or "") if entry is not None else "",
+            entry.statement if entry is not None else "",
+            " ".join(case.id for case in cases),
+            _why(name, verdict, cases),
+        )
+
+
+def _why(name: str, verdict: Verdict, cases: list[CaseResult]) -> str:
+    if verdict.rank <= Verdict.PASS.rank:
+        return ""
+    checks = (check for case in cases for check in case.checks if check.verdict is verdict)
+    check = next((each for each in checks if name in each.requirements), None)
+    return f"expected {check.expected}; observed {check.observed}" if check is not None else ""
+
+
+def requirements_csv(run: RunResult) -> str:
+    """The requirements as CSV (RFC 4180). A cell that a spreadsheet would take for a formula begins with ``'``."""
+    output = io.StringIO()
+    writer = csv.writer(output)
+    writer.writerow(_COLUMNS)
+    for row in rows(run):
+        cells = [plain(cell) for cell in row]
+        writer.writerow([f"'{cell}" if cell.startswith(_FORMULA) else cell for cell in cells])
+    return output.getvalue()
+
+
+def requirements_markdown(run: RunResult) -> str:
+    """The requirements as a table in Markdown."""
+    lines = ["| requirement | verdict | statement | section | cases |", "|---|---|---|---|---:|"]
+    for row in rows(run):
+        section = f"{row.document}: {row.section}" + (f", step {row.step}" if row.step else "")
+        count = len(row.cases.split())
+        why = f"<br>{_cell(row.why)}" if row.why else ""
+        lines.append(f"| {row.requirement} | {row.verdict} | {_cell(row.statement)}{why} | {section} | {count} |")
+    return "\n".join(lines) + "\n"
+
+
+def summary_markdown(run: RunResult) -> str:
+    """A run on one page: the sentence that matters, its numbers, the diagnosis, and what was tested how."""
+    name = " ".join(filter(None, (run.sut.name, run.sut.version))) or "An implementation of DCP"
+    lines = [f"# {_cell(name)}: conformance to DCP {_cell(run.spec_version)}", "", f"{_cell(headline(run))}.", ""]
+    counts: dict[str, Counter[str]] = {}
+    for case in run.cases:
+        if case.counted:
+            counts.setdefault(case.section.partition(":")[0], Counter())[str(case.verdict)] += 1
+    order = ("pass", "fail", "inconclusive", "error", "info", "not-applicable")
+    lines += ["| cases | " + " | ".join(order) + " |", "|---|" + "---:|" * len(order)]
+    for section, count in sorted(counts.items()):
+        lines.append(f"| {_cell(section)} | " + " | ".join(str(count[each] or "-") for each in order) + " |")
+    if run.diagnosis is not None and run.diagnosis.faults:
+        lines += ["", "## Diagnosis", "", f"{_cell(diagnosed(run))}.", ""]
+        for number, fault in enumerate(run.diagnosis.faults, 1):
+            names = ", ".join(fault.requirements)
+            lines.append(f"{number}. The implementation {_cell(fault.what)} ({names}); it {_cell(certainty(fault))}.")
+    failing = [row for row in rows(run) if row.verdict in (Verdict.FAIL, Verdict.ERROR)]
+    if failing:
+        lines += ["", "## Requirements that fail", ""]
+        lines += [f"* **{row.requirement}**: {_cell(row.statement)} {_cell(row.why)}" for row in failing]
+    upper = f"upper tester {_cell(run.sut.upper_tester)}" if run.sut.upper_tester else "no upper tester"
+    lines += [
+        "",
+        "## How it was tested",
+        "",
+        f"* wire profile {_cell(run.profile)}, link {_cell(run.sut.link)}, {upper}",
+    ]
+    lines.append(f"* {_cell(run.tool)}, {_cell(run.started)}, {run.duration:.0f} s")
+    if run.command:
+        lines.append(f"* `{plain(run.command).replace('`', chr(39))}`")
+    return "\n".join(lines) + "\n"
+
+
+def badge(run: RunResult) -> str:
+    """A badge as SVG: the version of the specification, and how many requirements pass or fail."""
+    count = Counter(run.requirements.values())
+    failed = count[Verdict.FAIL] + count[Verdict.ERROR]
+    if failed:
+        text, colour = f"{failed} {'requirement fails' if failed == 1 else 'requirements fail'}", _RED
+    elif count[Verdict.PASS]:
+        text, colour = f"{count[Verdict.PASS]} requirements pass", _GREEN
+    else:
+        text, colour = "nothing decided", _GREY
+    label = f"DCP {plain(run.spec_version)}"
+    left, right = (round(_CHARACTER * len(each)) + 12 for each in (label, text))
+    width, name = left + right, escape(f"{label}: {text}", {'"': "&quot;"})
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="20" role="img" aria-label="{name}">'
+        f"<title>{name}</title>"
+        f'<clipPath id="r"><rect width="{width}" height="20" rx="3"/></clipPath><g clip-path="url(#r)">'
+        f'<rect width="{left}" height="20" fill="{_DARK}"/>'
+        f'<rect x="{left}" width="{right}" height="20" fill="{colour}"/></g>'
+        f'<g fill="#fff" font-family="Verdana,DejaVu Sans,sans-serif" font-size="11" text-anchor="middle">'
+        f'<text x="{left / 2:g}" y="14">{escape(label)}</text>'
+        f'<text x="{left + right / 2:g}" y="14">{escape(text)}</text></g></svg>\n'
+    )
+
+
+def _cell(text: str) -> str:
+    """Text that is not ours, in a cell or a line of Markdown: no HTML, links or further cells."""
+    found = plain(text).replace("\n", " ")
+    for sign in "\\`*_[]<>|":
+        found = found.replace(sign, f"\\{sign}")
+    return found

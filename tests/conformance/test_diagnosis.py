@@ -1,0 +1,154 @@
+"""The diagnosis names the faults that explain a set of failed cases."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from dcp_conformance.case import all_cases
+from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
+from dcp_conformance.diagnosis.dictionary import decode, encode
+from dcp_conformance.diagnosis.measuring import draw, outcome
+from dcp_conformance.mutants import all_mutants
+from dcp_conformance.mutants.combination import combined
+from dcp_conformance.results import CaseResult, Check, Mark
+from dcp_conformance.verdict import Verdict
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def fault(name: str, *fails: str, undecided: tuple[str, ...] = ()) -> Fault:
+    return Fault(
+        id=name, requirements=("VD-RU-03",), what=f"does {name}", fails=frozenset(fails), undecided=frozenset(undecided)
+    )
+
+
+def results(fails: str = "", passes: str = "", undecided: str = "") -> list[CaseResult]:
+    verdicts = [(Verdict.FAIL, fails), (Verdict.PASS, passes), (Verdict.INCONCLUSIVE, undecided)]
+    return [
+        CaseResult(
+            id=name,
+            purpose="",
+            section="",
+            kind="BV",
+            requirements=("VD-RU-03",),
+            verdict=verdict,
+            rerun=f"again {name}",
+            checks=(Check(verdict, ("VD-RU-03",), "this", "that", (Mark(3),)),),
+        )
+        for verdict, names in verdicts
+        for name in names
+    ]
+
+
+def named(diagnosis) -> list[str]:
+    return [each.fault for each in diagnosis.faults]
+
+
+def test_one_fault_explains_all_its_cases() -> None:
+    found = explain(results("abc", "defg"), Dictionary((fault("X", "a", "b", "c"), fault("Y", "a", "d", "e"))))
+    assert named(found) == ["X"]
+    (only,) = found.faults
+    assert only.explains == only.alone == ("a", "b", "c")
+    assert (only.share, only.expected, only.missing) == (1.0, 3, ())
+    assert (only.case, only.mark, only.rerun) == ("a", Mark(3), "again a")
+    assert found.unexplained == ()
+
+
+def test_a_fault_that_others_make_superfluous_is_taken_back() -> None:
+    # Z shares cases with both and is the best single one; X and Y explain everything, and Z nothing more.
+    known = Dictionary((fault("X", *"abcd"), fault("Y", *"efgh"), fault("Z", *"bcdefgz")))
+    assert named(explain(results("abcdefgh", "z"), known)) == ["X", "Y"]
+
+
+def test_a_case_that_passes_speaks_against_a_fault() -> None:
+    known = Dictionary((fault("X", "a", "b", "c", "d"), fault("Y", "a")))
+    assert named(explain(results("a", "bcd"), known)) == ["Y"]
+
+
+def test_cases_that_were_not_decided_are_no_evidence() -> None:
+    known = Dictionary((fault("X", "a", "b", "c", "d"),))
+    (found,) = explain(results("a", undecided="bcd"), known).faults
+    assert found.expected == 1
+    assert found.missing == ()
+
+
+def test_what_no_fault_explains_is_left() -> None:
+    found = explain(results("abq", "c"), Dictionary((fault("X", "a", "b"),)))
+    assert named(found) == ["X"]
+    assert found.unexplained == ("q",)
+    assert found.failed == 3
+
+
+def test_faults_with_the_same_consequences_are_alternatives() -> None:
+    found = explain(results("ab"), Dictionary((fault("X", "a", "b"), fault("Y", "a", "b"), fault("Z", "b"))))
+    assert len(found.faults) == 1
+    assert len(found.faults[0].alternatives) == 1
+    assert {found.faults[0].what, *found.faults[0].alternatives} == {"does X", "does Y"}
+
+
+def test_nothing_failed() -> None:
+    found = explain(results("", "abc"), load())
+    assert found.faults == ()
+    assert found.failed == 0
+
+
+names = st.sampled_from("abcdefghij")
+faults = st.builds(
+    lambda name, fails, undecided: fault(name, *fails, undecided=tuple(undecided - fails)),
+    st.text("XYZ", min_size=1, max_size=4),
+    st.frozensets(names),
+    st.frozensets(names),
+)
+
+
+@given(st.lists(faults, unique_by=lambda each: each.id), st.text("abcdefghij"), st.text("abcdefghij"))
+def test_every_failed_case_is_explained_or_left(known: list[Fault], fails: str, passes: str) -> None:
+    found = explain(results("".join(set(fails)), "".join(set(passes) - set(fails))), Dictionary(tuple(known)))
+    explained = {case for each in found.faults for case in each.explains}
+    assert explained.isdisjoint(found.unexplained)
+    assert explained | set(found.unexplained) == set(fails)
+    for each in found.faults:
+        assert set(each.alone) <= set(each.explains)
+        assert set(each.missing) <= set(passes)
+        assert len(each.missing) * 2 <= each.expected
+
+
+@given(st.lists(faults, unique_by=lambda each: each.id))
+def test_the_dictionary_is_read_as_it_was_written(known: list[Fault]) -> None:
+    octets = encode(Dictionary(tuple(known)))
+    assert set(decode(octets).faults) == set(known)
+    assert encode(decode(octets)) == octets
+
+
+def test_the_dictionary_has_all_mutants_and_known_cases_only() -> None:
+    known, every = {fault.id: fault for fault in load().faults}, all_mutants()
+    assert known.keys() == every.keys(), "run: dcp-conformance selftest --dictionary FILE"
+    cases = all_cases().keys()
+    for name, each in known.items():
+        assert each.fails <= cases
+        assert each.what == every[name].what, f"run: dcp-conformance selftest --dictionary FILE {name}"
+        assert each.requirements == every[name].requirements
+
+
+@pytest.mark.parametrize(
+    "group",
+    [("M-BP-QM-01-drops-head", "M-VD-RU-03-equal-answered"), ("M-VD-CMP-06-one-more", "M-SRP-RX-03-first-stays")],
+)
+def test_two_faults_in_one_node_are_both_named(group: tuple[str, str]) -> None:
+    assert set(group) <= all_mutants().keys()
+    found = outcome(group, load())
+    assert set(found.found) == set(group)
+    assert found.false == ()
+
+
+def test_draws_can_be_combined_and_repeated() -> None:
+    groups = draw(5, 3, 7)
+    assert groups == draw(5, 3, 7)
+    for group in groups:
+        assert len(set(group)) == 3
+        combined([all_mutants()[name] for name in group])
+
+
+def test_a_diagnosis_is_part_of_the_results() -> None:
+    found = explain(results("abc"), Dictionary((fault("X", "a", "b", "c"),)))
+    assert msgspec.json.decode(msgspec.json.encode(found), type=type(found)) == found

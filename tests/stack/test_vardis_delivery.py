@@ -1,0 +1,178 @@
+"""What does not get through to neighbours is noticed, and nothing else is."""
+
+from __future__ import annotations
+
+import json
+import random
+from typing import Any
+
+import pytest
+
+from dcp_codec.codec import get_codec
+from dcp_stack.cli import status
+from dcp_stack.config import NodeConfig
+from dcp_stack.control import ControlServer
+from dcp_stack.node import Node
+from dcp_stack.vardis_delivery import ASKED_OFTEN, MOST_ENTRIES
+
+from .vardis_rig import ME, MS, OTHER, THIRD, WALL, Rig, VarReqCreate, VarReqUpdate, VarSumm
+
+SECOND = 1000 * MS
+
+
+def found(rig: Rig) -> list[str]:
+    return [str(each) for each in rig.vardis.obstacles(rig.now)]
+
+
+def test_a_neighbour_that_asks_on_and_on() -> None:
+    rig = Rig()
+    rig.create()
+    rig.vardis.hears(OTHER)
+    for _ in range(ASKED_OFTEN - 1):
+        rig.receive(VarReqCreate(7))
+    assert found(rig) == []
+    rig.receive(VarReqCreate(7))
+    assert found(rig) == [
+        f"02:00:00:00:00:02 asked {ASKED_OFTEN} times for variable 7, which was sent each time: "
+        "its record is longer, or repeated more often, than that node takes"
+    ]
+    # It has it after all.
+    rig.receive(VarSumm(7, 0))
+    assert found(rig) == []
+
+
+def test_requests_of_several_neighbours_are_counted_apart() -> None:
+    rig = Rig()
+    rig.create()
+    rig.update()
+    for _ in range(ASKED_OFTEN - 1):
+        for peer in (OTHER, THIRD):
+            rig.vardis.hears(peer)
+            rig.receive(VarReqUpdate(7, 0))
+    assert found(rig) == []
+
+
+def test_what_is_counted_is_bounded() -> None:
+    rig = Rig()
+    rig.create()
+    for number in range(2 * MOST_ENTRIES):
+        rig.vardis.hears(number.to_bytes(6, "big"))
+        rig.receive(VarReqCreate(7))
+    assert len(rig.vardis._core.delivery._asked) <= MOST_ENTRIES
+
+
+def test_an_update_that_nobody_shows() -> None:
+    rig = Rig()
+    rig.create()
+    rig.update()
+    for _ in range(100):
+        rig.wait(100)
+        rig.receive(VarSumm(7, 0))
+    assert found(rig) == ["variable 7: no neighbour shows the update of 10 s ago, and 100 summaries show an older one"]
+    rig.receive(VarSumm(7, 1))
+    assert found(rig) == []
+
+
+def test_updates_that_come_faster_than_their_confirmations() -> None:
+    rig = Rig()
+    rig.create()
+    for number in range(300):
+        rig.update(value=b"%d" % number)
+        rig.wait(100)
+        # Three updates behind, always.
+        rig.receive(VarSumm(7, max(0, number - 2) % 256))
+        assert found(rig) == []
+
+
+def test_nobody_there_confirms_nothing() -> None:
+    rig = Rig()
+    rig.create()
+    rig.update()
+    rig.wait(60_000)
+    assert found(rig) == []
+
+
+@pytest.mark.req("VD-CRE-09")
+def test_a_restart_with_a_clock_that_is_behind() -> None:
+    rig = Rig()
+    rig.receive(rig.vc(prod_id=ME, created=WALL + 3600 * SECOND))
+    rig.create()
+    assert rig.entry().spec.creation_time == WALL + 3600 * SECOND + 1
+    assert found(rig) == []
+
+
+@pytest.mark.req("VD-CRE-09")
+def test_a_later_creation_that_is_heard_too_late() -> None:
+    rig = Rig()
+    rig.create()
+    rig.receive(rig.vc(prod_id=ME, created=WALL + 3600 * SECOND))
+    assert found(rig) == [
+        "variable 7: others know a creation with a later time and ignore this one; "
+        "create it again, and look at the clock"
+    ]
+    rig.delete()
+    assert found(rig) == []
+    rig.create()
+    assert rig.entry().spec.creation_time == WALL + 3600 * SECOND + 1
+
+
+@pytest.mark.req("VD-CRE-09")
+def test_the_system_time_can_be_taken_literally() -> None:
+    rig = Rig(readings={"X38": "system-clock"})
+    rig.receive(rig.vc(prod_id=ME, created=WALL + 3600 * SECOND))
+    rig.create()
+    assert rig.entry().spec.creation_time == WALL
+
+
+def test_own_repetitions_are_no_later_creation() -> None:
+    rig = Rig()
+    rig.create()
+    rig.receive(rig.vc(prod_id=ME, created=rig.entry().spec.creation_time))
+    assert found(rig) == []
+
+
+def test_what_others_produce_is_not_awaited() -> None:
+    rig = Rig()
+    rig.receive(rig.vc())
+    for _ in range(200):
+        rig.wait(100)
+        rig.receive(VarSumm(7, 255))
+    assert [each for each in rig.vardis.obstacles(rig.now) if each.kind == "unconfirmed"] == []
+
+
+STATUS: dict[str, Any] = {
+    "nodeId": "02:00:00:00:00:01",
+    "profile": "dcp-2.0",
+    "specVersion": "2.0",
+    "node": {"bp": {"active": True, "next_seqno": 65, "clients": [], "counters": {"beacons-sent": 65}}},
+    "drops": {},
+    "obstacles": [{"kind": "superseded", "varId": 7, "text": "variable 7: others know a later creation"}],
+    "runtime": {"link": {"name": "eth:dcp0", "up": False, "send_errors": 33, "outages": 1}},
+}
+
+
+def test_the_status_shows_what_does_not_get_through() -> None:
+    lines = status._lines(STATUS)
+    assert "link       eth:dcp0, DOWN, 33 send errors, 1 outage" in lines
+    assert "beacons    32 sent (33 could not be sent), 0 received" in lines
+    assert "undelivered variable 7: others know a later creation" in lines
+    up = {**STATUS, "runtime": {"link": {"name": "eth:dcp0", "up": True}}, "obstacles": []}
+    lines = status._lines(up)
+    assert "link       eth:dcp0" in lines
+    assert "beacons    65 sent, 0 received" in lines
+    assert not any(line.startswith("undelivered") for line in lines)
+
+
+def test_the_control_interface_tells() -> None:
+    node = Node(NodeConfig(node_id=ME, codec=get_codec("dcp-2.0")), rng=random.Random(1), now=0, wall=WALL)
+    node.start(0, WALL)
+    assert node.vardis is not None
+    node.vardis.create(7, None, 1, b"pos", b"1", now=0, wall=WALL)
+    rig = Rig()
+    node.vardis.handle_payload(rig.octets((rig.vc(prod_id=ME, created=WALL + 3600 * SECOND),)), now=0, wall=WALL)
+    session = ControlServer(node).open()
+    session.receive(b'{"jsonrpc":"2.0","id":1,"method":"UT-Status","params":{}}\n')
+    session.process(now=0, wall=WALL)
+    found = json.loads(bytes(session.output).splitlines()[0])["result"]["obstacles"]
+    assert [(each["kind"], each["varId"]) for each in found] == [("superseded", 7)]
+    assert "later time" in found[0]["text"]
