@@ -15,7 +15,7 @@ unexport PYTEST_ADDOPTS PYTEST_PLUGINS PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTH
 unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 
-.PHONY: demo test test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
+.PHONY: man demo test test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
@@ -51,6 +51,7 @@ $(KAITAI): package.json
 bench: $(STAMP)
 	$(BIN)/python benchmarks/codec.py
 	$(BIN)/python benchmarks/stack.py
+	$(BIN)/python benchmarks/simulate.py
 	$(BIN)/python benchmarks/links.py
 	$(BIN)/python benchmarks/startup.py --rounds 5
 
@@ -63,6 +64,10 @@ bench-fuzz: $(STAMP)
 	$(BIN)/python benchmarks/fuzz.py
 	$(BIN)/python benchmarks/fuzz.py --jobs 2
 	$(BIN)/python benchmarks/fuzz.py --live
+
+# Man pages of all commands and their subcommands, for a folder of MANPATH: build/man/man1.
+man: $(STAMP)
+	$(BIN)/python docs/man_pages.py build/man/man1
 
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
 matrix: $(STAMP)

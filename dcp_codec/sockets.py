@@ -197,7 +197,7 @@ def _scapy_socket(interface: str, ether_type: int, instead: str) -> Any:
         import scapy.layers.l2  # noqa: F401
         from scapy.arch.linux import L2Socket
     except ImportError:
-        raise OpeningError("this needs scapy: pip install 'dcp-conformance-kit[scapy]'") from None
+        raise OpeningError("scapy is not installed: pip install 'dcp-conformance-kit[scapy]'") from None
     try:
         return L2Socket(iface=interface, type=ether_type, promisc=False, nofilter=1)
     except PermissionError:

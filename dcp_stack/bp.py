@@ -50,9 +50,6 @@ __all__ = [
 ]
 
 
-# Asked for with each beacon and each look at a buffer; a member of an enumeration takes ten times as long to find.
-_OK = BPStatus.OK
-
 # What any node can count, whoever is registered and whatever it hears.
 _COUNTED = (
     "beacons-left-out",
@@ -169,7 +166,7 @@ class BeaconingProtocol:
         if registration.protocol_id in self._clients:
             return BPStatus.PROTOCOL_ALREADY_REGISTERED
         ##= BP-REG-03
-        # 1.0 does not ask for more than nothing, but a length is no negative number there either.
+        # 1.0 allows 0; a negative size is never valid.
         least = 1 if self._features.version >= SpecVersion.V1_1 else 0
         if registration.max_payload_size < least:
             return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
@@ -249,10 +246,10 @@ class BeaconingProtocol:
         if not payload:
             if self._features.empty_payload_clears_buffer and queue is not None and queue.rule.on_empty == "clear":
                 queue.clear()
-                return _OK
+                return BPStatus.OK
             return BPStatus.EMPTY_PAYLOAD
         if queue is None:
-            # Neither of the last two steps holds for a mode that does not exist (X06).
+            # Unknown mode: neither of the last two steps applies (X06).
             return BPStatus.UNKNOWN_QUEUEING_MODE
         outcome = queue.submit(payload)
         self._counters.count(f"payloads-{outcome}/{client.protocol_id}")
@@ -260,7 +257,7 @@ class BeaconingProtocol:
         if outcome != "discarded" and self._config.bp.triggered:
             self._schedule.trigger(now)
         ##= BP-TXP-09
-        return _OK
+        return BPStatus.OK
 
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         """``BP-ClearBuffer.request`` (dcp-bp.md#bp-service-bp-clear-buffer); raises UnknownServiceError in 1.0."""
@@ -287,7 +284,7 @@ class BeaconingProtocol:
         ##= BP-QRY-02
         ##= BP-QRY-03
         ##= BP-QRY-04
-        return NumberConfirm(_OK, 0 if client.queue is None else len(client.queue))
+        return NumberConfirm(BPStatus.OK, 0 if client.queue is None else len(client.queue))
 
     # -- management -------------------------------------------------------------------------------------------
 

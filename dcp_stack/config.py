@@ -22,9 +22,11 @@ from .vardis_sizes import RecordSizes
 
 MS = 1_000_000
 """ns in a millisecond."""
-
-
 Found = TypeVar("Found")
+
+
+MAX_NEIGHBOURS = 4096
+MAX_VARIABLES = 65_536
 
 
 class BPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -47,8 +49,9 @@ class SRPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     neighbour_table_timeout_ms: int = 3000
     """SRPPAR_NEIGHBOUR_TABLE_TIMEOUT (SRP-PAR-01)."""
-    max_neighbours: int = 4096
-    """Entries beyond this are not taken: nothing received may use up memory."""
+    max_neighbours: int | None = None
+    """Entries of the neighbour table, 1 or more; for a further one an old one is given up: nothing received may use up
+    memory. None for the profile's limit, or :data:`MAX_NEIGHBOURS` if it has none."""
     safety_data: Mapping[str, float | int | str] | None = None
     """Safety data handed down at start, by the profile's field names; None for none."""
 
@@ -65,8 +68,13 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     buffer_check_period_ms: int = 50
     compose_lead_ms: float = 0.0
     """How long before a beacon its payload is composed (X54); 0 is in the same step, which misses nothing."""
-    max_variables: int = 65_536
-    """Variables beyond this are not taken from others and refused to applications."""
+    max_variables: int | None = None
+    """Variables beyond this are not taken from others and refused to applications. None for the profile's limit, or
+    :data:`MAX_VARIABLES` if it has none."""
+    max_creation_ahead_s: float | None = None
+    """Ignore a VarCreate whose creation time is further ahead of the own clock than this (s, 0 or more): a forged one
+    in the future keeps the producer from creating its variable again until then. None follows the specification, which
+    has no such bound."""
     bp_queue_entries: int = 1
     """maxEntries with which VarDis registers (VD-INI-02): one payload, so that what is sent is fresh."""
 

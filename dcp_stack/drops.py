@@ -21,6 +21,7 @@ DROPS: Final[dict[str, tuple[str, str]]] = {
     "table-full": ("SRP-RX-03", "the neighbour table has no room for another node, a limit of this node (X53)"),
     "vardis-inactive": ("VD-MGT-03", "VarDis is not active"),
     "not-newer-create": ("VD-PC-01", "the variable is known from the same or a later creation"),
+    "creation-ahead": ("VD-PC-01", "the creation time is further in the future than max_creation_ahead_s allows"),
     "own-create": ("VD-PC-03", "the variable is produced by this node"),
     "bad-value": ("VD-PC-04", "the value is empty or longer than allowed"),
     "bad-description": ("VD-PC-05", "the description is empty or longer than allowed"),

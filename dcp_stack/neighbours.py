@@ -95,6 +95,10 @@ class NeighbourTable(NeighbourQueries):
         self._modulus = seqno_modulus(profile)
         self.stamps = stamps or StampClock(profile.types.timestamp)
         self._entries: dict[bytes, NeighbourTableEntry] = {}
+        # Those with one report only, the oldest first: a flood of forged identifiers consists of them.
+        self._once: dict[bytes, None] = {}
+        self.displaced: bytes | None = None
+        """The node that :meth:`record` gave up last to make room, until somebody takes note of it."""
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -122,12 +126,21 @@ class NeighbourTable(NeighbourQueries):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
     ) -> Literal["new", "replaced", "full"]:
-        """Insert a report or replace the entry of its node; ``full``: it is of a new node and was not taken."""
+        """Insert a report or replace the entry of its node.
+
+        A full table gives up an entry for a new node: the oldest of those with a single report, otherwise the one that
+        was silent for longest; ``displaced`` names it.
+        """
         ##= SRP-RX-05
         node_id = report.node_id
         old = self._entries.get(node_id)
-        if old is None and len(self._entries) >= self.capacity:
-            return "full"
+        if old is None:
+            if len(self._entries) >= self.capacity:
+                self.displaced = self._least_useful()
+                self._remove(self.displaced)
+            self._once[node_id] = None
+        else:
+            self._once.pop(node_id, None)
         ##= SRP-RX-03
         ##= SRP-RX-04
         # Also when its sequence number is lower: the node may have been started anew.
@@ -143,19 +156,29 @@ class NeighbourTable(NeighbourQueries):
         ##= SRP-RUN-02
         gone = [node_id for node_id, entry in self._entries.items() if now - entry.received_at > timeout]
         for node_id in gone:
-            del self._entries[node_id]
+            self._remove(node_id)
         return gone
 
     def expire_at(self, wall: int, timeout: int) -> list[bytes]:
         """As :meth:`expire` by the system time, in ns since 1970 (X50 ``system-time``)."""
         gone = [node_id for node_id, entry in self._entries.items() if wall - entry.reception_time > timeout]
         for node_id in gone:
-            del self._entries[node_id]
+            self._remove(node_id)
         return gone
 
     def clear(self) -> None:
         """Forget everybody."""
         self._entries.clear()
+        self._once.clear()
+
+    def _least_useful(self) -> bytes:
+        if self._once:
+            return next(iter(self._once))
+        return min(self._entries.values(), key=lambda entry: entry.received_at).node_id
+
+    def _remove(self, node_id: bytes) -> None:
+        del self._entries[node_id]
+        self._once.pop(node_id, None)
 
 
 def seqno_modulus(profile: Profile) -> int:

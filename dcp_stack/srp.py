@@ -19,7 +19,7 @@ from dcp_codec.errors import DecodeError
 from dcp_codec.measures import record, start
 from dcp_codec.values import ExtendedSafetyData, SafetyData
 
-from .config import MS, NodeConfig, SRPConfig
+from .config import MAX_NEIGHBOURS, MS, NodeConfig, SRPConfig
 from .drops import DROPS
 from .effects import Dropped, Effect, NeighbourExpired, NeighbourSeen
 from .neighbour_queries import OwnMotion
@@ -105,7 +105,7 @@ class StateReporting:
         room = self._settings.max_neighbours
         self._table = self.table_class(
             profile,
-            capacity=min(room, profile.limits.max_neighbours or room),
+            capacity=room if room is not None else profile.limits.max_neighbours or MAX_NEIGHBOURS,
             stamps=self._stamps,
             fields=self._fields,
         )
@@ -309,10 +309,11 @@ class StateReporting:
             # Intervals count from when there is something to traverse.
             self._traversed = now
         outcome = self._table.record(report, sender_id, now=now, wall=wall)
-        if outcome == "full":
+        if self._table.displaced is not None:
+            self._emit(NeighbourExpired(self._table.displaced))
+            self._table.displaced = None
             self._drop("table-full", self._node_id_offset)
-        else:
-            self._emit(NeighbourSeen(report.node_id, outcome == "new"))
+        self._emit(NeighbourSeen(report.node_id, outcome == "new"))
 
     def _drop(self, reason: str, offset: int = -1) -> None:
         self._emit(Dropped("srp", reason, DROPS[reason][0], offset))
@@ -329,6 +330,7 @@ class StateReporting:
             "next_seqno": self._seqno,
             "safety_data": own and {k: v.hex() if isinstance(v, bytes) else v for k, v in own.items()},
             "parameters": self.parameters(),
+            "max_neighbours": self._table.capacity,
             "neighbours": self._table.snapshot(),
         }
 

@@ -294,6 +294,7 @@ class Vardis(VariableServices):
             "registered": self.registered,
             "ownNodeIdentifier": self._core.own_id.hex(":"),
             "parameters": self.parameters(),
+            "max_variables": self._core.max_variables,
             **self._database.snapshot(),
         }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar
 
-from .config import NodeConfig
+from .config import MAX_VARIABLES, NodeConfig
 from .effects import Effect, VariableChanged
 from .timestamps import StampClock
 from .vardis_db import Database, DBEntry
@@ -67,8 +67,11 @@ class Core:
         """``vardisActive``."""
         assert config.vardis is not None
         self.settings = config.vardis
-        limit = config.profile.limits.max_variables
-        self.max_variables = min(self.settings.max_variables, limit or self.settings.max_variables)
+        ahead = self.settings.max_creation_ahead_s
+        if ahead is not None and not ahead >= 0:
+            raise ValueError(f"max_creation_ahead_s is a number of seconds from 0 on, not {ahead:g}")
+        room = self.settings.max_variables
+        self.max_variables = room if room is not None else config.profile.limits.max_variables or MAX_VARIABLES
         self._table = table(config)
 
     def cell(self, event: Event, entry: DBEntry | None) -> Cell:

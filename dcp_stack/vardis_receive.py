@@ -36,6 +36,8 @@ class Receiver:
         self._emit = core.emit
         self._check_too_long = core.features.receive_checks_too_long
         self._check_empty_and_repcnt = core.features.receive_checks_empty_and_repcnt
+        most = core.settings.max_creation_ahead_s
+        self._most_ahead = None if most is None else round(most * 1e9)
         self._drop_mismatch = core.config.reading("X14") == "drop-mismatch"
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
@@ -62,6 +64,9 @@ class Receiver:
 
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         var_id = record.spec.var_id
+        if self._most_ahead is not None and self._ahead(record, wall) > self._most_ahead:
+            self._dropped("creation-ahead", offset, var_id)
+            return
         entry = self._database.lookup(var_id)
         event = self._create_event(record, entry)
         if record.spec.prod_id == self._core.own_id:
@@ -79,6 +84,11 @@ class Receiver:
         ##= VD-PC-07
         stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
         self._core.changed("created", stored)
+
+    def _ahead(self, record: VarCreate, wall: int) -> int:
+        """How far (ns) the creation time of a VarCreate is ahead of the own clock; negative as it should be."""
+        created = record.spec.creation_time
+        return 0 if created is None else self._core.clock.wall(created, near=wall) - wall
 
     def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
         """How a VarCreate compares with what is known, in the order of the steps."""

@@ -10,6 +10,7 @@ import os
 import random
 import shutil
 import signal
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from hypothesis.internal.constants_ast import Constants
 from .chance import FRESH, examples
 
 ROOT = Path(__file__).resolve().parent.parent
+RUNTIME = tempfile.TemporaryDirectory(prefix="dcp-tests-")
 #: Folders of tests that wait for processes in real time; `make test` runs them by themselves, after all others.
 REAL_TIME = frozenset(("link", "foreign"))
 #: Variables of the user's environment that change what commands print, import or find.
@@ -58,6 +60,8 @@ def pytest_configure() -> None:
     """Make the environment that of every other run, for this process and those that it starts."""
     for name in STRAY:
         os.environ.pop(name, None)
+    # Nodes have a control socket by default: never that of the user, or of the system.
+    os.environ["XDG_RUNTIME_DIR"] = RUNTIME.name
     # For the workers of pytest-xdist and for commands that tests start.
     os.environ.setdefault("PYTHONHASHSEED", "0")
     os.environ["TERM"] = "xterm-256color"

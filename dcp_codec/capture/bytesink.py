@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO, BinaryIO
 
 from dcp_codec.capture.bytesource import explain, stream_name
+from dcp_codec.capture.compressed import compressing, compression_of
 from dcp_codec.capture.frame import CaptureError
 
 
@@ -19,7 +20,10 @@ class ByteSink:
     records behind.
     """
 
-    def __init__(self, stream: BinaryIO, name: str, *, owned: bool) -> None:
+    def __init__(self, stream: BinaryIO, name: str, *, owned: bool, place: tuple[Path, Path] | None = None) -> None:
+        """``place``: where the octets are, and the name that the file gets when it is closed."""
+        self._place = place
+        self._abandoned = False
         self.name = name
         #: Octets written so far.
         self.position = 0
@@ -55,18 +59,29 @@ class ByteSink:
             self._owned = False
             try:
                 self._stream.close()
+                if self._place is not None and not self.failed and not self._abandoned:
+                    self._place[0].replace(self._place[1])
             except OSError as error:
                 raise self._error(error) from error
+            finally:
+                if self._place is not None:
+                    self._place[0].unlink(missing_ok=True)
         elif not self.failed and not self._stream.closed:
             self.flush()
+
+    def abandon(self) -> None:
+        """Do not put the file in its place when it is closed; without a place of its own it stays as it is."""
+        self._abandoned = True
 
     def _error(self, error: Exception) -> CaptureError:
         self.failed = True
         return CaptureError(f"{self.name}: can not be written: {explain(error)}")
 
 
-def open_sink(target: str | Path | BinaryIO) -> ByteSink:
+def open_sink(target: str | Path | BinaryIO, *, whole: bool = False) -> ByteSink:
     """A `ByteSink` on a path (emptied if it exists), on ``"-"`` (standard output), or on a binary stream.
+
+    A path with the suffix of a compression is compressed. ``whole``: a regular file appears when it is complete.
 
     Raises `CaptureError` if it can not be opened.
     """
@@ -74,13 +89,22 @@ def open_sink(target: str | Path | BinaryIO) -> ByteSink:
         return ByteSink(sys.stdout.buffer, "standard output", owned=False)
     if not isinstance(target, (str, Path)):
         return ByteSink(target, stream_name(target), owned=False)
+    path, place = Path(target), None
     try:
-        stream = Path(target).open("wb", buffering=0)  # noqa: SIM115 - the sink closes it
+        if whole and (path.is_file() or not path.exists()):
+            # A link keeps pointing to the file, which gets new contents.
+            final = path.resolve()
+            path = final.with_name(f".{final.name}.{os.getpid()}.part")
+            place = (path, final)
+        stream: BinaryIO = path.open("wb", buffering=0)
     except FileNotFoundError as error:
         raise CaptureError(f"{target}: can not be written: there is no folder {Path(target).parent}") from error
     except (OSError, ValueError) as error:
         raise CaptureError(f"{target}: can not be written: {explain(error)}") from error
-    return ByteSink(stream, str(target), owned=True)
+    compression = compression_of(target)
+    if compression is not None:
+        stream = compressing(stream, compression)
+    return ByteSink(stream, str(target), owned=True, place=place)
 
 
 def same_file(source: str | Path | BinaryIO, target: str | Path | BinaryIO) -> bool:

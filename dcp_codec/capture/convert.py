@@ -50,9 +50,9 @@ def convert(
     target. `progress` is called now and then, and at the end, with the octets read and the octets in all, None
     for pipes.
 
-    The target is only touched once the source is known to be a capture. If a frame can not be written,
-    `CaptureError` says so, and the target holds the frames before it. So it does, with a problem in the report,
-    if the source is cut off or damaged. Raises `CaptureError` also if both are the same file.
+    A target that is a file appears when it is complete: if a frame can not be written, or the conversion is
+    interrupted, what was there before stays. If the source is cut off or damaged, the target holds the frames
+    before that, and the report has a problem. Raises `CaptureError` also if both are the same file.
     """
     if same_file(source, target):
         raise CaptureError(f"{target}: is the source itself, and would be lost before it is read")
@@ -73,6 +73,7 @@ def convert(
             attachment=attachment,
             compression=compression,
             lossy=lossy,
+            whole=True,
         ) as writer:
             for frame in reader:
                 writer.write(frame)

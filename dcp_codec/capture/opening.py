@@ -8,6 +8,7 @@ from typing import BinaryIO, Literal
 
 from dcp_codec.capture.bytesink import open_sink, same_file
 from dcp_codec.capture.bytesource import ByteSource, open_source
+from dcp_codec.capture.compressed import decompressed, without_compression
 from dcp_codec.capture.frame import ETHERNET, CaptureError
 from dcp_codec.capture.pcap import MAGICS, MODIFIED_MAGICS, PcapReader
 from dcp_codec.capture.pcapng import PcapngReader
@@ -25,8 +26,8 @@ SUFFIXES: Mapping[str, str] = {".pcap": "pcap", ".cap": "pcap", ".pcapng": "pcap
 
 #: First octets of what people mistake for a capture -> what it is and what to do.
 _OTHERS = {
-    b"\x1f\x8b": "is gzip-compressed: decompress it first (gunzip)",
-    b"\x28\xb5\x2f\xfd": "is zstd-compressed: decompress it first (unzstd)",
+    b"\x1f\x8b": "is gzip-compressed twice: decompress it first (gunzip)",
+    b"\x28\xb5\x2f\xfd": "is zstd-compressed twice: decompress it first (unzstd)",
     b"\x04\x22\x4d\x18": "is lz4-compressed: decompress it first (unlz4)",
     b"\xfd7zXZ\x00": "is xz-compressed: decompress it first (unxz)",
     b"BZh": "is bzip2-compressed: decompress it first (bunzip2)",
@@ -43,6 +44,8 @@ _LONGEST_MAGIC = 16
 def open_capture(source: str | Path | BinaryIO, *, link_types: frozenset[int] = frozenset({ETHERNET})) -> CaptureReader:
     """Open a pcap, pcapng or MCAP file to read its frames; the name does not matter, the contents do.
 
+    A file that is compressed as a whole with gzip or zstd is decompressed on the way.
+
     `source` is a path, ``"-"`` for standard input, or a binary stream, read forward from where it stands and
     left open. `link_types` are those whose frames are given out.
 
@@ -51,6 +54,7 @@ def open_capture(source: str | Path | BinaryIO, *, link_types: frozenset[int] = 
     """
     octets = open_source(source)
     try:
+        octets = decompressed(octets)
         return _reader(octets, link_types)
     except BaseException:
         octets.close()
@@ -67,6 +71,7 @@ def create_capture(
     attachment: Path | None = None,
     compression: Literal["zstd", "lz4", "none"] = "zstd",
     lossy: bool = False,
+    whole: bool = False,
 ) -> CaptureWriter:
     """Create a pcap, pcapng or MCAP file to write frames to.
 
@@ -78,6 +83,9 @@ def create_capture(
     `Frame`: nanoseconds in microseconds, `interface` in pcap). `metadata` may go on changing: pcapng looks up an
     interface when it first occurs, MCAP writes what is new at the end. `messages`, `attachment` (a file that is
     attached byte for byte) and `compression` of the chunks are for MCAP alone.
+
+    A path that ends with ``.gz`` or ``.zst`` is compressed. With `whole` the file appears at `target` when it is
+    closed, and not at all if the with-block ends with an exception; without, it grows there.
 
     Raises `CaptureError` if the file can not be created, the format is not known, or it has no place for what is
     asked of it.
@@ -93,15 +101,16 @@ def create_capture(
     if kind == "mcap":
         if resolution != "ns":
             raise CaptureError(f"{name}: MCAP has nanoseconds and nothing else")
-        return _create_mcap(target, about, messages, attachment, compression)
+        return _create_mcap(target, about, messages, attachment, compression, whole=whole)
     if messages is not None or attachment is not None:
         raise CaptureError(f"{name}: only MCAP has a place for messages and attachments, not {kind}")
-    sink = open_sink(target)
+    sink = open_sink(target, whole=whole)
     try:
         if kind == "pcap":
             return PcapWriter(sink, resolution, lossy=lossy)
         return PcapngWriter(sink, resolution, about, lossy=lossy)
     except BaseException:
+        sink.abandon()
         sink.close()
         raise
 
@@ -112,6 +121,8 @@ def _create_mcap(
     messages: MessageSource | None,
     attachment: Path | None,
     compression: Literal["zstd", "lz4", "none"],
+    *,
+    whole: bool,
 ) -> CaptureWriter:
     from dcp_codec.capture.mcapwriter import COMPRESSIONS, McapWriter, OpenAttachment
 
@@ -121,10 +132,11 @@ def _create_mcap(
         raise CaptureError(f"{attachment}: can not be attached to itself")
     original = None if attachment is None else OpenAttachment(attachment)
     try:
-        sink = open_sink(target)
+        sink = open_sink(target, whole=whole)
         try:
             return McapWriter(sink, metadata, messages, original, compression)
         except BaseException:
+            sink.abandon()
             sink.close()
             raise
     except BaseException:
@@ -136,7 +148,7 @@ def _create_mcap(
 def _format_of(target: str | Path | BinaryIO) -> str:
     if not isinstance(target, (str, Path)) or target == "-":
         raise CaptureError("standard output and streams have no suffix that says which format to write: name it")
-    suffix = Path(target).suffix.lower()
+    suffix = without_compression(target).suffix.lower()
     if suffix not in SUFFIXES:
         known = ", ".join(SUFFIXES)
         raise CaptureError(f"{target}: its suffix does not say which format to write ({known}): name it")

@@ -145,6 +145,8 @@ class CaptureWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None:
+            self._sink.abandon()
         try:
             self.close()
         except CaptureError as second:

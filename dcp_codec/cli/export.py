@@ -58,6 +58,6 @@ def _text(kind: str, codec: Codec, profile: str) -> str:
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("scapy"):
             raise
-        raise ExpectedError("this needs scapy: pip install 'dcp-conformance-kit[scapy]'") from None
+        raise ExpectedError("scapy is not installed: pip install 'dcp-conformance-kit[scapy]'") from None
     result = function(profile if kind == "scapy" else codec)
     return result if isinstance(result, str) else json.dumps(result, indent=2)

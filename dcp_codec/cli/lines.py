@@ -15,6 +15,7 @@ from dcp_codec.errors import Problem
 from dcp_codec.frames import DissectedFrame
 from dcp_codec.framing import mac
 from dcp_codec.jsonform import beacon_json
+from dcp_codec.spreadsheet import safe_cell
 from dcp_codec.texts import payload_line, utc
 
 
@@ -106,7 +107,7 @@ class CsvRenderer:
         return self._taken()
 
     def _write(self, row: dict[str, Any]) -> None:
-        self._writer.writerow([row.get(column, "") for column in self.columns])
+        self._writer.writerow([safe_cell(row.get(column, "")) for column in self.columns])
 
     def _payload(self, data: dict[str, Any], index: int) -> Iterator[dict[str, Any]]:
         common = {"payload": index, "protocolId": data.get("protocolId")}

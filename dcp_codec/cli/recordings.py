@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -42,6 +43,13 @@ def extras() -> Iterator[None]:
         raise ExpectedError(
             f"{package or error} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
         ) from None
+
+
+def need_duckdb() -> None:
+    """Refuse to begin what DuckDB has to finish if it is not installed: compiling and decoding take their time."""
+    with extras():
+        if importlib.util.find_spec("duckdb") is None:
+            raise ModuleNotFoundError("No module named 'duckdb'", name="duckdb")
 
 
 def tell(outcome: Outcome) -> int:

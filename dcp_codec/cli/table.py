@@ -12,7 +12,7 @@ import click
 from dcp_codec.commandline import ExpectedError
 
 from .common import load_codec, note, profile_options
-from .recordings import check_input, extras, octets_progress, tell
+from .recordings import check_input, extras, need_duckdb, octets_progress, tell
 
 if TYPE_CHECKING:
     from dcp_codec.table.archive import Order
@@ -103,6 +103,9 @@ def command(
         raise click.UsageError("--scheduler is for --engine dask")
     check_input(files, profile)
     _known_tables(tables, profile)
+    form = form or _FORMATS.get(out.suffix.lower(), "parquet")
+    if form == "duckdb":
+        need_duckdb()
     with extras():
         from dcp_codec.table.archive import Order, TableError, find_recordings
 
@@ -111,7 +114,7 @@ def command(
             order = Order(
                 recordings=recordings,
                 out=out,
-                form=form or _FORMATS.get(out.suffix.lower(), "parquet"),  # type: ignore[arg-type]
+                form=form,  # type: ignore[arg-type]
                 profile=profile,
                 ether_type=ether_type,
                 tables=tables,

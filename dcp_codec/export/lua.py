@@ -42,7 +42,8 @@ def wireshark_dissector(codec: Codec) -> str:
     """A self-contained Lua script that registers the protocol ``dcp`` for the profile of ``codec``.
 
     It answers to the profile's EtherType or UDP port and is offered for "Decode As" on both. Load it with
-    ``-X lua_script:FILE`` or from the folder of personal Lua plugins; one profile at a time, for all have one name.
+    ``-X lua_script:FILE`` or from the folder of personal Lua plugins. Several can be loaded: a beacon is shown by the
+    one loaded last whose layout it fits without an error, by the first if it fits none.
     Raises ``ValueError`` if two fields of different type would have the same name.
     """
     profile = codec.profile

@@ -194,10 +194,31 @@ end
 
 -- ------------------------------------------------------------------------------------------------- the dissector
 
+local earlier -- the dissector of a script for another profile that was loaded before this one
+
+-- Stands in for an item of the tree: takes everything, shows nothing.
+local nothing = {}
+setmetatable(nothing, { __index = function()
+    return function()
+        return nothing
+    end
+end })
+
+-- Whether the layout explains the octets without an error.
+local function explains(buf)
+    local size = buf:len()
+    local s = { buf = buf, pos = 0, size = size, base = buf:offset(), quiet = 0, errors = {}, warnings = {}, root = nothing }
+    visit[LAYOUT.kind](s, LAYOUT, nothing, "", size, {})
+    return #s.errors == 0
+end
+
 function dcp.dissector(buf, pinfo, tree)
     -- Wireshark offers a datagram by either port; the destination port is what makes it a beacon.
     if PROFILE.table == "udp.port" and pinfo.match_uint == pinfo.src_port and pinfo.src_port ~= pinfo.dst_port then
         return 0
+    end
+    if earlier and not explains(buf) then
+        return earlier:call(buf(0):tvb(), pinfo, tree)
     end
     local size = buf:len()
     local root = tree:add(dcp, buf(0, size))
@@ -232,6 +253,8 @@ end
 for _, name in ipairs({ "ethertype", "udp.port" }) do
     local dissectors = DissectorTable.get(name)
     if name == PROFILE.table then
+        local there = dissectors:get_dissector(PROFILE.number)
+        earlier = there and tostring(there):lower():find("^dcp") and there or nil
         dissectors:add(PROFILE.number, dcp)
     else
         dissectors:add_for_decode_as(dcp)

@@ -2,7 +2,13 @@
 -- that the strict decoder reports, and it goes on wherever the layout allows. Written for Lua 5.2 to 5.4, so without
 -- the operators // and &, and with dec() where 5.4 would print 3.0.
 
-local dcp = Proto("dcp", "Drone Coordination Protocol")
+-- Several of these scripts can be loaded, one for each profile: the first is the protocol dcp. Field names are the
+-- same in all of them.
+local named, dcp = pcall(Proto, "dcp", "Drone Coordination Protocol")
+if not named then
+    local short = PROFILE.name:lower():gsub("[^a-z0-9]+", "_")
+    dcp = Proto("dcp_" .. short, "Drone Coordination Protocol, profile " .. PROFILE.name)
+end
 
 local F = {} -- ProtoField by path
 for _, field in ipairs(FIELDS) do

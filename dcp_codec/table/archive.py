@@ -17,10 +17,11 @@ from typing import Any, Literal
 import msgspec
 
 from dcp_codec.capture import SUFFIXES
+from dcp_codec.capture.compressed import without_compression
 from dcp_codec.codec import get_codec
 from dcp_codec.wholefile import rename_durably, sync_tree
 
-from .jit import COMPILING, LOG, announcing
+from .jit import COMPILING, LOG, announce
 from .job import Advance, Job, Outcome, run
 from .shape import ERRORS, Shape
 from .writing import Format, write_database
@@ -63,7 +64,9 @@ def find_recordings(names: Sequence[str]) -> list[str]:
     found: dict[str, None] = {}
     for name in names:
         if Path(name).is_dir():
-            below = sorted(str(path) for path in Path(name).rglob("*") if path.suffix.lower() in SUFFIXES)
+            below = sorted(
+                str(path) for path in Path(name).rglob("*") if without_compression(path).suffix.lower() in SUFFIXES
+            )
             if not below:
                 raise TableError(f"{name}: there are no recordings in it ({', '.join(SUFFIXES)})")
         elif not Path(name).exists() and glob.has_magic(name):
@@ -193,7 +196,7 @@ class _Worker:
         # Ctrl-C goes to all processes of a terminal; the first one sees to it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         cls.done = done
-        announcing(lambda _: setattr(compiling, "value", 1)).__enter__()
+        announce(lambda _: setattr(compiling, "value", 1))
 
     @classmethod
     def work(cls, job: Job) -> Outcome:

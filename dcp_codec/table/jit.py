@@ -82,12 +82,19 @@ class _Announcer(logging.Handler):
         self._say(record.getMessage())
 
 
-@contextmanager
-def announcing(say: Callable[[str], object]) -> Iterator[None]:
-    """Call ``say`` with one sentence for people when something has to be compiled."""
-    handler, level = _Announcer(say), LOG.level
+def announce(say: Callable[[str], object]) -> logging.Handler:
+    """Call ``say`` with one sentence for people when something has to be compiled, as long as the process lives."""
+    handler = _Announcer(say)
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
+    return handler
+
+
+@contextmanager
+def announcing(say: Callable[[str], object]) -> Iterator[None]:
+    """As :func:`announce` for the time of a with-block."""
+    level = LOG.level
+    handler = announce(say)
     try:
         yield
     finally:

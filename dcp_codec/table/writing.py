@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
 import pyarrow as pa
+
+from dcp_codec.spreadsheet import FORMULA_STARTS
 
 from .columns import KEPT, TOGETHER
 
@@ -153,7 +156,19 @@ def _csv_type(kind: pa.DataType) -> pa.DataType:
 def _csv_array(array: pa.Array, wanted: pa.DataType) -> pa.Array:
     if pa.types.is_fixed_size_binary(array.type):
         array = array.cast(pa.binary())
-    return hexadecimal(array) if pa.types.is_binary(array.type) else array.cast(wanted)
+    if pa.types.is_binary(array.type):
+        return hexadecimal(array)
+    return _safe(array.cast(wanted)) if pa.types.is_string(wanted) else array.cast(wanted)
+
+
+def _safe(array: pa.Array) -> pa.Array:
+    """Texts as :func:`dcp_codec.spreadsheet.safe_cell` has them."""
+    import pyarrow.compute as pc
+
+    formulas = pc.match_substring_regex(array, f"^[{re.escape(FORMULA_STARTS)}]")
+    if not pc.any(formulas).as_py():
+        return array
+    return pc.if_else(formulas, pc.binary_join_element_wise("'", array, ""), array)
 
 
 def hexadecimal(array: pa.Array) -> pa.Array:

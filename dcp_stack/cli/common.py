@@ -17,6 +17,7 @@ from dcp_codec.commandline import UNUSABLE, ExpectedError
 from dcp_codec.plain import plain
 from dcp_stack.control.client import ControlClient, ControlError, Notification, ServiceError
 from dcp_stack.control.jsonrpc import INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR
+from dcp_stack.control.places import find_socket, places
 
 from . import main
 
@@ -34,14 +35,28 @@ _USAGE = frozenset({PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARA
 note = main.note
 
 
+def _found(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str:
+    """The socket given, or that of the node that runs without a path of its own."""
+    if value is not None:
+        return value
+    path = find_socket()
+    if path is None:
+        looked = " and ".join(map(str, places()))
+        raise ExpectedError(
+            f"no node found at {looked}; start one with 'dcp-node run', or say where it is: --control PATH", UNREACHABLE
+        )
+    return str(path)
+
+
 def control_option(function: F) -> F:
     """``--control``: which node."""
     return click.option(
         "--control",
-        required=True,
         envvar="DCP_NODE_CONTROL",
+        callback=_found,
         metavar="PATH",
-        help="Control socket of the node.  [env: DCP_NODE_CONTROL]",
+        help="Control socket of the node.  [env: DCP_NODE_CONTROL; default: that of the node that runs without "
+        "--control]",
     )(function)
 
 

@@ -24,15 +24,15 @@ from .common import (
     span,
 )
 from .neighbours import percent, place
-from .status import as_line
+from .status import as_line, own_address
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
 
-SHOWN: Final = 64
-"""Rows of a table at most: no terminal has more, and each takes time."""
+SHOWN: Final = 200
+"""Rows of a table at most: each takes time. The title says if there are more."""
 
 
 @click.command("monitor", epilog=EXIT_STATUS)
@@ -40,9 +40,11 @@ SHOWN: Final = 64
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N looks.")
 @node_options
 def command(interval: float, count: int | None, control: str, as_json: bool) -> int:
-    """Watch neighbours with age and loss, variables, beacon rates and what is ignored; Ctrl-C ends it.
+    """Watch neighbours with age and loss, variables, beacon rates and what is ignored; Ctrl-C or q ends it.
 
-    On a terminal the view is renewed in place. Into a pipe goes one line per look, or with --json one object.
+    On a terminal the view is renewed in place; if it is longer than the terminal the last line says so, and arrows,
+    Page Up and Page Down move it. With --count each look is printed as a whole. Into a pipe goes
+    one line per look, or with --json one object.
     """
     with connect(control) as client:
         rates = Rates()
@@ -51,14 +53,26 @@ def command(interval: float, count: int | None, control: str, as_json: bool) -> 
         from rich.console import Console
         from rich.live import Live
 
-        looks = 0
-        with Live(console=Console(highlight=False, emoji=False, markup=False), screen=count is None) as live:
+        from .scrolling import Window, key_within, keyboard
+
+        console, window = Console(highlight=False, emoji=False, markup=False), Window()
+        if count is not None:
+            for look in range(count):
+                time.sleep(interval if look else 0)
+                console.print(view(client.call("UT-Status"), rates, console.width))
+            return 0
+        with Live(console=console, screen=True, auto_refresh=False) as live, keyboard() as keys:
             while True:
-                live.update(view(client.call("UT-Status"), rates, live.console.width), refresh=True)
-                looks += 1
-                if looks == count:
-                    return 0
-                time.sleep(interval)
+                seen = view(client.call("UT-Status"), rates, console.width)
+                until = time.monotonic() + interval
+                while True:
+                    live.update(window.shown(seen), refresh=True)
+                    key = key_within(keys, until - time.monotonic())
+                    if key is None:
+                        break
+                    if key == "quit":
+                        return 0
+                    window.move(key)
 
 
 class Rates:
@@ -200,6 +214,8 @@ def _head(status: dict[str, Any], rates: Rates) -> RenderableType:
         for name in ("send_errors", "kernel_drops", "outages")
         if link.get(name)
     ]
+    if same := own_address(link):
+        troubles.append(same)
     recording = runtime.get("recording")
     if recording:
         troubles.append(f"recording {recording['frames']} frames {recording['problem']}".strip())

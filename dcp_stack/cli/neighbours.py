@@ -51,7 +51,7 @@ def _table(result: dict[str, Any]) -> str:
             str(each.get("lost", "")),
             percent(each.get("beaconLoss")),
             place(each),
-            f"{each['distance']:.1f} m" if "distance" in each else "",
+            f"{each['distance']:.1f} m" if "distance" in each else "-",
         ]
         for each in result.get("neighbours", ())
     ]

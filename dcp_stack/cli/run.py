@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
-from typing import Any
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
 from dcp_codec.commandline import ExpectedError
+from dcp_stack.control.places import SYSTEM, default_socket, is_answered
+
+if TYPE_CHECKING:
+    from dcp_stack.runtime.settings import Settings
 
 log = logging.getLogger("dcp_stack.node")
 
@@ -22,7 +30,12 @@ log = logging.getLogger("dcp_stack.node")
 @click.option("--link", metavar="LINK", help="Another link: udp[:GROUP[:PORT]], replay:FILE, or eth:IF with options.")
 @click.option("--node-id", metavar="ID", help="Own identifier.  [default: address of IF, or a random one]")
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
-@click.option("--control", metavar="PATH|stdio", help="Control socket, or standard input and output.")
+@click.option(
+    "--control",
+    metavar="PATH|stdio|none",
+    help="Control socket, or standard input and output.  [default: dcp-node.sock in $XDG_RUNTIME_DIR; for root "
+    "without one, /run/dcp/node.sock]",
+)
 @click.option("--beacon-period", type=float, metavar="MS", help="BPPAR_BEACON_PERIOD.  [default: 100]")
 @click.option("--network-id", metavar="N", help="BPPAR_NETWORK_ID, decimal or 0x hex.")
 @click.option(
@@ -35,11 +48,16 @@ log = logging.getLogger("dcp_stack.node")
 @click.option("--seed", type=int, metavar="N", help="Seed of the jitter, to repeat a run.")
 @click.option("--log-level", type=click.Choice(["debug", "info", "warning", "error"]), help="[default: info]")
 @click.option("--log-format", type=click.Choice(["text", "json"]), help="[default: text, as key=value]")
+@click.option("--log-file", metavar="FILE", help="Append the log to this file instead.")
+@click.option("--daemon", is_flag=True, help="Go on in the background; the command ends when the node is ready.")
 @click.option("--print-config", is_flag=True, help="Show the settings as TOML and end.")
-def command(config: str | None, network_id: str | None, print_config: bool, **flags: Any) -> int:
+def command(config: str | None, network_id: str | None, daemon: bool, print_config: bool, **flags: Any) -> int:
     """Run a node until SIGTERM or SIGINT; then it deregisters its protocols and closes the recording.
 
+    A shell script starts a command with & so that it ignores SIGINT: end such a node with 'dcp-node stop' or SIGTERM.
+
     \b
+      dcp-node run --interface wlan0 --daemon && dcp-node var create 7 --text hello --descr greeting
       dcp-node run --link udp --node-id 02:00:00:00:00:01 --control /tmp/node1.sock
       dcp-node run --interface wlan0 --profile cpp-2.0 --record flight.mcap
     """
@@ -54,17 +72,60 @@ def command(config: str | None, network_id: str | None, print_config: bool, **fl
             return 0
     except SettingsError as error:
         raise ExpectedError(str(error)) from None
+    from dcp_stack.runtime.daemon import LogFileError, in_background, log_to
+
+    if daemon and settings.control == "stdio":
+        raise ExpectedError("--control stdio needs the standard input that --daemon gives up")
+    try:
+        if settings.log_file is not None:
+            log_to(settings.log_file)
+    except LogFileError as error:
+        raise ExpectedError(str(error)) from None
+    if daemon:
+        return in_background(lambda on_ready: _run(settings, on_ready))
+    return _run(settings, lambda _line: None)
+
+
+def _run(settings: Settings, on_ready: Callable[[str], None]) -> int:
+    """Run the node; ``on_ready`` is called with a line about it when it can be talked to."""
     from dcp_stack.runtime import logs
     from dcp_stack.runtime.opening import NodeError, open_node
 
     logs.set_up(settings.log_level, settings.log_format)
+    settings = _with_control(settings)
+
+    def ready() -> None:
+        log.info("running")
+        where = f"control socket {settings.control}" if settings.control else "without a control socket"
+        on_ready(f"node {driver.node.config.node_id.hex(':')} runs as process {os.getpid()}, {where}")
+
     try:
         with open_node(settings) as driver:
-            driver.run(lambda: log.info("running"))
+            driver.run(ready)
     except NodeError as error:
         raise ExpectedError(str(error)) from None
     log.info("ended")
     return 0
+
+
+def _with_control(settings: Settings) -> Settings:
+    """The settings with the default control socket, unless there is another one or another node has it."""
+    if settings.control == "none":
+        return msgspec.structs.replace(settings, control=None)
+    if settings.control is not None:
+        return settings
+    path = default_socket()
+    if path is None:
+        log.info("no control socket: XDG_RUNTIME_DIR is not set; --control PATH makes one")
+        return settings
+    if is_answered(path):
+        log.warning("no control socket: another node has %s; --control PATH makes one", path)
+        return settings
+    if path == SYSTEM:
+        # systemd makes it for the unit; root by hand makes it here.
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(mode=0o755, exist_ok=True)
+    return msgspec.structs.replace(settings, control=str(path))
 
 
 def _whole(value: float | None) -> float | int | None:

@@ -34,7 +34,8 @@ def _lines(status: dict[str, Any]) -> list[str]:
     if "srp" in node:
         srp = node["srp"]
         state = "registered" if srp["registered"] else "not registered"
-        rows.append(("SRP", f"{state}, {counted(len(srp['neighbours']), 'neighbour')}"))
+        most = f" of at most {srp['max_neighbours']}" if "max_neighbours" in srp else ""
+        rows.append(("SRP", f"{state}, {counted(len(srp['neighbours']), 'neighbour')}{most}"))
     if "vardis" in node:
         variables = node["vardis"]["variables"].values()
         deleted = sum(each["isDeleted"] for each in variables)
@@ -43,7 +44,9 @@ def _lines(status: dict[str, Any]) -> list[str]:
         )
     if "recording" in runtime:
         recording = runtime["recording"]
-        problem = f"; ended: {recording['problem']}" if recording["problem"] else ""
+        problem = f"; stopped: {recording['problem']}" if recording["problem"] else ""
+        if recording.get("frames_lost"):
+            problem += f"; {recording['frames_lost']} frames not recorded"
         rows.append(("recording", f"{recording['path']}, {recording['frames']} frames{problem}"))
     if "positions" in runtime:
         rows.append(("position", runtime["positions"]["source"]))
@@ -67,7 +70,17 @@ def _link(link: dict[str, Any]) -> str:
     troubles = ("send_errors", "kernel_drops", "outages")
     shown = [counted(link[name], name.removesuffix("s").replace("_", " ")) for name in troubles if link.get(name)]
     state = [] if link.get("up", True) else ["DOWN"]
+    if same := own_address(link):
+        shown.append(same)
     return ", ".join([str(link.get("name", "?")), *state, *shown])
+
+
+def own_address(link: dict[str, Any]) -> str:
+    """What to say of frames from the node's own address; on loopback interfaces they are its own."""
+    count = link.get("own_address", 0)
+    if not count or link.get("name") == "eth:lo":
+        return ""
+    return f"{counted(count, 'frame')} from its own address ignored (another node with this MAC address?)"
 
 
 def as_line(status: dict[str, Any]) -> str:

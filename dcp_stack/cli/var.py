@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -31,6 +32,9 @@ from .common import (
     watching,
 )
 
+if TYPE_CHECKING:
+    from dcp_spec.profile import Profile
+
 
 @click.group("var", epilog=EXIT_STATUS)
 def command() -> None:
@@ -47,7 +51,11 @@ def command() -> None:
     metavar="TEXT",
     help="Description; other nodes ignore a variable without one.",
 )
-@click.option("--repcnt", type=int, default=3, show_default=True, help="In how many beacons each change is sent.")
+@click.option(
+    "--repcnt",
+    type=int,
+    help="In how many beacons each change is sent.  [default: 3, or less if profile or parameter say so]",
+)
 @click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
 @node_options
 def create(
@@ -55,21 +63,55 @@ def create(
     octets: str | None,
     text: str | None,
     descr: str,
-    repcnt: int,
+    repcnt: int | None,
     timeout: int,
     control: str,
     as_json: bool,
 ) -> int:
     """Create variable ID, with this node as its producer."""
-    params: dict[str, Any] = {
-        "varId": var_id,
-        "repCnt": repcnt,
-        "descr": descr,
-        "value": octets_given("--value", octets, text),
-    }
+    params: dict[str, Any] = {"varId": var_id, "descr": descr, "value": octets_given("--value", octets, text)}
     if timeout:
         params["timeout"] = timeout
-    return simple(control, as_json, "RTDB-Create", **params)
+    with connect(control) as client:
+        params["repCnt"] = _repetitions(client) if repcnt is None else repcnt
+        result = client.call("RTDB-Create", **params)
+        if is_ok(result):
+            for warning in _ignored_by_others(client, descr, repcnt):
+                note(f"warning: {warning}")
+    return finish("RTDB-Create", result, as_json)
+
+
+def _repetitions(client: ControlClient) -> int:
+    """As often as is sensible on a lossy link, and not more than the node allows."""
+    most = client.call("VD-GetParameters")["parameters"].get("VARDISPAR_MAX_REPETITIONS", 3)
+    profile = _profile(client)
+    return min(3 if profile is None else profile.among.repetitions or 3, int(most))
+
+
+def _profile(client: ControlClient) -> Profile | None:
+    """The node's profile; None for one of its own, in a file that only the node knows."""
+    from dcp_spec.profile_loading import ProfileError, load_profile
+
+    try:
+        return load_profile(client.call("UT-Hello")["profile"])
+    except (ProfileError, KeyError):
+        return None
+
+
+def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) -> Iterator[str]:
+    """Why other nodes may ignore a variable that this node has created without complaint."""
+    if not descr:
+        yield "other nodes ignore a variable without a description"
+    if repcnt is None:
+        return
+    profile = _profile(client)
+    if profile is None:
+        return
+    if repcnt > (most := profile.limits.max_repetitions):
+        yield f"nodes with the limits of this profile take at most {most} repetitions, not {repcnt}"
+    elif profile.among.repetitions is not None and repcnt > profile.among.repetitions:
+        most = profile.among.repetitions
+        yield f"unless set up otherwise, nodes of this profile refuse variables with more than {most} repetitions"
 
 
 @command.command("update", epilog=EXIT_STATUS)

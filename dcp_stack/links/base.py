@@ -20,6 +20,8 @@ class LinkCounters(msgspec.Struct):
     ignored: int = 0
     kernel_drops: int = 0
     outages: int = 0
+    own_address: int = 0
+    """Of ``ignored``, frames that came in from our own address: another node has the same one, or it is loopback."""
 
 
 class Reception(msgspec.Struct, frozen=True, gc=False):

@@ -113,6 +113,7 @@ class EthernetLink(SocketLink):
                 or (kind == OTHERHOST and frame[:6] != self._foreign)
             ):
                 self._counters.ignored += 1
+                self._counters.own_address += sender == own and kind != OUTGOING
                 continue
             receptions.append(Reception(frame[ETHERNET_HEADER:], stamp_of(ancillary) or time.time_ns(), sender))
 

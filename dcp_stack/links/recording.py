@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from itertools import chain, count
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from dcp_codec.capture import MAX_TIME_NS, CaptureError, CaptureWriter, Frame, create_capture
 from dcp_codec.codec import Codec
@@ -140,10 +141,23 @@ class Recorder:
         log.error("recording ends after %d frames: %s", self.frames, error)
 
 
+@runtime_checkable
+class Recording(Watcher, Protocol):
+    """A watcher that writes files."""
+
+    def tick(self) -> None:
+        """Time has passed."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file; may be called twice."""
+        ...
+
+
 class RecordingLink:
     """``link``, watched: everything it hands out and everything it sent goes to ``watcher`` as well.
 
-    Closing it closes the link and, if it is a :class:`Recorder`, the recording.
+    Closing it closes the link and, if it is a :class:`Recording`, the recording.
     """
 
     def __init__(
@@ -159,6 +173,7 @@ class RecordingLink:
         self.watcher = watcher
         self._source = source
         self._wall = wall
+        self._recording = watcher if isinstance(watcher, Recording) else None
 
     @property
     def name(self) -> str:
@@ -216,9 +231,9 @@ class RecordingLink:
         try:
             self.link.close()
         finally:
-            if isinstance(self.watcher, Recorder):
-                self.watcher.close()
+            if self._recording is not None:
+                self._recording.close()
 
     def _tick(self) -> None:
-        if isinstance(self.watcher, Recorder):
-            self.watcher.tick()
+        if self._recording is not None:
+            self._recording.tick()

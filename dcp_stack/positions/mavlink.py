@@ -126,7 +126,7 @@ def _parser() -> Any:
         common = importlib.import_module("pymavlink.dialects.v20.common")
     except ImportError:
         raise SourceError(
-            "the package pymavlink is not installed; run: pip install pymavlink"
+            "pymavlink is not installed: pip install 'dcp-conformance-kit[mavlink]'"
             " (or install this package with its extra 'mavlink')"
         ) from None
     made = common.MAVLink(None)

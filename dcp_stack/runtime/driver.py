@@ -18,7 +18,7 @@ from dcp_stack.config import MS
 from dcp_stack.control.server import ControlServer
 from dcp_stack.effects import Dropped, Effect, NeighbourExpired, NeighbourSeen, SendBeacon
 from dcp_stack.links.base import Link, TimedLink
-from dcp_stack.links.recording import Recorder
+from dcp_stack.links.rotation import RotatingRecorder
 from dcp_stack.neighbour_file import NeighbourFileWriter
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource
@@ -33,11 +33,12 @@ PUBLISH_INTERVAL: Final = 20 * MS
 HEARTBEAT_INTERVAL: Final = 100 * MS
 HOUSEKEEPING_INTERVAL: Final = 1000 * MS
 SLACK: Final = 150 * MS
-"""What comes up so shortly before a beacon is done with it: a wake-up costs more than what it is for.
+"""Timers and frames that come up so shortly before a beacon are handled with it: a wake-up costs more than they do.
 
-Nothing is lost by it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames
-that wait in the kernel, with their time of arrival, are processed before it is made. Nobody sees the difference: before
-a request is answered the frames are taken, too, and while somebody is to be told of them they are taken at once.
+Without it a quiet node among three takes twice the CPU time (``benchmarks/quiet.py``, "no slack"). Nothing is lost by
+it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames that wait in the
+kernel, with their time of arrival, are processed before it is made. Before a request is answered the frames are
+processed, too, and while a client is subscribed to indications they are processed at once.
 """
 FLOOD: Final = 64
 """As many frames that waited for a beacon are processed before it, however late it is; more at once are a flood, after
@@ -74,7 +75,7 @@ class Driver:
         node: Node,
         link: Link,
         *,
-        recorder: Recorder | None = None,
+        recorder: RotatingRecorder | None = None,
         positions: PositionSource | None = None,
         neighbour_file: NeighbourFileWriter | None = None,
         attachments: tuple[Attachment, ...] = (),
@@ -93,7 +94,7 @@ class Driver:
         self._controls: list[ControlSocket | StandardStreams] = []
         self._stopping = False
         self._wake: int | None = None
-        self._node_time = self.started
+        self._arrived = self.started
         self._link_fd = link.fileno()
         self._lazy = self._flooded = False
         self._srp_slack = self._slack_of_srp()
@@ -193,7 +194,6 @@ class Driver:
         for control in self._controls:
             for channel in control.channels:
                 if channel.busy or channel.session.output:
-                    self._node_time = now
                     channel.advance(now, wall)
 
     def _on_link(self, _events: int = 0) -> None:
@@ -210,8 +210,9 @@ class Driver:
             if number >= before_it and self._wake is not None and now >= self._wake:
                 self._timeout(now, time.time_ns())
                 self._plan()
-            # For the node time goes forward, whatever the clocks do.
-            arrived = self._node_time = min(max(reception.wall - offset, self._node_time), now)
+            # Soft state is as old as its frame, also if that waited in the kernel. From frame to frame time goes
+            # forward, whatever the clocks do.
+            arrived = self._arrived = min(max(reception.wall - offset, self._arrived), now)
             node.handle_frame(reception.octets, now=arrived, wall=reception.wall)
             effects = node.take_effects()
             if effects:
@@ -222,7 +223,6 @@ class Driver:
     def _timeout(self, now: int, wall: int) -> None:
         if self._wake is not None and now - self._wake > self.late_ns:
             self.late_ns = now - self._wake
-        self._node_time = now
         # Positions first: the newest goes into the beacon of now.
         if self._positions is not None and (due := self._positions.poll_timeout()) is not None and now >= due:
             self._poll_positions()
@@ -354,6 +354,8 @@ class Driver:
                 "frames": recorder.frames,
                 "recording": recorder.recording,
                 "problem": recorder.problem,
+                "interruptions": recorder.interruptions,
+                "frames_lost": recorder.frames_lost,
             }
         if self._positions is not None:
             source = self._positions

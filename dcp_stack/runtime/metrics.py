@@ -50,9 +50,10 @@ _MEANINGS: Final = {
     "sent": "Frames that the system took.",
     "received": "Frames read from the system.",
     "send_errors": "Frames that were too long or that the system refused.",
-    "ignored": "Frames that are none of DCP, or too long to be read.",
+    "ignored": "Frames that are none of DCP, too long to be read, or from our own address.",
     "kernel_drops": "Frames that the system dropped before they were read.",
     "outages": "How often the interface went away.",
+    "own_address": "Of the ignored frames those from our own address: another node with the same one?",
 }
 
 
@@ -103,6 +104,7 @@ class NodeCollector:
         counters = self._link.counters
         for name in counters.__struct_fields__:
             yield CounterMetricFamily(f"dcp_link_{name}", _meaning(name), value=getattr(counters, name))
+        yield from self._recording()
         yield GaugeMetricFamily("dcp_link_up", "Whether the link can carry frames.", value=int(self._link.up))
         yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", value=int(node.bp.active))
         yield GaugeMetricFamily(
@@ -128,6 +130,25 @@ class NodeCollector:
                 obstacles.add_metric([reason], reasons[reason])
             yield obstacles
 
+    def _recording(self) -> Iterator[Metric]:
+        from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+        from dcp_stack.links.rotation import RotatingRecorder
+
+        recorder = getattr(self._link, "watcher", None)
+        if not isinstance(recorder, RotatingRecorder):
+            return
+        yield GaugeMetricFamily(
+            "dcp_recording_active", "Whether frames are written to the recording.", int(recorder.recording)
+        )
+        yield CounterMetricFamily("dcp_recording_frames", "Frames in the recording.", value=recorder.frames)
+        yield CounterMetricFamily(
+            "dcp_recording_frames_lost", "Frames seen while none could be written.", value=recorder.frames_lost
+        )
+        yield CounterMetricFamily(
+            "dcp_recording_interruptions", "How often the recording ended, as on a full disk.", recorder.interruptions
+        )
+
 
 def _meaning(counter: str) -> str:
     return _MEANINGS.get(counter, f"{counter.replace('-', ' ').capitalize()}.")
@@ -143,7 +164,8 @@ class MetricsServer:
 
             from prometheus_client.openmetrics import exposition
         except ImportError:
-            raise MetricsError("metrics need prometheus_client: pip install 'dcp-conformance-kit[metrics]'") from None
+            advice = "pip install 'dcp-conformance-kit[metrics]'"
+            raise MetricsError(f"prometheus_client is not installed: {advice}") from None
         self._exposition: Any = exposition
         self._parser: Any = http.server.BaseHTTPRequestHandler
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

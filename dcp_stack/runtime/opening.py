@@ -18,6 +18,7 @@ from dcp_stack.config import NodeConfig
 from dcp_stack.links.base import Link, LinkError
 from dcp_stack.links.opening import open_link
 from dcp_stack.links.recording import Recorder, RecordingLink, recording_path
+from dcp_stack.links.rotation import Limits, RotatingRecorder, numbered_after, recordings_of
 from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileWriter
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource, SourceError, open_source
@@ -27,6 +28,7 @@ from .driver import Driver
 from .memory import settle
 from .privileges import PrivilegeError, become, find_user, roots_alone
 from .settings import Settings, SettingsError, codec_of, node_config
+from .sharing import share
 
 log = logging.getLogger(__name__)
 
@@ -129,6 +131,7 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         metrics.serve(NodeCollector(driver.server, link))
         log.info("metrics at http://127.0.0.1:%d/metrics", metrics.port)
     if control is not None:
+        share(control.path, settings.control_group, settings.control_mode)
         driver.add_control(control)
     if settings.control == STDIO:
         # Who started the node this way and closes its input has no more use for it.
@@ -144,7 +147,7 @@ def _load_what_follows(settings: Settings) -> None:
         importlib.import_module("dcp_codec.capture.mcapwriter")
 
 
-def _about(settings: Settings, config: NodeConfig, recorder: Recorder | None) -> dict[str, object]:
+def _about(settings: Settings, config: NodeConfig, recorder: RotatingRecorder | None) -> dict[str, object]:
     record = None if recorder is None else str(recorder.path)
     about = {"profile": config.profile.name, "control": settings.control, "record": record}
     return {name: value for name, value in about.items() if value is not None}
@@ -187,9 +190,28 @@ def _fitted(config: NodeConfig, link: Link) -> NodeConfig:
     return msgspec.structs.replace(config, bp=bp)
 
 
-def _recorder(settings: Settings, config: NodeConfig, codec: Codec, wall: int) -> Recorder | None:
+def _recorder(settings: Settings, config: NodeConfig, codec: Codec, wall: int) -> RotatingRecorder | None:
     if settings.record is None:
         return None
-    about = {"node": config.node_id.hex(":")}
-    path = recording_path(settings.record, config.node_id, wall)
-    return Recorder(path, codec, decoded=settings.record_decoded, about=about)
+    about = {"node": config.node_id.hex(":"), "vantage": config.node_id.hex(":")}
+    place = settings.record
+    first = recording_path(place, config.node_id, wall)
+    into_folder = first != Path(place)
+    if settings.record_keep is not None and not into_folder:
+        raise SettingsError(f"record_keep: {place} is a file; to keep the last files, let record name a folder")
+    limits = Limits(
+        octets=None if settings.record_max_mb is None else max(round(settings.record_max_mb * 1e6), 1),
+        seconds=None if settings.record_max_minutes is None else settings.record_max_minutes * 60,
+        files=settings.record_keep,
+    )
+
+    def following() -> Path:
+        return recording_path(place, config.node_id, time.time_ns()) if into_folder else numbered_after(first)
+
+    return RotatingRecorder(
+        lambda path: Recorder(path, codec, decoded=settings.record_decoded, about=about),
+        first,
+        following,
+        limits=limits,
+        siblings=lambda: recordings_of(first.parent, config.node_id),
+    )

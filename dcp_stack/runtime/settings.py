@@ -34,6 +34,8 @@ class VardisSettings(VardisConfig, frozen=True, forbid_unknown_fields=True, kw_o
     """Variable dissemination, and whether there is any."""
 
     enabled: bool = True
+    recommended: bool = True
+    """Start with what the profile recommends among its implementations (``[among]``) where nothing is set here."""
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,8 +46,13 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     interface: str | None = None
     link: str | None = None
     control: str | None = None
+    control_group: str | None = None
+    control_mode: str | None = None
     record: str | None = None
     record_decoded: bool = True
+    record_max_mb: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    record_max_minutes: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    record_keep: Annotated[int, msgspec.Meta(ge=1)] | None = None
     position: str | None = None
     neighbour_file: str | None = None
     metrics: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
@@ -53,6 +60,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     seed: int | None = None
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     log_format: Literal["text", "json"] = "text"
+    log_file: str | None = None
     bp: BPConfig = BPConfig()
     srp: SRPSettings = SRPSettings()
     vardis: VardisSettings = VardisSettings()
@@ -150,13 +158,27 @@ def node_config(settings: Settings, codec: Codec, *, default_id: bytes | None = 
             codec=codec,
             bp=settings.bp,
             srp=srp,
-            vardis=settings.vardis if settings.vardis.enabled else None,
+            vardis=_among_others(settings.vardis, profile) if settings.vardis.enabled else None,
             readings=settings.readings,
         )
     except UnknownReadingError as error:
         raise SettingsError(f"readings: {error}") from None
     except ValueError as error:
         raise SettingsError(str(error)) from None
+
+
+def _among_others(vardis: VardisSettings, profile: Profile) -> VardisSettings:
+    """The settings with what the profile recommends among its implementations in place of what nobody has set."""
+    if not vardis.recommended:
+        return vardis
+    among = profile.among
+    recommended = {
+        "max_payload_size": among.max_vardis_payload,
+        "max_summaries": among.max_summaries,
+    }
+    return msgspec.structs.replace(
+        vardis, **{name: value for name, value in recommended.items() if getattr(vardis, name) is None}
+    )
 
 
 def parse_node_id(text: str, profile: Profile) -> bytes:

@@ -31,8 +31,9 @@ from dcp_stack.neighbours import NeighbourTable, NeighbourTableEntry
 from dcp_stack.node import Node
 from dcp_stack.srp import StateReporting
 from dcp_stack.vardis import Vardis
-from dcp_stack.vardis_core import Core
+from dcp_stack.vardis_core import Core, Sequence
 from dcp_stack.vardis_db import DBEntry
+from dcp_stack.vardis_delivery import Delivery
 from dcp_stack.vardis_receive import Receiver
 from dcp_stack.vardis_table import Action, Cell
 
@@ -176,9 +177,15 @@ class HearingTable(NeighbourTable):
                 if last is not None and now - last.now <= timeout:
                     continue
                 self.node.forget(node_id)
-            del self._entries[node_id]
+            self._remove(node_id)
             gone.append(node_id)
         return gone
+
+    def _remove(self, node_id: bytes) -> None:
+        super()._remove(node_id)
+        if self.node is not None:
+            # The next beacon of this node is that of a stranger.
+            self.node.waiting.pop(node_id, None)
 
     def clear(self) -> None:
         """As :meth:`NeighbourTable.clear`."""
@@ -202,11 +209,41 @@ class HearingSRP(StateReporting):
         return cast("HearingTable", self._table)
 
 
+class HearingDelivery(Delivery):
+    """Knows who has asked for something: what such a neighbour says is looked at until it shows that it has it."""
+
+    def __init__(self, sequence: Sequence) -> None:
+        super().__init__(sequence)
+        self.askers: set[bytes] = set()
+
+    def asked(self, var_id: int) -> None:
+        """As :meth:`Delivery.asked`."""
+        super().asked(var_id)
+        self.askers = {peer for peer, _ in self._asked}
+
+    def has(self, var_id: int) -> None:
+        """As :meth:`Delivery.has`."""
+        super().has(var_id)
+        if self.peer in self.askers:
+            self.askers = {peer for peer, _ in self._asked}
+
+    def deleted(self, var_id: int) -> None:
+        """As :meth:`Delivery.deleted`."""
+        super().deleted(var_id)
+        self.askers = {peer for peer, _ in self._asked}
+
+    def clear(self) -> None:
+        """As :meth:`Delivery.clear`."""
+        super().clear()
+        self.askers = set()
+
+
 class HearingCore(Core):
     """Notes whether a payload is worth looking at again."""
 
     def __init__(self, config: NodeConfig, emit: Any) -> None:
         super().__init__(config, emit)
+        self.delivery: HearingDelivery = HearingDelivery(self.sequence)
         self.known: set[bytes | None] = {None}
         """Payloads that change nothing as the database is; None stands for a beacon without one."""
         self.quiet = True
@@ -259,6 +296,11 @@ class HearingVardis(Vardis):
                 core.forget()
             core.known.add(payload)
 
+    @property
+    def askers(self) -> set[bytes]:
+        """Neighbours whose payloads are to be looked at, known or not."""
+        return self._hearing_core.delivery.askers
+
     def look(self) -> None:
         """Forget what is known if entries have left the database, which up to 1.3 they do with the last VarDelete."""
         size = len(self._database)
@@ -304,7 +346,8 @@ class HearingNode(Node):
         if self.srp is not None:
             self._hearing_srp.attach(self)
         self._table_has = self._hearing_srp.hearing_table.__contains__ if self.srp is not None else None
-        self._known: set[bytes | None] = cast("HearingVardis", self.vardis).known if self.vardis is not None else {None}
+        self._vardis = cast("HearingVardis | None", self.vardis)
+        self._known: set[bytes | None] = {None} if self._vardis is None else self._vardis.known
 
     @property
     def _hearing_bp(self) -> HearingBP:
@@ -348,6 +391,8 @@ class HearingNode(Node):
         waiting = self.waiting.get(beacon.sender_id)
         if waiting is None:
             return self._hear_newcomer(heard)
+        if self._vardis is not None and beacon.sender_id in self._vardis.askers:
+            return False
         waiting.append(heard)
         if len(waiting) >= MOST_WAITING:
             self.settle_one(beacon.sender_id)

@@ -216,7 +216,9 @@ def settings_for(scenario: Scenario, index: int, node_id: str) -> Settings:
         seed=scenario.seed * 1000 + index,
         bp=scenario.bp,
         srp=SRPSettings(enabled=False) if srp is None else SRPSettings(enabled=True, **_fields(srp)),
-        vardis=VardisSettings(enabled=False) if vardis is None else VardisSettings(enabled=True, **_fields(vardis)),
+        vardis=VardisSettings(enabled=False)
+        if vardis is None
+        else VardisSettings(enabled=True, recommended=False, **_fields(vardis)),
     )
 
 

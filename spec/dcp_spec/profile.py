@@ -305,6 +305,23 @@ class Behaviour(Part, frozen=True):
     ] = "neither"
 
 
+class Among(Part, frozen=True):
+    """What `dcp-node run` starts with among these implementations, where their limits are not the best choice.
+
+    Settings of the node replace it. Nodes inside the test suite and in simulations start with the limits.
+    """
+
+    max_vardis_payload: Annotated[
+        Positive | None, Meta(description="VARDISPAR_MAX_PAYLOAD_SIZE, in octets; the limit without it.")
+    ] = None
+    max_summaries: Annotated[NotNegative | None, Meta(description="VARDISPAR_MAX_SUMMARIES; the limit without it.")] = (
+        None
+    )
+    repetitions: Annotated[
+        Positive | None, Meta(description="`repCnt` of variables that a user creates without saying it; 3 without it.")
+    ] = None
+
+
 class Profile(Part, frozen=True, kw_only=True):
     """One way to put DCP on the wire. See the module docstring; build one with :func:`load_profile`."""
 
@@ -319,6 +336,7 @@ class Profile(Part, frozen=True, kw_only=True):
     vardis: Annotated[VardisLayout, Meta(description="Instruction containers.")]
     limits: Annotated[Limits, Meta(description="Limits.")] = Limits()
     behaviour: Annotated[Behaviour, Meta(description="Behaviour.")] = Behaviour()
+    among: Annotated[Among, Meta(description="Settings of a node among these implementations.")] = Among()
 
     def has_header_field(self, name: str) -> bool:
         """Whether the BP header of this profile has the field ``name`` (for example ``"networkId"``)."""

@@ -297,7 +297,7 @@ def test_of_a_malformed_frame_there_is_what_could_be_read():
 
 
 def test_a_bad_state_report_is_no_message_and_hides_nothing():
-    codec = get_codec("cpp-1.2")
+    codec = get_codec("dcp-1.2")
     vardis = codec.encode_containers((Container(1, (VarSumm(7, 3),)),))
     blocks = (Payload(1, bytes(range(0x20, 0x48))), Payload(2, vardis))
     octets = codec.encode_envelope(Beacon(BPHeader(b"\x02\0\0\0\0\1", 4), blocks))

@@ -18,8 +18,8 @@ RECORD = struct.pack("<IIII", 1, 2, 3, 60) + b"abc"
     ("contents", "message"),
     [
         (b"", "is empty"),
-        (b"\x1f\x8b\x08rest", "gzip-compressed"),
-        (b"\x28\xb5\x2f\xfdrest", "zstd-compressed"),
+        (b"\x1f\x8b\x08rest", "its gzip data is damaged"),
+        (b"\x28\xb5\x2f\xfdrest", "its zstd data is"),
         (b"\xfd7zXZ\x00", "xz-compressed"),
         (b"BZh91", "bzip2-compressed"),
         (b"PK\x03\x04", "zip archive"),

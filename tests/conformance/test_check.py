@@ -537,6 +537,51 @@ def teaches(air: Script, wrong: bool) -> Outcome:
     return Outcome(("VD-PS-03",), frames)
 
 
+@script("CK_VD_BACKED")
+def summaries_without_a_value(air: Script, wrong: bool) -> Outcome:
+    air.say(A, air.create(7, A), VarSumm(7, 0))
+    before = air.say(A, VarSumm(7, 0))
+    first = air.say(A, VarSumm(7, 3), *([] if wrong else [VarUpdate(7, 3, b"x")]))
+    air.idle(12, (VarSumm(7, 3),), nodes=(A,))
+    return Outcome(("VD-SCP-02", "VD-CMP-04"), (before, first))
+
+
+@script("CK_VD_BACKED", variant="nobody")
+def a_variable_that_nobody_created(air: Script, wrong: bool) -> Outcome:
+    air.idle(15, (VarSumm(7, 0),), nodes=(A,))
+    new = [] if wrong else [air.create(8, A)]
+    first = air.say(A, *new, VarSumm(7, 0), VarSumm(8, 0))
+    air.idle(12, (VarSumm(7, 0), VarSumm(8, 0)), nodes=(A,))
+    return Outcome(("VD-SCP-02", "VD-CMP-04"), (first,))
+
+
+@script("CK_NET_AGREES")
+def agrees(air: Script, wrong: bool) -> Outcome:
+    create = air.create(7, A)
+    for who in (A, B):
+        air.say(who, create, VarSumm(7, 0))
+    first = air.say(A, VarSumm(7, 1), VarUpdate(7, 1, b"x"))
+    air.say(B, VarSumm(7, 0 if wrong else 1), *([] if wrong else [VarUpdate(7, 1, b"x")]))
+    air.idle(100, (VarSumm(7, 1),), (VarSumm(7, 0 if wrong else 1),), nodes=(A, B))
+    return Outcome(("VD-PU-07", "VD-PU-06"), (first,), verdict=Verdict.INFO)
+
+
+@script("CK_VD_ENDLESS")
+def endless_requests(air: Script, wrong: bool) -> Outcome:
+    first = air.say(B, VarReqCreate(7))
+    for _ in range(12):
+        air.say(A, air.create(7, A, rep_cnt=3), VarSumm(7, 0))
+        last = air.say(B, *([VarReqCreate(7)] if wrong else [air.create(7, A, rep_cnt=3), VarSumm(7, 0)]))
+    return Outcome(("VD-PC-07", "VD-PU-07", "VD-RC-03", "VD-RU-04"), (first, last - 1), verdict=Verdict.INFO)
+
+
+@script("CK_NET_SILENT")
+def falls_silent(air: Script, wrong: bool) -> Outcome:
+    for number in range(80):
+        air.say(A, *([] if wrong and number >= 40 else [VarSumm(7, 0)]), report=air.report(A))
+    return Outcome(("VD-RUN-02",), verdict=Verdict.INFO)
+
+
 class TestEveryInvariant:
     def test_there_are_recordings_for_each(self):
         assert {each.partition("-")[0] for each in SCRIPTS} == {rule.id for rule in RULES}
@@ -759,7 +804,7 @@ class TestCaptures:
             judge_recording(CAPTURES / "b_crud.mcap", "no-profile", Pics())
         with pytest.raises(UsageError, match="none of its 563 frames"):
             judge_recording(CAPTURES / "b_crud.mcap", "dcp-2.0", Pics(), ether_type="0x8888")
-        with pytest.raises(UsageError, match="no number"):
+        with pytest.raises(UsageError, match="is not an EtherType"):
             judge_recording(CAPTURES / "b_crud.mcap", None, Pics(), ether_type="x")
 
     def test_what_holds_no_beacon_says_so(self, tmp_path: Path):

@@ -9,7 +9,7 @@ import pytest
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import get_codec
-from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarReqCreate, VarSumm
+from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload, VarReqCreate, VarSumm
 from dcp_stack.config import BPConfig, NodeConfig
 from dcp_stack.links.base import LinkCounters, Reception
 from dcp_stack.node import Node
@@ -127,3 +127,25 @@ def test_a_flood_does_not_hold_up_beacons():
     assert len(link.sent) >= 20
     # Besides those that waited for the first beacon, one may have been begun when the time had not come.
     assert node.most <= FLOOD + 1
+
+
+def test_soft_state_is_as_old_as_its_frame():
+    """Under overload frames wait in the kernel for seconds; the node has had beacons of its own meanwhile."""
+    neighbour, now, wall = bytes.fromhex("020000000002"), time.monotonic_ns(), time.time_ns()
+    waited = 2_500_000_000
+    header = BPHeader(neighbour, 0, CODEC.profile.bp.network_id)
+    report = ExtendedSafetyData(CODEC.safety_data_type(1.0, 2.0, 3.0), neighbour, wall - waited, 5)
+    octets = CODEC.encode(Beacon(header, (Payload(1, report),)))
+    link = ListedLink([])
+    config = NodeConfig(node_id=bytes.fromhex("020000000001"), codec=CODEC)
+    node = Node(config, rng=random.Random(1), now=now, wall=wall)
+    driver = link.driver = Driver(node, link)
+    node.start(now, wall)
+    # It runs since long before.
+    driver._arrived -= 10 * waited
+    driver._timeout(now, wall)
+    link.waiting = [Reception(octets, wall - waited)]
+    driver._on_link()
+    entry = node.srp._table.lookup(neighbour)
+    assert (time.monotonic_ns() - entry.received_at) >= waited
+    assert node.srp._table.expire(time.monotonic_ns(), waited) == [neighbour]

@@ -344,7 +344,7 @@ def test_no_privilege(namespace: Any) -> None:
 
 def test_no_scapy(namespace: Any) -> None:
     message = failure(namespace, "near", "import sys; sys.modules['scapy'] = None\n")
-    assert message == "near: this needs scapy: pip install 'dcp-conformance-kit[scapy]'"
+    assert message == "near: scapy is not installed: pip install 'dcp-conformance-kit[scapy]'"
 
 
 def test_frames_that_are_not_ethernet(namespace: Any) -> None:
@@ -377,3 +377,32 @@ def test_the_command(namespace: Any) -> None:
     far.send(frame(0x4953, octets))
     assert json.loads(process.line())["bp"]["seqno"] == 41
     assert process.popen.wait(PATIENCE) == 0
+
+
+def test_recording_ends_with_a_whole_file_on_sigterm(namespace: Any, tmp_path: Any) -> None:
+    from dcp_codec.capture import open_capture
+
+    out = tmp_path / "flight.pcapng.zst"
+    process = namespace.python(
+        "import sys; from dcp_codec.cli import main; sys.argv = ['dcp-codec', *sys.argv[1:]]; main()",
+        *("record", "--interface", "near", "--ether-type", "0x4953", "--out", str(out)),
+    )
+    far = sender(namespace)
+
+    def begun() -> bool:
+        far.send(frame(0x4953, b"content"))
+        far.send(frame(0x88B5, b"other traffic"))
+        # A file whose recorder has not begun to listen is empty.
+        return out.exists() and process.popen.poll() is None
+
+    eventually(begun, "the file is created")
+    for _ in range(20):
+        far.send(frame(0x4953, b"content"))
+        time.sleep(0.05)
+    process.popen.terminate()
+    assert process.popen.wait(PATIENCE) == 0
+    with open_capture(out) as reader:
+        frames = list(reader)
+        assert reader.problems == []
+    assert len(frames) >= 10
+    assert all(each.data[12:21] == b"\x49\x53content" for each in frames)

@@ -278,7 +278,7 @@ class TestEthernet:
         )
         with cable.entered():
             done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-        assert done.stdout.startswith("LowerTesterError eth:dcp-tester: this needs scapy: pip install")
+        assert done.stdout.startswith("LowerTesterError eth:dcp-tester: scapy is not installed: pip install")
 
 
 @pytest.fixture

@@ -96,7 +96,7 @@ def test_two_nodes_and_the_commands(node, tmp_path):
     assert [len(each["neighbours"]) for each in tables] == [1, 1]
     status = command("status", *control).stdout
     assert second.node_id in status
-    assert "1 neighbour\n" in status
+    assert "1 neighbour of at most 4096\n" in status
     looks = command("monitor", "--count", 2, "--interval", 0.2, *control).stdout.splitlines()
     assert len(looks) == 2
     assert "neighbours=1 variables=1" in looks[1]

@@ -82,11 +82,39 @@ def test_restarts_are_no_losses(before, after, restart):
 
 def test_the_capacity_holds():
     table = Table(capacity=1)
-    assert table.add((0, 0, 0), node(1)) == "new"
-    assert table.add((0, 0, 0), node(2)) == "full"
-    assert table.add((0, 0, 0), node(1), seqno=1) == "replaced"
+    for number in range(5):
+        assert table.add((0, 0, 0), node(number)) == "new"
+        assert table.list_all_node_ids() == [node(number)]
+    assert table.add((0, 0, 0), node(4), seqno=1) == "replaced"
     with pytest.raises(ValueError, match="one entry"):
         Table(capacity=0)
+
+
+def test_a_full_table_gives_up_who_was_silent_for_longest():
+    table = Table(capacity=3)
+    for number in range(3):
+        for seqno in range(2):
+            table.add((0, 0, 0), node(number), seqno=seqno, now=10 * seqno + number)
+    table.add((0, 0, 0), node(0), seqno=2, now=20)
+    table.add((0, 0, 0), node(7), now=21)
+    assert (table.displaced, sorted(table.list_all_node_ids())) == (node(1), [node(0), node(2), node(7)])
+
+
+def test_a_flood_of_forged_nodes_displaces_one_another():
+    """Who reports again and again stays, and a genuine newcomer becomes one of them."""
+    table = Table(capacity=50)
+    genuine = [bytes([2, 0, 0, 0, 0, number]) for number in range(10)]
+    for step in range(200):
+        # A newcomer comes in the middle of it.
+        for each in genuine if step >= 100 else genuine[:9]:
+            table.add((0, 0, 0), each, seqno=step, now=step * S // 10)
+        for number in range(30):
+            forged = bytes([6, 6]) + (30 * step + number).to_bytes(4, "big")
+            table.add((0, 0, 0), forged, now=step * S // 10 + number)
+        assert len(table) <= 50
+    assert all(each in table for each in genuine)
+    assert table.lookup(genuine[0]).received == 200
+    assert table.lookup(genuine[9]).received == 100
 
 
 def test_expiry_is_strict():

@@ -189,9 +189,25 @@ def test_no_node_is_3(run, args, tmp_path):
     assert f"{tmp_path}: is no socket" in shown.err
 
 
+def test_without_a_path_the_usual_places_are_looked_at(run, tmp_path, monkeypatch):
+    monkeypatch.delenv("DCP_NODE_CONTROL", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("dcp_stack.control.places.SYSTEM", tmp_path / "system.sock")
+    shown = run("status")
+    assert shown.status == 3
+    for place in ("dcp-node.sock", "system.sock"):
+        assert f"{tmp_path}/{place}" in shown.err
+    assert "start one with 'dcp-node run'" in shown.err
+
+
+def test_waiting_for_a_node_that_never_comes(run, tmp_path):
+    shown = run("wait", "--timeout", "0.1", "--control", tmp_path / "none.sock")
+    assert shown.status == 3
+    assert "(after 0.1 s)" in shown.err
+
+
 def test_wrong_usage_is_2(run, tmp_path, monkeypatch):
     monkeypatch.delenv("DCP_NODE_CONTROL", raising=False)
-    assert run("status").status == 2
     assert run("nonsense").status == 2
     control = ["--control", tmp_path / "none.sock"]
     assert "--value HEX or --text TEXT" in run("var", "create", "7", "--descr", "x", *control).err
@@ -352,7 +368,7 @@ def test_the_monitor_has_variables_in_order():
     assert rows == ["3", "20", "200"]
 
 
-@pytest.mark.parametrize(("number", "title"), [(64, "64 variables"), (65, "65 variables, the first 64:")])
+@pytest.mark.parametrize(("number", "title"), [(200, "200 variables"), (201, "201 variables, the first 200:")])
 def test_the_monitor_says_that_there_is_more(number, title):
     rig = Rig()
     client = rig.client()
@@ -364,7 +380,7 @@ def test_the_monitor_says_that_there_is_more(number, title):
     console.print(view(status, Rates(), console.width))
     shown = [line.strip() for line in console.file.getvalue().splitlines()]
     assert title in shown
-    assert sum("this node" in line for line in shown) == 64
+    assert sum("this node" in line for line in shown) == 200
 
 
 @pytest.mark.parametrize("width", [40, 50, 60, 70, 80])

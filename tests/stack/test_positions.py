@@ -633,7 +633,7 @@ def test_a_serial_line_is_read():
 def test_without_pymavlink_the_error_says_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20.common", None)
-    with pytest.raises(SourceError, match="pip install pymavlink"):
+    with pytest.raises(SourceError, match=r"pip install 'dcp-conformance-kit\[mavlink\]'"):
         opened("mavlink:udpin:127.0.0.1:14550")
 
 

@@ -174,3 +174,17 @@ def test_node_identifiers():
     assert node_config(Settings(), Codec("dcp-2.0"), default_id=address).node_id == address
     # An interface without an address (lo) does not make one.
     assert node_config(Settings(), Codec("dcp-2.0"), default_id=bytes(6)).node_id != bytes(6)
+
+
+def test_among_other_implementations_a_node_starts_with_what_their_profile_recommends():
+    def limits(**flags):
+        settings = load_settings(None, {"profile": "cpp-2.0", **flags})
+        vardis = node_config(settings, Codec("cpp-2.0")).vardis
+        return vardis.max_payload_size, vardis.max_summaries, vardis.max_repetitions
+
+    # What others send is taken as before: only what this node sends is limited.
+    assert limits() == (600, 2, None)
+    assert limits(**{"vardis.max_summaries": 9}) == (600, 9, None)
+    assert limits(**{"vardis.max_summaries": 0}) == (600, 0, None)
+    assert limits(**{"vardis.recommended": False}) == (None, None, None)
+    assert node_config(Settings(), Codec("dcp-2.0")).vardis.max_payload_size is None

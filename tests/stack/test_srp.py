@@ -544,20 +544,26 @@ def test_nothing_received_is_sent(bench):
 
 
 @pytest.mark.req("SRP-RX-03")
-def test_a_full_table_takes_nobody_new():
+def test_a_full_table_gives_up_an_old_neighbour_and_tells():
     bench = Bench(max_neighbours=2)
-    for number in range(3):
-        bench.receive(bench.report(bytes([2, 0, 0, 0, 0, number])))
-    dropped = bench.take()[-1]
-    assert dropped == Dropped("srp", "table-full", "SRP-RX-03", 24)
-    assert len(bench.srp.neighbours) == 2
-    bench.receive(bench.report(bytes([2, 0, 0, 0, 0, 1]), seqno=1))
-    assert bench.take() == [NeighbourSeen(bytes([2, 0, 0, 0, 0, 1]), False)]
+    nodes = [bytes([2, 0, 0, 0, 1, number]) for number in range(3)]
+    for each in nodes:
+        bench.receive(bench.report(each))
+    assert bench.take()[-3:] == [
+        NeighbourExpired(nodes[0]),
+        Dropped("srp", "table-full", "SRP-RX-03", 24),
+        NeighbourSeen(nodes[2], True),
+    ]
+    assert sorted(bench.srp.neighbours.list_all_node_ids()) == nodes[1:]
 
 
-def test_the_limit_of_the_profile_bounds_the_table():
-    bench = Bench("cpp-2.0", max_neighbours=4096)
-    assert bench.srp.neighbours.capacity == 1000
+@pytest.mark.parametrize(
+    ("profile", "given", "effective"), [("cpp-2.0", None, 1000), ("cpp-2.0", 5000, 5000), ("dcp-2.0", None, 4096)]
+)
+def test_the_limit_is_the_one_that_is_shown(profile, given, effective):
+    """What the user asks for is taken as it is; the limit of the profile is a default."""
+    bench = Bench(profile, max_neighbours=given)
+    assert bench.srp.neighbours.capacity == bench.srp.snapshot()["max_neighbours"] == effective
 
 
 # -- totality ------------------------------------------------------------------------------------------------------

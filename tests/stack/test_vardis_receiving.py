@@ -421,3 +421,30 @@ def test_mutated_payloads(profile: str, data: st.DataObject) -> None:
         rig.wait(data.draw(st.sampled_from((1, 60, 2000))))
         rig.bp.take()
     works(rig)
+
+
+# -- creation times from the future -----------------------------------------------------------------------------
+
+
+def in_ms(rig: Rig, ms: int) -> int:
+    """A creation time so many ms ahead of the clock of the node."""
+    return rig.wall + ms * 1_000_000
+
+
+def test_without_a_bound_any_creation_time_is_taken() -> None:
+    rig = Rig()
+    rig.receive(rig.vc(7, created=in_ms(rig, 3_600_000)))
+    assert rig.changes() == [("created", 7)]
+
+
+@pytest.mark.parametrize(("ahead_ms", "taken"), [(-86_400_000, True), (0, True), (60_000, True), (60_001, False)])
+def test_a_bound_for_creation_times_ahead_of_the_own_clock(ahead_ms, taken) -> None:
+    rig = Rig(max_creation_ahead_s=60.0)
+    rig.receive(rig.vc(7, created=in_ms(rig, ahead_ms)))
+    assert rig.drops() == ([] if taken else ["creation-ahead"])
+    assert isinstance(rig.read(7), bytes) == taken
+
+
+def test_a_bound_is_no_negative_number() -> None:
+    with pytest.raises(ValueError, match="max_creation_ahead_s"):
+        Rig(max_creation_ahead_s=-1.0)

@@ -84,6 +84,14 @@ def test_compiling_is_announced_once(tmp_path, long_recording):
     assert [run.stderr.count(COMPILING) for run in runs] == [1, 0]
 
 
+def test_compiling_in_processes_is_announced_once(tmp_path, long_recording):
+    both = [tmp_path / "one.pcap", tmp_path / "other.pcap"]
+    for path in both:
+        path.symlink_to(long_recording)
+    done = without(set(), tmp_path / "cache", "table", *both, "--jobs", 2, "--out", tmp_path / "out")
+    assert (done.returncode, done.stderr.count(COMPILING)) == (0, 1), done.stderr
+
+
 def test_duckdb_is_asked_for_before_anything_is_decoded(tmp_path, long_recording):
     done = without({"duckdb", "numba"}, tmp_path / "cache", "table", long_recording, "--out", tmp_path / "a.duckdb")
     assert done.returncode == 2

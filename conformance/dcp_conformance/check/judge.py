@@ -31,7 +31,16 @@ from dcp_conformance.results import (
 )
 from dcp_conformance.verdict import Verdict, worst
 
-from . import rules_bp, rules_data, rules_dialogue, rules_repetition, rules_srp, rules_vardis, rules_variables
+from . import (
+    rules_bp,
+    rules_data,
+    rules_dialogue,
+    rules_network,
+    rules_repetition,
+    rules_srp,
+    rules_vardis,
+    rules_variables,
+)
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
 from .reception import reception_of
@@ -46,6 +55,7 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_variables.RULES,
     *rules_repetition.RULES,
     *rules_dialogue.RULES,
+    *rules_network.RULES,
 )
 _STIMULUS: Final = "none: the recording as it is"
 #: Beacons from which a recording shows that something holds.

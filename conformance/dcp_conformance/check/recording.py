@@ -7,7 +7,9 @@ import statistics
 from pathlib import Path
 
 import msgspec
+from dcp_spec.profile import Profile
 from dcp_spec.profile_loading import ProfileError
+from dcp_spec.usability import RECORD_KEYS, unusable_keys
 
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.cli.common import progress
@@ -23,6 +25,7 @@ from dcp_conformance.pics import Pics
 from dcp_conformance.results import RunResult
 
 from .judge import Judge
+from .versions import Versions, undecided, weakness
 
 #: Frames from which the beacon period is taken, and intervals of a sender that this needs.
 _LOOKED_AT, _ENOUGH = 5_000, 10
@@ -45,24 +48,80 @@ def judge_recording(
 
     Raises :class:`UsageError`: no such file, no capture, no such profile, nothing in it that looks like DCP.
     """
-    codec, notes = _codec(path, profile or pics.pixit.profile, ether_type)
-    if not period_known:
-        pics = _with_period(pics, _period(path, codec))
+    return judge_versions(
+        path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
+        show_progress=show_progress,
+    )[0]  # fmt: skip
+
+
+def judge_versions(
+    path: Path,
+    profile: str | None,
+    pics: Pics,
+    *,
+    ether_type: str | None = None,
+    command: str = "",
+    period_known: bool = False,
+    show_progress: bool = False,
+) -> list[tuple[RunResult, Codec]]:
+    """Judge one recording as :func:`judge_recording` does; two results where two versions are on the air.
+
+    Each frame is judged by the profile of its version, and only with those of the same one. Where the profile is a weak
+    guess, no verdict is given at all.
+
+    Raises :class:`UsageError` as :func:`judge_recording` does.
+    """
+    found = _Choice(path, profile or pics.pixit.profile, ether_type)
+    codecs = [found.codec, *([found.other] if found.other is not None else [])]
+    versions = Versions(codecs[0], codecs[1]) if len(codecs) > 1 else None
+    periods = [pics if period_known else _with_period(pics, _period(path, codec)) for codec in codecs]
+    notes: list[str] = []
     try:
         with open_capture(path) as reader:
             # As text that a report can hold: names of files are octets.
             name = path.name.encode("utf-8", "backslashreplace").decode()
-            judge = Judge(codec, pics, recording=name, path=str(path), command=command, period_known=period_known)
+            judges = [
+                Judge(codec, each, recording=name, path=str(path), command=command, period_known=period_known)
+                for codec, each in zip(codecs, periods, strict=True)
+            ]
             with progress(reader, str(path), show=show_progress) as advance:
                 for frame in reader:
-                    judge.feed(frame)
+                    judges[0 if versions is None else versions.of(frame)].feed(frame)
                     advance()
             notes += [problem.message for problem in reader.problems]
     except CaptureError as error:
         raise UsageError(str(error)) from None
-    if not judge.frames:
-        raise UsageError(f"{path}: none of its {judge.other} frames is DCP in the profile {codec.profile.name}")
-    return judge.result(notes), codec
+    if not any(judge.frames for judge in judges):
+        raise UsageError(f"{path}: none of its {judges[0].other} frames is DCP in the profile {codecs[0].profile.name}")
+    results = [
+        (judge.result([*found.notes, *notes]), codec)
+        for judge, codec in zip(judges, codecs, strict=True)
+        if judge.frames
+    ]
+    return [(undecided(run, found.weakness), codec) for run, codec in results] if found.weakness else results
+
+
+class _Choice:
+    """The codec to read a recording with, and what there is to say about the choice."""
+
+    def __init__(self, path: Path, profile: str | None, ether_type: str | None) -> None:
+        self.notes: list[str] = []
+        self.other: Codec | None = None
+        """That of a second version that is on the air."""
+        self.weakness = ""
+        if profile is not None:
+            self.codec, self.notes = _codec(profile, ether_type)
+            return
+        found = _guessed(path, _number(ether_type))
+        self.codec = Codec(msgspec.structs.replace(found.best.profile, link=found.best.link))
+        if not found.certain:
+            self.notes.append(f"the profile was guessed: {found}")
+        self.weakness = weakness(found, path)
+        if not self.weakness:
+            _warn(path, found)
+        if found.besides is not None and not self.weakness:
+            candidate, _ = found.besides
+            self.other = Codec(msgspec.structs.replace(candidate.profile, link=candidate.link))
 
 
 def _period(path: Path, codec: Codec) -> float | None:
@@ -93,25 +152,37 @@ def _with_period(pics: Pics, period: float | None) -> Pics:
     return msgspec.structs.replace(pics, pixit=msgspec.structs.replace(pics.pixit, beacon_period_ms=period))
 
 
-def _codec(path: Path, profile: str | None, ether_type: str | None) -> tuple[Codec, list[str]]:
-    """The codec to read a recording with, and what there is to say about the choice."""
-    try:
-        number = None if ether_type is None else parse_ether_type(ether_type)
-    except ValueError as error:
-        raise UsageError(f"--ether-type: {error}") from None
-    if profile is None:
-        found = _guessed(path, number)
-        doubt = [] if found.certain else [f"the profile was guessed: {found}"]
-        _warn(path, found)
-        return Codec(msgspec.structs.replace(found.best.profile, link=found.best.link)), doubt
+def _codec(profile: str, ether_type: str | None) -> tuple[Codec, list[str]]:
+    """The codec of a profile that was named."""
+    number = _number(ether_type)
     try:
         codec = Codec(profile)
     except ProfileError as error:
         raise UsageError(str(error)) from None
+    _refuse_own_records(codec.profile)
     if number is None:
         return codec, []
     link = with_ether_type(codec.profile.link, number)
     return Codec(msgspec.structs.replace(codec.profile, link=link)), []
+
+
+def _refuse_own_records(profile: Profile) -> None:
+    """Rules speak of the records of the specification: raise :class:`UsageError` for a profile with others."""
+    keys = unusable_keys(profile)
+    own = {key: reason for key, reason in keys.items() if key in RECORD_KEYS or key.startswith("vardis.records.")}
+    if own:
+        told = ", ".join(f"{key} {reason.partition(';')[0]}" for key, reason in own.items())
+        raise UsageError(
+            f"profile {profile.name}: check knows the rules of the specification's records only ({told}); "
+            "dcp-codec decodes such recordings"
+        )
+
+
+def _number(ether_type: str | None) -> int | None:
+    try:
+        return None if ether_type is None else parse_ether_type(ether_type)
+    except ValueError as error:
+        raise UsageError(f"--ether-type: {error}") from None
 
 
 def guessed_profile(path: Path) -> str:

@@ -18,7 +18,9 @@ from .reception.links import summary
 
 __all__ = ["RULES", "Counter"]
 
-#: Of a link, what is worth a line: a share that is not nothing, or so many trials without any reaction.
+#: A link is shown by so many reactions to a speaker alone, and a share that is at least this.
+_ALONE, _SHARE = 2, 0.1
+#: That there is none is shown by so many trials with a share that is next to nothing.
 _SOME, _TRIALS = 0.02, 20
 
 
@@ -51,9 +53,10 @@ class HearsWhom(Invariant):
                 link = found.get((listener.node, speaker.node))
                 if listener is speaker:
                     continue
-                if link is None or (link.at_least < _SOME and (link.share > _SOME or link.trials < _TRIALS)):
+                heard = link is not None and link.alone >= _ALONE and link.at_least >= _SHARE
+                if link is None or (not heard and (link.share > _SOME or link.trials < _TRIALS)):
                     unknown.append(name(speaker.node))
-                elif link.share > _SOME:
+                elif heard:
                     self.exercised()
                     until = "" if link.lasts else f", not after {(link.end - self._reception.begin) / 1e9:.0f} s"
                     shown.append(f"{name(speaker.node)} ({link.share:.0%}, {link.reactions:.0f} reactions{until})")

@@ -34,6 +34,16 @@ CONSEQUENCES: Final[Mapping[str, str]] = {
     "CK_VD_ANSWER_UPDATE": "A node that has missed a value keeps the old one.",
     "CK_VD_ANSWER_CREATE": "A node that has missed a creation never gets the variable.",
     "CK_VD_TAKES_UPDATE": "The node goes on with an old value.",
+    "CK_VD_TAKES_CREATE": "The node, and those that hear only this one, never get the variable.",
+    "CK_VD_TAKES_DELETE": "The deleted variable stays alive at this node, which may bring it back to others.",
+    "CK_VD_ASK_UPDATE": "A value that the node has missed never arrives there.",
+    "CK_VD_ASK_CREATE": "A variable that the node has missed never arrives there.",
+    "CK_VD_TEACH": "A neighbour with an old value learns of the newer one from nobody, or late.",
+    "CK_VD_BACKED": "Others ask for a value that the node does not send.",
+    "CK_NET_AGREES": "Applications at this node act on another value than the producer has.",
+    "CK_VD_ENDLESS": "The requests and their answers take room in beacons, and the variable does not arrive.",
+    "CK_NET_SILENT": "Neighbours keep what they last heard of this protocol.",
+    "CK_SRP_VALUES": "Applications get positions or times that mean nothing.",
 }
 _NAMES: Final = {"prod_id": "prodId", "rep_cnt": "repCnt", "creation_time": "creationTime", "var_id": "varId"}
 

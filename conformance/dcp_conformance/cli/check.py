@@ -50,7 +50,7 @@ def command(
     Invariants of each sender and across senders are held against every frame. A recording decides only what it gave
     an occasion for.
     """
-    from dcp_conformance.check.recording import judge_recording
+    from dcp_conformance.check.recording import judge_versions
     from dcp_conformance.expected import ExpectedResults
     from dcp_conformance.outcome import exit_status
     from dcp_conformance.pics import Pics, load_pics
@@ -72,7 +72,7 @@ def command(
         for option, value in (("profile", profile), ("ether-type", ether_type), ("pics", pics)):
             words += [f"--{option}", str(value)] if value is not None else []
         words += ["--beacon-period", exact(beacon_period)] if beacon_period is not None else []
-        run, codec = judge_recording(
+        runs = judge_versions(
             capture,
             profile,
             known,
@@ -81,32 +81,34 @@ def command(
             period_known=stated,
             show_progress=True,
         )
-        report = ""
-        if report_dir is not None:
-            directory = report_dir if len(captures) == 1 else report_dir / capture.stem
-            report = str(write_report(run, directory, codec))
-        if quiet:
-            run = msgspec.structs.replace(run, notes=())
-        print_summary(run, report=report)
-        if show_requirements:
-            from dcp_spec.requirements import requirements
+        for run, codec in runs:
+            report = ""
+            if report_dir is not None:
+                directory = report_dir if len(captures) == 1 else report_dir / capture.stem
+                # Two versions on one bus are two reports.
+                directory = directory if len(runs) == 1 else directory / codec.profile.name
+                report = str(write_report(run, directory, codec))
+            shown = msgspec.structs.replace(run, notes=()) if quiet else run
+            print_summary(shown, report=report)
+            if show_requirements:
+                from dcp_spec.requirements import requirements
 
-            out = console()
-            out.print(f"  {'requirement':<12} {'verdict':<13} {'occasions':>9}")
-            for identifier, verdict in sorted(run.requirements.items()):
-                count = f"{run.occasions[identifier]:,}" if identifier in run.occasions else "-"
-                statement = requirements()[identifier].statement
-                out.print(f"  {identifier:<12} {verdict:<13} {count:>9}  {statement}", soft_wrap=True)
-        unexpected: bool | None = None
-        if expected is not None:
-            results = ExpectedResults.load(expected, known_cases.values())
-            ran = [known_cases[case.id] for case in run.cases]
-            surprises = [results.judge(known, case) for known, case in zip(ran, run.cases, strict=True)]
-            complaints = results.complaints(ran, datetime.datetime.now(datetime.UTC).date())
-            for each in complaints:
-                say(each, err=True)
-            unexpected = any(surprises) or bool(complaints)
-        worst_status = max(worst_status, exit_status(run.cases, unexpected=unexpected))
+                out = console()
+                out.print(f"  {'requirement':<12} {'verdict':<13} {'occasions':>9}")
+                for identifier, verdict in sorted(run.requirements.items()):
+                    count = f"{run.occasions[identifier]:,}" if identifier in run.occasions else "-"
+                    statement = requirements()[identifier].statement
+                    out.print(f"  {identifier:<12} {verdict:<13} {count:>9}  {statement}", soft_wrap=True)
+            unexpected: bool | None = None
+            if expected is not None:
+                results = ExpectedResults.load(expected, known_cases.values())
+                ran = [known_cases[case.id] for case in run.cases]
+                surprises = [results.judge(known, case) for known, case in zip(ran, run.cases, strict=True)]
+                complaints = results.complaints(ran, datetime.datetime.now(datetime.UTC).date())
+                for each in complaints:
+                    say(each, err=True)
+                unexpected = any(surprises) or bool(complaints)
+            worst_status = max(worst_status, exit_status(run.cases, unexpected=unexpected))
     return worst_status
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +16,15 @@ if TYPE_CHECKING:
     from dcp_conformance.concurrent.comparison import Comparisons
     from dcp_conformance.generated.campaign import GeneratedResult
     from dcp_conformance.selftest import Baseline, SelftestResult, Trial
+    from dcp_conformance.selftest_recordings import CleanResult, FaultyResult
     from dcp_conformance.variants.campaign import Judged, VariantsResult
 
 EXIT_STATUS = (
     "Exit status: 0 our node passes and every mutant is killed by a case that names its requirement; 1 not so; "
     "2 wrong usage; 4 a case ended in an error of the tester. With --variants, 0 means that no "
     "variant fails a case and that every inconclusive verdict is explained. With --citations, 0 means that "
-    "every citation is proved by a case or test, or has a reason in the ledger that is still needed."
+    "every citation is proved by a case or test, or has a reason in the ledger that is still needed. With "
+    "--recordings, 0 means that nothing is found in networks without a fault."
 )
 #: Mutants up to which each has a row of its own without --verbose.
 _FEW = 40
@@ -77,6 +80,19 @@ _FEW = 40
     "on mutants.",
 )
 @click.option(
+    "--recordings",
+    is_flag=True,
+    help="Test 'check' instead: each mutant in a simulated network of five nodes, on a bus and in a line.",
+)
+@click.option(
+    "--clean",
+    type=click.IntRange(0),
+    default=50,
+    show_default=True,
+    metavar="N",
+    help="With --recordings, also judge N networks without a fault, in which nothing may be found.",
+)
+@click.option(
     "--dictionary",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
@@ -102,6 +118,8 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
         return measure_diagnosis(options) if options["dictionary"] is None else make_dictionary(mutants, options)
     if options["side_by_side"]:
         return _side_by_side(mutants, options)
+    if options["recordings"]:
+        return _recordings(mutants, options)
     if options["citations"]:
         return _citations(mutants, options)
     if options["variants"]:
@@ -179,6 +197,43 @@ def _refuse(options: dict[str, Any], names: tuple[str, ...], mode: str) -> None:
     for name in names:
         if options[name]:
             raise UsageError(f"--{name.replace('_', '-')} does not go with {mode}")
+
+
+def _recordings(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
+    """Simulated recordings with and without a faulty node; the exit status."""
+    from dcp_codec.wholefile import write_whole
+    from dcp_conformance.selftest import chosen
+    from dcp_conformance.selftest_recordings import clean, faulty
+    from dcp_conformance.selftest_recordings.table import document
+
+    from .display import progress_bar
+    from .selftest_display import print_recordings
+
+    for name in ("full", "generated", "variants", "citations", "profile"):
+        if options[name]:
+            raise UsageError(f"--{name} does not go with --recordings")
+    picked = chosen(patterns)
+    jobs = options["jobs"] or os.cpu_count() or 1
+    with progress_bar(quiet=options["quiet"]) as progress:
+        task = progress.add_task("networks", total=2 * len(picked) + options["clean"])
+        result = faulty(
+            picked, jobs=jobs, on_result=lambda each: progress.update(task, advance=1, description=each.mutant)
+        )
+        networks = clean(
+            range(options["clean"]),
+            jobs=jobs,
+            on_result=lambda number, _: progress.update(task, advance=1, description=f"network {number}"),
+        )
+    if options["report_dir"] is not None:
+        _write_json(result, options["report_dir"], "recordings-faulty.json")
+        _write_json(networks, options["report_dir"], "recordings-clean.json")
+    if options["document"] is not None:
+        try:
+            write_whole(options["document"], document(result, networks).encode())
+        except OSError as error:
+            raise UsageError(f"{error.filename}: cannot be written: {error.strerror or error}") from None
+    print_recordings(result, networks, verbose=options["verbose"] or (bool(patterns) and len(picked) <= _FEW))
+    return 1 if networks.false else 0
 
 
 def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
@@ -316,7 +371,13 @@ def _write_section(document: Path, name: str, text: str) -> None:
 
 
 def _write_json(
-    result: SelftestResult | GeneratedResult | VariantsResult | CitationsResult | Comparisons,
+    result: SelftestResult
+    | GeneratedResult
+    | VariantsResult
+    | CitationsResult
+    | Comparisons
+    | FaultyResult
+    | CleanResult,
     directory: Path,
     name: str,
 ) -> None:

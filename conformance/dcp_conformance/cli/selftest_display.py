@@ -9,6 +9,9 @@ from rich.table import Table
 from dcp_conformance.citations.campaign import CitationsResult
 from dcp_conformance.generated.campaign import GeneratedResult
 from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial
+from dcp_conformance.selftest_recordings import CleanResult, FaultyResult
+from dcp_conformance.selftest_recordings.faulty import SHAPES
+from dcp_conformance.selftest_recordings.table import REASONS, TITLES
 from dcp_conformance.variants import all_variants
 from dcp_conformance.variants.campaign import Judged, VariantsResult
 
@@ -217,4 +220,24 @@ def print_citations(result: CitationsResult, *, verbose: bool, quiet: bool) -> N
     out.print(
         f"\n{len(result.verdicts)} citations: {counts['case']} proved by a case, {counts['test']} by a test, "
         f"{excused} in the ledger, {len(result.unproved)} unproved, in {result.duration:.1f} s"
+    )
+
+
+def print_recordings(result: FaultyResult, networks: CleanResult, *, verbose: bool) -> None:
+    """What `check` finds in simulated networks: counts for each shape, with ``verbose`` each mutant, false findings."""
+    out = console()
+    if verbose:
+        for each in result.outcomes:
+            found = ", ".join(each.rules) or REASONS[each.fate]
+            out.print(f"{each.mutant:<44} {each.shape:<5} {each.fate:<10} {data(found)}", soft_wrap=True)
+    for shape in SHAPES:
+        fates = [each.fate for each in result.outcomes if each.shape == shape]
+        counts = ", ".join(f"{fates.count(fate)} {words}" for fate, words in TITLES.items() if fate in fates)
+        if counts:
+            out.print(f"mutants, {shape}: {counts}", soft_wrap=True)
+    for false in networks.false:
+        out.print(f"[bold red]false[/] {false.rule}: {data(false.text)} ({data(false.situation)})", soft_wrap=True)
+    out.print(
+        f"{networks.networks} networks without a fault, {networks.beacons} beacons: {len(networks.false)} findings, "
+        f"inconclusive verdicts in {networks.doubts}; {result.seconds + networks.seconds:.0f} s of processor time"
     )

@@ -54,7 +54,7 @@ def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[byte
     Ctrl-C ends it with what was found. Raises :class:`UsageError` without the extra.
     """
     if importlib.util.find_spec("atheris") is None:
-        raise UsageError("--engine atheris: it is not installed: pip install 'dcp-conformance-kit[atheris]'")
+        raise UsageError("atheris is not installed: pip install 'dcp-conformance-kit[atheris]'")
     begun = time.monotonic()
     interrupted: KeyboardInterrupt | None = None
     with tempfile.TemporaryDirectory(prefix="dcp-fuzz-") as name:

@@ -93,13 +93,15 @@ def reference_process(
 
 
 def _settings(beacon_period_ms: float) -> str:
-    """Timers of VarDis in the proportion that they have to the beacon period by default.
+    """Timers of VarDis in the proportion that they have to the beacon period by default, and the limits of the profile.
 
     With a short beacon period and the usual timers, most of a run would be waiting for VarDis to look at its buffer.
+    What a profile recommends among its implementations is less than what is to be tested.
     """
     scale, usual = beacon_period_ms / BPConfig().beacon_period_ms, VardisConfig()
     timers = {name: getattr(usual, name) for name in ("buffer_check_period_ms", "scrubbing_period_ms")}
-    return "[vardis]\n" + "".join(f"{name} = {max(1, round(scale * value))}\n" for name, value in timers.items())
+    lines = [f"{name} = {max(1, round(scale * value))}\n" for name, value in timers.items()]
+    return "[vardis]\nrecommended = false\n" + "".join(lines)
 
 
 class _NodeControl(ProcessControl):

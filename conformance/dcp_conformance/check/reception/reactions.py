@@ -27,9 +27,12 @@ _BELIEF = 10_000_000_000
 _DOUBTFUL, _STEADY = 2_500_000_000, 0.9
 #: Fewer expected reactions decide nothing; of those expected at most this part may come; chance is excluded below this.
 _EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
+#: The same where links fail: then what is missed together may have one cause.
+_UNSTEADY = 1e-6
 #: A link that was up before and after is up in between with this probability, whatever was missed meanwhile.
 _UP = 0.9
 _EXAMPLES = 3
+_TAKEN = (Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.TAKE_DELETE)
 #: A group of trials of which at most this part was met is looked at more closely.
 _SUSPICIOUS = 0.4
 #: A pass is withheld where so many reactions were expected and only this part came.
@@ -48,21 +51,23 @@ class _Gap:
 
     best: float = 0.0
     silent: float = 1.0
+    steady: bool = True
     hit: bool = False
     speakers: int = 0
     late_half: bool = True
     shortest: int = 1 << 31
     cause: Said | None = None
 
-    def add(self, expected: float) -> None:
-        """A trial with this probability of a reaction."""
+    def add(self, expected: float, *, steady: bool) -> None:
+        """A trial with this probability of a reaction; ``steady``: the link has hardly ever failed."""
         self.best = max(self.best, expected)
         self.silent *= 1.0 - expected
+        self.steady = self.steady and steady
 
     @property
     def expected(self) -> float:
         """The probability of any reaction: many trials help as far as a link is up."""
-        return max(self.best, min(1.0 - self.silent, _UP))
+        return max(self.best, min(1.0 - self.silent, _UP)) if self.steady else self.best
 
 
 @dataclass(slots=True)
@@ -73,6 +78,8 @@ class Tally:
     """Times between two reactions that show that the node hears; all trials in between count as one."""
     hits: int = 0
     expected: float = 0.0
+    steady: bool = True
+    """Whether all links that this rests on have hardly ever failed."""
     all_trials: int = 0
     """Trials, whatever is known of them."""
     all_hits: int = 0
@@ -90,6 +97,7 @@ class Tally:
             self.trials += 1
             self.hits += gap.hit
             self.expected += gap.expected
+            self.steady = self.steady and gap.steady
             if gap.cause is not None and not gap.hit:
                 self.speakers |= gap.speakers
                 self.late_half = self.late_half and gap.late_half
@@ -223,7 +231,8 @@ class Reception:
         for bit, (share, count, due) in inferred.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
-                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound))
+                alone = outcomes.get(bit, (0, 0))[1]
+                self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
     def _suspect(self, key: Group, group: list[Trial], others: list[Trial]) -> None:
         """Add what was expected of a group, as all trials of the node that are well show it."""
@@ -241,6 +250,8 @@ class Reception:
                 return
             tally = self._tallies[key] = Tally()
         gaps: dict[tuple[int, int, bool], _Gap] = {}
+        # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
+        heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
         for trial in group:
             bounds_of = {bit: bounds[bit] for bit in bits(trial.speakers) if bit in bounds}
             tally.all_trials += 1
@@ -251,12 +262,17 @@ class Reception:
                 for bit, bound in bounds_of.items()
                 if _between(sure.get(bit), trial.time, _BELIEF if shares[bit] >= _STEADY else _DOUBTFUL)
             }
-            if not believed:
+            if (speaker := heard.get(trial.cause.frame)) is not None:
+                believed = {speaker: _UP}
+                gap = gaps.setdefault((0, trial.cause.frame, True), _Gap())
+                gap.add(_UP, steady=True)
+            elif believed:
+                best = max(believed, key=lambda bit: believed[bit])
+                place = bisect_left(sure[best], trial.time)
+                gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
+                gap.add(reacts(trial.speakers, believed), steady=shares[best] >= _STEADY)
+            else:
                 continue
-            best = max(believed, key=lambda bit: believed[bit])
-            place = bisect_left(sure[best], trial.time)
-            gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
-            gap.add(reacts(trial.speakers, believed))
             gap.hit = gap.hit or trial.hit
             if not trial.hit:
                 for bit in believed:
@@ -299,7 +315,7 @@ class Reception:
             if tally.short or tally.doubtful:
                 station = self.observer.stations[node]
                 names = tuple(self.observer.by_bit[bit].node for bit in bits(tally.speakers))
-                certain = tally.short and tally.chance < _CHANCE
+                certain = tally.short and tally.chance < (_CHANCE if tally.steady else _UNSTEADY)
                 found.append(Shortage(station, kind, var_id, tally, names, certain))
         # All variables together say more than each, unless it is one of them alone.
         every = {(each.station.node, each.kind) for each in found if each.var_id is None and each.certain}
@@ -311,10 +327,13 @@ class Reception:
         }
         found = [each for each in found if each.var_id is not None or (each.station.node, each.kind) not in alone]
         kept = [each for each in found if each.var_id is None or (each.station.node, each.kind) not in every - alone]
-        single = {(each.station.node, each.kind) for each in found if each.var_id is not None and each.certain}
+        # What is uncertain is told once, of all variables, and not beside what is certain.
+        told = {(each.station.node, each.kind) for each in kept if each.var_id is None or each.certain}
         kept = [
-            each for each in kept if each.certain or each.var_id is None or (each.station.node, each.kind) not in single
+            each for each in kept if each.certain or (each.var_id is None) or (each.station.node, each.kind) not in told
         ]
+        single = {(each.station.node, each.kind) for each in kept if each.var_id is not None and each.certain}
+        kept = [each for each in kept if each.certain or (each.station.node, each.kind) not in single]
         return sorted(kept, key=lambda each: each.tally.chance)
 
 

@@ -1,0 +1,74 @@
+"""What to do where the profile of a recording is in doubt: nobody is judged by a guess, and each version by its own."""
+
+from __future__ import annotations
+
+import msgspec
+
+from dcp_codec.capture.frame import Frame
+from dcp_codec.codec import Codec
+from dcp_codec.framing import OtherTraffic, locate
+from dcp_codec.guess import Guess
+from dcp_conformance.results import CaseResult, Check, RunResult, summarise
+from dcp_conformance.verdict import Verdict
+
+
+def weakness(guess: Guess, path: object) -> str:
+    """Why a guess is too weak to judge by, and what to do; empty if it is good enough."""
+    best = guess.best
+    if not guess.weak:
+        return ""
+    others = ", ".join(each.profile.name for each in guess.tied)
+    return (
+        f"nobody is judged: the profile {best.profile.name} is a weak guess ({best.counts}"
+        f"{f'; {others} explain as much' if others else ''}). Name the profile with --profile; "
+        f"'dcp-codec guess {path}' shows how well each fits; a profile in TOML describes octets that none fits"
+    )
+
+
+def undecided(run: RunResult, why: str) -> RunResult:
+    """The same run without any verdict: what was merely observed stays."""
+    cases = tuple(_undecided(case, why) for case in run.cases)
+    return msgspec.structs.replace(
+        run, cases=cases, requirements={}, declared={}, summary=summarise(cases), notes=(why, *run.notes)
+    )
+
+
+def _undecided(case: CaseResult, why: str) -> CaseResult:
+    if case.verdict not in (Verdict.PASS, Verdict.FAIL, Verdict.INCONCLUSIVE):
+        return case
+    check = Check(Verdict.INCONCLUSIVE, case.requirements, why)
+    kept = tuple(each for each in case.checks if each.verdict is Verdict.INFO)
+    return msgspec.structs.replace(
+        case, verdict=Verdict.INCONCLUSIVE, reason=why, checks=(check, *kept), evidence=case.evidence
+    )
+
+
+class Versions:
+    """Two versions of beacons on one bus: which of two codecs a frame is for."""
+
+    def __init__(self, first: Codec, second: Codec) -> None:
+        self.codecs = (first, second)
+        self._stations: dict[bytes, list[int]] = {}
+
+    def of(self, frame: Frame) -> int:
+        """0 or 1; a frame that is sound in neither goes with the others of its station."""
+        sound: list[bool] = []
+        source = b""
+        for codec in self.codecs:
+            framing = locate(frame.data, codec.profile.link)
+            if isinstance(framing, OtherTraffic):
+                sound.append(False)
+                continue
+            source = framing.src or b""
+            salvaged = codec.salvage(frame.data[framing.start : framing.end])
+            sound.append(salvaged.beacon is not None and not salvaged.problems)
+        counts = self._stations.get(source)
+        if counts is None:
+            if len(self._stations) >= 4096:
+                return 0 if sound[0] or not sound[1] else 1
+            counts = self._stations[source] = [0, 0]
+        counts[0] += sound[0]
+        counts[1] += sound[1]
+        if sound[0] != sound[1]:
+            return 0 if sound[0] else 1
+        return 1 if counts[1] > counts[0] else 0

@@ -1,0 +1,126 @@
+"""``dcp-codec filter``: the frames of a recording for which a condition holds, as a recording."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from dcp_codec.capture import FORMATS, CaptureError, create_capture
+from dcp_codec.codec import Codec
+from dcp_codec.commandline import ExpectedError
+from dcp_codec.framing import OtherTraffic
+from dcp_codec.where import Where, WhereError, field_names
+
+from .common import choose, load_codec, note, open_input, profile_options, progress, report_capture_problems
+from .filters import Moment, frame_range, parse_time
+
+
+@click.command(
+    "filter",
+    epilog="Conditions, names and examples: docs/recordings.md. Exit status: 0 all good (also if no frame is left), 2 "
+    "wrong usage or input that could not be read to its end (what could be read is written).",
+)
+@click.argument("source", required=False)
+@click.argument("target", required=False)
+@profile_options
+@click.option("-w", "--where", "text", metavar="EXPR", help="Keep DCP frames for which this holds.")
+@click.option("--frames", callback=frame_range, metavar="N[-M]", help="Keep these frame numbers.")
+@click.option(
+    "--from",
+    "start",
+    callback=parse_time,
+    metavar="TIME",
+    help="Not before: ISO time, epoch s, or +s from the first frame.",
+)
+@click.option("--to", "end", callback=parse_time, metavar="TIME", help="Not after (as --from).")
+@click.option("--other", is_flag=True, help="Also keep frames that are not DCP.")
+@click.option(
+    "--format", "form", type=click.Choice(sorted(FORMATS)), help="Format of TARGET, if its name does not say."
+)
+@click.option("--lossy", is_flag=True, help="Write what the format cannot hold as well as it can.")
+@click.option("--fields", "list_fields", is_flag=True, help="List the names that conditions can use.")
+def command(
+    source: str | None,
+    target: str | None,
+    profile: str,
+    ether_type: int | None,
+    text: str | None,
+    frames: tuple[int, int] | None,
+    start: Moment | None,
+    end: Moment | None,
+    form: str | None,
+    *,
+    other: bool,
+    lossy: bool,
+    list_fields: bool,
+) -> int:
+    """Copy the frames of SOURCE that are wanted to TARGET, octet for octet. Either may be - for a pipe.
+
+    \b
+    dcp-codec filter flight.pcap deletes.pcap -w 'vardis.icType == 6'
+    dcp-codec filter flight.mcap start.pcapng --to +30 --other
+    dcp-codec filter flight.pcap odd.pcap -w 'errors.reason or bp.seqno < 9'
+    """
+    if list_fields:
+        codec = load_codec("cpp-2.0" if profile == "auto" else profile)
+        click.echo("\n".join(name.removeprefix("payloads.") for name in field_names(codec.beacon_plan)))
+        return 0
+    if source is None or target is None:
+        raise click.UsageError("give SOURCE and TARGET")
+    if text is None and other is False and profile == "auto":
+        # Nothing looks into the frames: whatever they are, they are copied.
+        other = True
+    with open_input(source) as reader:
+        dissector, rest = choose(profile, ether_type, iter(reader), source)
+        wanted = None if text is None else _condition(text, dissector.codec)
+        place = sys.stdout.buffer if target == "-" else Path(target)
+        kept = seen = 0
+        try:
+            with (
+                create_capture(place, format=form, lossy=lossy, whole=True, metadata=reader.metadata) as writer,
+                progress(reader, source) as advance,
+            ):
+                first: int | None = None
+                for frame in rest:
+                    advance()
+                    seen += 1
+                    first = frame.time_ns if first is None else first
+                    if not _in_range(frame.number, frame.time_ns, frames, start, end, first):
+                        continue
+                    found = dissector.dissect(frame) if wanted is not None or not other else None
+                    if isinstance(found, OtherTraffic):
+                        if not other:
+                            continue
+                    elif wanted is not None and found is not None and not wanted(found):
+                        continue
+                    writer.write(frame)
+                    kept += 1
+        except CaptureError as error:
+            raise ExpectedError(str(error)) from None
+        note(f"{target}: {kept} of {seen} frames")
+        return report_capture_problems(reader, source)
+
+
+def _condition(text: str, codec: Codec) -> Where:
+    try:
+        return Where(text, codec.profile, codec.beacon_plan)
+    except WhereError as error:
+        raise click.BadParameter(str(error), param_hint="'--where'") from None
+
+
+def _in_range(
+    number: int,
+    time_ns: int,
+    frames: tuple[int, int] | None,
+    start: Moment | None,
+    end: Moment | None,
+    first: int,
+) -> bool:
+    def at(moment: Moment) -> int:
+        return moment.ns + first if moment.relative else moment.ns
+
+    if frames is not None and not frames[0] <= number <= frames[1]:
+        return False
+    return (start is None or time_ns >= at(start)) and (end is None or time_ns <= at(end))

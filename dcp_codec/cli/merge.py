@@ -1,0 +1,56 @@
+"""``dcp-codec merge``: several recordings as one, in the order of time."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+import msgspec
+
+from dcp_codec.capture import FORMATS, CaptureError, Frame, create_capture
+from dcp_codec.commandline import ExpectedError
+
+from .common import note, open_input, report_capture_problems
+
+
+@click.command(
+    "merge",
+    epilog="Exit status: 0 all good, 2 wrong usage or input that could not be read to its end (what could be read is "
+    "written).",
+)
+@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), metavar="FILE", help="The new recording.")
+@click.option("--format", "form", type=click.Choice(sorted(FORMATS)), help="Its format, if its name does not say.")
+@click.option("--keep-interfaces", is_flag=True, help="Keep interface numbers.  [default: one for each FILE]")
+@click.option("--lossy", is_flag=True, help="Write what the format cannot hold as well as it can.")
+def command(files: tuple[str, ...], out: Path, form: str | None, *, keep_interfaces: bool, lossy: bool) -> int:
+    """Merge recordings into one, frame by frame in the order of their time stamps.
+
+    The frames of one FILE keep their order. Recordings may have different formats; each becomes an interface of its
+    own, so that pcapng and MCAP still tell them apart (pcap cannot: use --keep-interfaces or --lossy).
+    """
+    if any(out.resolve() == Path(name).resolve() for name in files):
+        raise ExpectedError(f"{out} is one of the recordings to merge; give another --out")
+    status = count = 0
+    with ExitStack() as stack:
+        readers = [stack.enter_context(open_input(name)) for name in files]
+        streams = [_placed(place, reader) for place, reader in enumerate(readers)]
+        try:
+            with create_capture(out, format=form, lossy=lossy, whole=True) as writer:
+                for place, frame in heapq.merge(*streams, key=lambda each: (each[1].time_ns, each[0])):
+                    count += 1
+                    interface = frame.interface if keep_interfaces else place
+                    writer.write(msgspec.structs.replace(frame, number=count, interface=interface))
+        except CaptureError as error:
+            raise ExpectedError(str(error)) from None
+        for name, reader in zip(files, readers, strict=True):
+            status = max(status, report_capture_problems(reader, name))
+    note(f"{out}: {count} frames of {len(files)} recordings")
+    return status
+
+
+def _placed(place: int, frames: Iterable[Frame]) -> Iterator[tuple[int, Frame]]:
+    return ((place, frame) for frame in frames)

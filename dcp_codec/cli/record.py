@@ -1,0 +1,94 @@
+"""``dcp-codec record``: record an interface without taking part in the network."""
+
+from __future__ import annotations
+
+import signal
+from itertools import islice
+from pathlib import Path
+
+import click
+
+from dcp_codec.capture import FORMATS, CaptureError
+from dcp_codec.capture.ring import RingWriter
+from dcp_codec.commandline import ExpectedError
+from dcp_codec.frames import with_ether_type
+
+from .common import ether_type as parse_ether_type
+from .common import load_codec, note
+
+
+@click.command(
+    "record",
+    epilog="A file that is cut off by a crash can be read up to the last second (MCAP: the last chunk). Exit status: 0 "
+    "recorded until Ctrl-C, SIGTERM or --count; 2 wrong usage, no such interface, no permission, or a full disk.",
+)
+@click.option("-i", "--interface", required=True, metavar="IF", help="Ethernet interface to record (needs scapy).")
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Recording; .pcapng, .pcap or .mcap, compressed if .gz or .zst follows.",
+)
+@click.option("-p", "--profile", metavar="NAME|FILE", help="Only frames with its EtherType or UDP.  [default: all]")
+@click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help="Only frames with this EtherType.")
+@click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="End after N frames.")
+@click.option(
+    "--ring-size", type=click.FloatRange(min=0.001), metavar="MB", help="Begin a new file after MB megabytes."
+)
+@click.option("--ring-time", type=click.FloatRange(min=0.1), metavar="S", help="Begin a new file after S seconds.")
+@click.option("--ring-files", type=click.IntRange(min=1), metavar="N", help="Keep the last N files, delete older ones.")
+@click.option("--format", "form", type=click.Choice(sorted(FORMATS)), help="Format, if the name does not say.")
+def command(
+    interface: str,
+    out: Path,
+    profile: str | None,
+    ether_type: int | None,
+    count: int | None,
+    ring_size: float | None,
+    ring_time: float | None,
+    ring_files: int | None,
+    form: str | None,
+) -> int:
+    """Record what an interface receives, passively, until Ctrl-C or SIGTERM.
+
+    \b
+    dcp-codec record -i wlan0 -o flight.pcapng
+    dcp-codec record -i wlan0 -o day.pcapng.zst --ring-time 3600 --ring-files 24
+    """
+    if ring_files is not None and ring_size is None and ring_time is None:
+        raise click.UsageError("--ring-files needs --ring-size or --ring-time")
+    from dcp_codec.live import LiveError, open_live
+
+    link = load_codec(profile).profile.link if profile is not None else None
+    if ether_type is not None:
+        link = with_ether_type(link or load_codec("dcp-2.0").profile.link, ether_type)
+    try:
+        with (
+            open_live(interface, link) as reader,
+            RingWriter(
+                out,
+                max_octets=None if ring_size is None else int(ring_size * 1e6),
+                max_ns=None if ring_time is None else int(ring_time * 1e9),
+                keep=ring_files,
+                format=form,
+                metadata=reader.metadata,
+            ) as ring,
+        ):
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, lambda *_: reader.close())
+            note(f"{interface}: recording to {ring.files[-1]}; Ctrl-C ends")
+            for frame in islice(reader, count):
+                ring.write(frame)
+            if reader.dropped:
+                note(f"{interface}: the kernel dropped {reader.dropped} frames that were not read in time")
+    except LiveError as error:
+        raise ExpectedError(str(error)) from None
+    except CaptureError as error:
+        raise ExpectedError(str(error)) from None
+    except OSError as error:
+        raise ExpectedError(f"{error.filename or out}: {error.strerror}") from None
+    kept = f", {len(ring.files)} of {ring.count} files kept" if ring.count > 1 else ""
+    note(f"{ring.files[-1]}: {ring.frames} frames{kept}")
+    return 0

@@ -1,0 +1,193 @@
+"""A recording that goes on: in a new file when one is long or old enough, and after the disk was full."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from dcp_stack.links.base import LinkError
+from dcp_stack.links.recording import Recorder
+
+log = logging.getLogger(__name__)
+
+#: ns between two attempts to go on after a recording has ended.
+RETRY_INTERVAL: Final = 10_000_000_000
+#: Octets that have to be free for an attempt: the head of a file and its first chunks.
+LEAST_FREE: Final = 4 << 20
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True):
+    """When to go on in a new file, and how many to keep; None for no limit."""
+
+    octets: int | None = None
+    seconds: float | None = None
+    files: int | None = None
+    """Of one node in the folder; the oldest are deleted."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a limit that is not greater than 0."""
+        for name in self.__struct_fields__:
+            limit = getattr(self, name)
+            if limit is not None and not limit > 0:
+                raise ValueError(f"a recording of at most {limit} {name} cannot be")
+
+
+class RotatingRecorder:
+    """Records to one file after the other; to be used as a :class:`~dcp_stack.links.recording.Recorder`.
+
+    A file that cannot be written to its end is closed, and another one is begun once there is room: every 10 s somebody
+    looks. What is seen in between is counted (``frames_lost``) and not recorded.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[Path], Recorder],
+        first: Path,
+        following: Callable[[], Path],
+        *,
+        limits: Limits | None = None,
+        siblings: Callable[[], list[Path]] = list,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """``make`` begins a file, ``following`` names the next, ``siblings`` are all there are, the oldest first.
+
+        Raises LinkError if the first file cannot be created.
+        """
+        self._make = make
+        self._following = following
+        self._limits = limits or Limits()
+        self._siblings = siblings
+        self._clock = clock
+        self._recorder = make(first)
+        self._begun_at = self._tried_at = clock()
+        self._frames_before = 0
+        self.interruptions = 0
+        """How often a recording ended because it could not be written."""
+        self.frames_lost = 0
+        """Frames seen while none was written."""
+        self._closed = False
+        self._interrupted = False
+        self._clean_up()
+
+    @property
+    def path(self) -> Path:
+        """The file in work, or the last one."""
+        return self._recorder.path
+
+    @property
+    def frames(self) -> int:
+        """Frames written, in all files."""
+        return self._frames_before + self._recorder.frames
+
+    @property
+    def recording(self) -> bool:
+        """Whether frames are written at present."""
+        return self._recorder.recording
+
+    @property
+    def problem(self) -> str:
+        """Why no frames are written at present, empty as it should be."""
+        return self._recorder.problem
+
+    def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
+        """Write one bearer payload, as :meth:`Recorder.saw`."""
+        if not self._recorder.recording:
+            self.frames_lost += 1
+            return
+        self._recorder.saw(octets, wall, outgoing=outgoing, source=source)
+        if not self._recorder.recording:
+            self.frames_lost += 1
+
+    def tick(self) -> None:
+        """Hand what was seen to the system, and go on in another file if it is time to."""
+        self._recorder.tick()
+        now = self._clock()
+        if self._closed:
+            return
+        if not self._recorder.recording:
+            if not self._interrupted:
+                self._interrupted = True
+                self.interruptions += 1
+                self._tried_at = now
+            elif now - self._tried_at >= RETRY_INTERVAL:
+                self._tried_at = now
+                self._go_on()
+        elif self._is_complete(now):
+            self._recorder.close()
+            self._next(now)
+
+    def close(self) -> None:
+        """Finish the file; may be called twice."""
+        self._closed = True
+        self._recorder.close()
+
+    def _is_complete(self, now: int) -> bool:
+        limits = self._limits
+        if not self._recorder.frames:
+            return False
+        if limits.seconds is not None and now - self._begun_at >= limits.seconds * 1e9:
+            return True
+        if limits.octets is None:
+            return False
+        try:
+            return self._recorder.path.stat().st_size >= limits.octets
+        except OSError:
+            # Somebody has removed it: nothing written from now on would be found.
+            return True
+
+    def _go_on(self) -> None:
+        try:
+            if shutil.disk_usage(self._recorder.path.parent).free < LEAST_FREE:
+                return
+        except OSError:
+            return
+        if self._next(self._clock()):
+            log.warning("recording goes on in %s; %d frames are in no file", self.path, self.frames_lost)
+
+    def _next(self, now: int) -> bool:
+        frames = self._recorder.frames
+        try:
+            recorder = self._make(self._following())
+        except LinkError as error:
+            self._recorder.problem = str(error)
+            return False
+        self._frames_before += frames
+        self._recorder = recorder
+        self._begun_at = now
+        self._interrupted = False
+        self._clean_up()
+        return True
+
+    def _clean_up(self) -> None:
+        if self._limits.files is None:
+            return
+        others = [path for path in self._siblings() if path != self.path]
+        for path in others[: max(len(others) - self._limits.files + 1, 0)]:
+            try:
+                path.unlink()
+            except OSError as error:
+                log.warning("%s: cannot be deleted: %s", path, error.strerror)
+
+
+def numbered_after(path: Path) -> Path:
+    """``flight-2.mcap`` after ``flight.mcap``: the first name of this kind that is free."""
+    names = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(2))
+    return next(each for each in names if not each.exists())
+
+
+def recordings_of(folder: Path, node_id: bytes) -> list[Path]:
+    """The recordings of a node in a folder, by the names that ``recording_path`` gives; the oldest first."""
+    found = []
+    for path in folder.glob(f"{node_id.hex()}-*.mcap"):
+        try:
+            found.append((path.stat().st_mtime_ns, path))
+        except OSError:
+            continue
+    return [path for _, path in sorted(found)]

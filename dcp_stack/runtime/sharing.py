@@ -1,0 +1,54 @@
+"""Who else may use the control socket: its group and its mode."""
+
+from __future__ import annotations
+
+import grp
+import os
+import stat
+from pathlib import Path
+
+from .settings import SettingsError
+
+
+def parse_mode(text: str) -> int:
+    """A mode as ``"0660"``. Raises SettingsError for what is none, or takes the socket away from its owner."""
+    try:
+        mode = int(text, 8)
+    except ValueError:
+        mode = -1
+    if not 0 <= mode <= 0o777 or mode & 0o600 != 0o600:
+        raise SettingsError(f'control_mode: {text!r} is no mode of a socket; "0660" lets a group use it')
+    return mode
+
+
+def find_group(name: str) -> int:
+    """The number of a group by its name or number. Raises SettingsError."""
+    if name.isdecimal():
+        return int(name)
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise SettingsError(f"control_group: there is no group {name!r} (groupadd --system {name})") from None
+
+
+def share(path: Path, group: str | None, mode: str | None) -> None:
+    """Give a socket this group and this mode; with a group and no mode, the group may use it (0660).
+
+    Raises SettingsError if there is no such group, or the node is not in it and not root.
+    """
+    if group is None and mode is None:
+        return
+    gid = -1 if group is None else find_group(group)
+    bits = parse_mode(mode) if mode is not None else 0o660
+    # By descriptor: whoever may write to the folder could put a link to another file into the socket's place.
+    fd = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        if not stat.S_ISSOCK(os.fstat(fd).st_mode):
+            raise SettingsError(f"{path}: it is no socket any more")
+        itself = Path(f"/proc/self/fd/{fd}")
+        os.chown(itself, -1, gid)
+        itself.chmod(bits)
+    except PermissionError:
+        raise SettingsError(f"control_group: the node is not in group {group}, so it cannot share its socket") from None
+    finally:
+        os.close(fd)
