@@ -87,9 +87,8 @@ class Scheduler:
         self._finish_call()
         self._begin_call()
         lost = self.lost_link is not None or self.lost_upper is not None
-        if ready := [
-            task for task in self.tasks if task.until is not None and (lost or task.inbox or task.notifications)
-        ]:
+        waiting = [task for task in self.tasks if task.until is not None]
+        if ready := [task for task in waiting if lost or task.inbox or task.notifications]:
             for task in ready:
                 self._resume(task)
             return
