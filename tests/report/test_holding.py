@@ -77,6 +77,19 @@ def test_the_page_says_so_first_of_all(recreated):
     assert f"decode --frames {recreated[1].divergences[0].frame} --variable 7 --profile dcp-2.0" in row[-1].text
 
 
+def test_what_the_pointer_shows_of_a_difference(recreated):
+    recorded, found = recreated
+    stale = pair(recorded, found, 7, 3)
+    assert stale.at(5.0) == (9, 9)
+    assert stale.at(12.0) == (9, 5)
+    assert stale.at(0.2) == (None, 0)
+    plot = next(each for each in chapter(recorded).plots if each.name.endswith("holding"))
+    red = next(each.data_source.data for each in plot.figure.renderers if "it holds" in each.data_source.data)
+    longest = max(range(len(red["left"])), key=lambda row: red["right"][row] - red["left"][row])
+    assert (red["row"][longest], red["it holds"][longest], red["producer"][longest]) == ("7 at …00:03 ≠", "9", "5")
+    assert red["percent of the time"][longest] == pytest.approx(100)
+
+
 def test_a_value_that_arrives_late(tmp_path):
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),))]
     sent += beats(1, 0, 0.1, 5) + beats(2, 0, 0.1, 9)

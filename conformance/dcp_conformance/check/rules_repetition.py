@@ -164,20 +164,23 @@ class Repetitions(Invariant):
         self._runs[key] = _Run(what, number, allowed, now, each, place, asked, allowed=allowed)
         self._deleting += each.kind is DELETE
 
-    def _weigh(self, key: _Key, run: _Run) -> None:
-        """Allow more for each reason that has come since reasons were last weighed."""
+    def _weigh(self, key: _Key, run: _Run, *, complete: bool = False) -> None:
+        """Allow more for each reason that was not weighed yet, until there are enough; all of them if ``complete``."""
         begin = max(run.weighed - self._dropped, 0)
         if run.fresh:
             # A payload may have been composed a while before: what was said meanwhile counts for the next one.
             run.fresh = False
             while begin and self._frames[begin - 1].time >= run.begin - self._composed:
                 begin -= 1
-        run.weighed = self._dropped + len(self._frames)
-        codec = self.context.codec
+        codec, node, var_id = self.context.codec, key[0], key[1]
         for frame in islice(self._frames, begin, None):
-            if frame.node != key[0]:
-                for each in frame.of(key[1], codec):
+            begin += 1
+            if frame.node != node:
+                for each in frame.of(var_id, codec):
                     self._allow(key, run, each.kind, each.number)
+                if run.allowed >= run.beacons and not complete:
+                    break
+        run.weighed = self._dropped + begin
 
     def _allow(self, key: _Key, run: _Run, kind: ICType, told: int) -> None:
         """Allow more, if this record of somebody else is a reason for it."""
@@ -201,7 +204,7 @@ class Repetitions(Invariant):
                 self._deleting -= key[2] is DELETE
                 told = key[2] is UPDATE and self._asked.get((key[1], run.number), 0) != run.asked
                 if told or run.beacons > run.allowed:
-                    self._weigh(key, run)
+                    self._weigh(key, run, complete=told)
                 self._closed.append((time, key, run))
 
     def _count(self, now: int) -> None:
