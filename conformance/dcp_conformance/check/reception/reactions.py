@@ -145,6 +145,19 @@ class _Shown:
     """Reactions to what stood in the second half of a payload."""
 
 
+class _Known(NamedTuple):
+    """Whom a node hears in a window."""
+
+    shares: dict[int, float]
+    """Speaker -> the part of its beacons that is heard, as it looks."""
+    bounds: dict[int, float]
+    """The same with caution, of those speakers of whom it is certain."""
+    sure: dict[int, list[int]]
+    """Speaker -> when it was shown, in order."""
+    heard: dict[int, int]
+    """Frame -> its speaker, of beacons that the node has heard for sure."""
+
+
 class Reception:
     """Feed it every beacon once; ask for links and shortages after :meth:`finish`."""
 
@@ -219,8 +232,10 @@ class Reception:
         # Whatever a node never does shows nothing of whom it hears, as long as there is anything that it does.
         left_out = {id(trial) for _, group in suspects for trial in group}
         rest = [trial for trial in trials if id(trial) not in left_out]
-        for key, group in suspects:
-            self._suspect(key, group, rest)
+        if suspects:
+            known = self._known(rest)
+            for key, group in suspects:
+                self._suspect(key, group, known)
         self._infer(station, rest or trials)
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
@@ -234,8 +249,8 @@ class Reception:
                 alone = outcomes.get(bit, (0, 0))[1]
                 self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
-    def _suspect(self, key: Group, group: list[Trial], others: list[Trial]) -> None:
-        """Add what was expected of a group, as all trials of the node that are well show it."""
+    def _known(self, others: list[Trial]) -> _Known:
+        """Whom a node hears in a window, as all its trials that are well show it."""
         outcomes = _outcomes(others)
         shares = {bit: share for bit, (share, _, _) in infer(outcomes).items()}
         bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
@@ -243,15 +258,19 @@ class Reception:
         bounds = {
             bit: bound for bit, bound in bounds.items() if bound >= _HEARS and outcomes.get(bit, (0, 0))[1] >= _ALONE
         }
-        sure = self._sure(others, shares)
+        # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
+        heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
+        return _Known(shares, bounds, self._sure(others, shares), heard)
+
+    def _suspect(self, key: Group, group: list[Trial], known: _Known) -> None:
+        """Add what was expected of a group, as what is known of the node shows it."""
+        shares, bounds, sure, heard = known
         tally = self._tallies.get(key)
         if tally is None:
             if len(self._tallies) >= _GROUPS:
                 return
             tally = self._tallies[key] = Tally()
         gaps: dict[tuple[int, int, bool], _Gap] = {}
-        # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
-        heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
         for trial in group:
             bounds_of = {bit: bounds[bit] for bit in bits(trial.speakers) if bit in bounds}
             tally.all_trials += 1
@@ -286,11 +305,15 @@ class Reception:
     def _sure(self, trials: Iterable[Trial], shares: dict[int, float]) -> dict[int, list[int]]:
         """When the node has shown that it hears a speaker, and nobody else in its place."""
         sure: dict[int, list[int]] = {}
+        alone: dict[int, tuple[int, ...]] = {}
+        """Speakers of a trial -> those whom nobody else can stand for."""
         for trial in trials:
             if trial.hit:
-                for bit in bits(trial.speakers):
-                    if reacts(trial.speakers ^ bit, shares) < 1 - _SURE:
-                        sure.setdefault(bit, []).append(trial.time)
+                mask = trial.speakers
+                if mask not in alone:
+                    alone[mask] = tuple(bit for bit in bits(mask) if reacts(mask ^ bit, shares) < 1 - _SURE)
+                for bit in alone[mask]:
+                    sure.setdefault(bit, []).append(trial.time)
         for times in sure.values():
             times.sort()
         return sure
