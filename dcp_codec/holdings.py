@@ -124,13 +124,15 @@ class History:
     """All changes of a recording, compact enough for a page.
 
     Beyond ``most`` changes time gets coarser: of each interval only the last state is kept, and the interval doubles
-    whenever there are too many. ``interval`` is its length in ns.
+    whenever there are too many. ``interval`` is its length in ns. A quarter of ``most`` pairs of node and variable are
+    followed.
     """
 
     def __init__(self, representation: str, most: int = MOST_CHANGES) -> None:
         """``representation``: how node identifiers are written (``profile.types.node_id.representation``)."""
         self._representation, self._most = representation, most
-        self._holdings = Holdings()
+        # Each pair keeps one state at least, however coarse time is.
+        self._holdings = Holdings(most // 4)
         self._nodes: dict[bytes, int] = {}
         self._variables: dict[int, int] = {}
         self._states: dict[tuple[int, int, int], int] = {}

@@ -372,6 +372,10 @@ class Runner:
             return f"UT-Reset failed: {error}"
         return ""
 
+    def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
+        """Note a case that was executed side by side and passed, ``ended`` ns: a death shortly after may be its."""
+        self._recent.append(_Done(trial, result, ended))
+
     def check_life(self, case: Case, during: Sequence[str]) -> str:
         """Ask the implementation whether it still takes part; if it does not, start it again.
 

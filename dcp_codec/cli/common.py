@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -132,6 +133,23 @@ def report_capture_problems(reader: CaptureReader, name: str) -> int:
     for problem in reader.problems:
         note(f"{name}: {problem.message}")
     return UNUSABLE if reader.problems else 0
+
+
+@contextmanager
+def interruptible(target: str | Path) -> Iterator[None]:
+    """While a whole file is written: end on SIGTERM as on Ctrl-C, so that nothing is left, and say so."""
+
+    def stop(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        note(f"interrupted; {target} was not written" if str(target) != "-" else "interrupted")
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def malformed_note(name: str, malformed: int, beacons: int) -> None:

@@ -17,7 +17,7 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.commandline import UNUSABLE, ExpectedError
 from dcp_codec.guess import guess, sample
 
-from .common import link_of, load_codec, note, note_guess, profile_options
+from .common import interruptible, link_of, load_codec, note, note_guess, profile_options
 from .recordings import extras
 
 
@@ -86,7 +86,7 @@ def command(
             codec, link = _codec(source, profile, ether_type)
             messages = DecodedChannels(codec, link)
             metadata = capture_metadata(codec)
-        with _progress(source) as advance:
+        with interruptible(target), _progress(source) as advance:
             report = convert(
                 sys.stdin.buffer if source == "-" else Path(source),
                 sys.stdout.buffer if target == "-" else Path(target),

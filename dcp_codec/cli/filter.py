@@ -13,7 +13,16 @@ from dcp_codec.commandline import ExpectedError
 from dcp_codec.framing import OtherTraffic
 from dcp_codec.where import Where, WhereError, field_names
 
-from .common import choose, load_codec, note, open_input, profile_options, progress, report_capture_problems
+from .common import (
+    choose,
+    interruptible,
+    load_codec,
+    note,
+    open_input,
+    profile_options,
+    progress,
+    report_capture_problems,
+)
 from .filters import Moment, frame_range, parse_time
 
 
@@ -79,6 +88,7 @@ def command(
         kept = seen = 0
         try:
             with (
+                interruptible(target),
                 create_capture(place, format=form, lossy=lossy, whole=True, metadata=reader.metadata) as writer,
                 progress(reader, source) as advance,
             ):

@@ -13,7 +13,7 @@ import msgspec
 from dcp_codec.capture import FORMATS, CaptureError, Frame, create_capture
 from dcp_codec.commandline import ExpectedError
 
-from .common import note, open_input, report_capture_problems
+from .common import interruptible, note, open_input, report_capture_problems
 
 
 @click.command(
@@ -39,7 +39,7 @@ def command(files: tuple[str, ...], out: Path, form: str | None, *, keep_interfa
         readers = [stack.enter_context(open_input(name)) for name in files]
         streams = [_placed(place, reader) for place, reader in enumerate(readers)]
         try:
-            with create_capture(out, format=form, lossy=lossy, whole=True) as writer:
+            with interruptible(out), create_capture(out, format=form, lossy=lossy, whole=True) as writer:
                 for place, frame in heapq.merge(*streams, key=lambda each: (each[1].time_ns, each[0])):
                     count += 1
                     interface = frame.interface if keep_interfaces else place

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,15 +11,13 @@ import numpy as np
 from dcp_codec.plain import plain
 from dcp_codec.vantage import NO_LOSSES
 
-from . import analysis, holding, plots, reactions, variables
+from . import analysis, holding, reactions, sections, variables
 from .analysis import Sender, Steps, Time
-from .page import Cell, Chapter, Section, Table, table
-from .plots import DRAWN, Easel, number_text
+from .page import Chapter
+from .plots import DRAWN, Easel
 from .recorded import Recorded
 from .series import seconds_text
 
-#: Anomalies of each kind and differences that are listed; octets of a value that are shown.
-_LISTED, _OCTETS = 10, 16
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -40,38 +37,29 @@ def chapter(recorded: Recorded, number: int = 0) -> Chapter:
     easel = Easel(recorded, time, nodes, [line.number for line in lines], prefix=f"{number:02}-")
     held = holding.holding(recorded, time)
     found = reactions.reactions(recorded, sayings, nodes)
-    sections = []
+    found_sections = []
     if outcome.frames > outcome.other:
-        sections = [
-            _holding(easel, held),
-            _reactions(easel, found),
-            _anomalies(easel, steps),
-            _senders(easel, senders, steps),
-            _ages(easel, found),
-            _positions(easel),
-            _variables(easel, lines, values, passed),
-            _overhead(easel),
+        found_sections = [
+            sections.holding_section(easel, held),
+            sections.reactions_section(easel, found),
+            sections.anomalies_section(easel, steps),
+            sections.senders_section(easel, senders, steps),
+            sections.ages_section(easel, found),
+            sections.positions_section(easel),
+            sections.variables_section(easel, lines, values, passed),
+            sections.overhead_section(easel),
         ]
-    for section in sections:
+    for section in found_sections:
         section.id = f"{section.id}-{number}"
     return Chapter(
         name=plain(Path(outcome.path).name),
         facts=_facts(recorded, time),
         tiles=_tiles(recorded, time, senders, steps, held),
         problems=_problems(recorded, steps),
-        sections=sections,
-        figures=_figures(easel, senders, steps, held, values, passed) if sections else [],
+        sections=found_sections,
+        figures=_figures(easel, senders, steps, held, values, passed) if found_sections else [],
         duration=time.duration,
     )
-
-
-def command(recorded: Recorded, frame: int, variable: int | None = None) -> Cell:
-    """The command that shows a frame; nothing for standard input, which cannot be read again."""
-    path = recorded.outcome.path
-    if path == "-":
-        return Cell("")
-    only = f" --variable {variable}" if variable is not None else ""
-    return Cell(plain(f"dcp-codec decode --frames {frame}{only} {recorded.options} {shlex.quote(path)}"), code=True)
 
 
 # -- the head of a chapter ----------------------------------------------------------------------------------------
@@ -166,351 +154,6 @@ def _figures(
         ("dissemination delay, 95th percentile", quantile(0.95)),
         ("octets on the air", f"{octets:,}"),
     ]
-
-
-# -- sections -----------------------------------------------------------------------------------------------------
-
-
-def _holding(easel: Easel, found: holding.Holding) -> Section:
-    section = Section("holding", "Who holds what")
-    if not found.pairs:
-        section.words.append(
-            "No node said which number of another node's variable it holds: there is nothing to compare."
-        )
-        return section
-    stale = [pair for pair in found.pairs if pair.differs_at_end]
-    if stale:
-        about = sorted({pair.variable for pair in stale})
-        listed = ", ".join(map(str, about[:8])) + (" ..." if len(about) > 8 else "")
-        section.words.append(
-            f"≠ At the end {len({pair.node for pair in stale})} of {len({pair.node for pair in found.pairs})} nodes "
-            f"do not hold the producer's number of {len(about)} of {len({pair.variable for pair in found.pairs})} "
-            f"variables ({listed})."
-        )
-    else:
-        section.words.append("At the end every node holds the number that the producer said last.")
-    section.tables.append(_at_the_end(easel, found))
-    plot, hidden = plots.holdings(easel, found)
-    if plot is not None:
-        section.plots.append(plot)
-    if hidden:
-        section.words.append(f"The {plots.ROWS} rows that differ longest are drawn; {hidden:,} more are not.")
-    if found.left_out:
-        section.words.append(f"{found.left_out:,} more pairs of a node and a variable were not compared.")
-    if found.divergences:
-        section.tables.append(_never_arrived(easel, found.divergences))
-        if len(found.divergences) > 2 * _LISTED:
-            section.words.append(f"The list has {2 * _LISTED} of {len(found.divergences):,} differences, the longest.")
-    else:
-        section.words.append("Every value of a producer, or a newer one, soon reached every node.")
-    section.tables += _never_said(easel, found)
-    if found.without_producer:
-        listed = ", ".join(map(str, found.without_producer[:12]))
-        section.words.append(f"Nothing to compare with: no producer was heard of variable {listed}.")
-    return section
-
-
-def _at_the_end(easel: Easel, found: holding.Holding) -> Table:
-    pairs = {(pair.variable, pair.node): pair for pair in found.pairs}
-    shown = list(dict.fromkeys(pair.variable for pair in sorted(found.pairs, key=lambda each: not each.differs_at_end)))
-    rows = []
-    for variable in sorted(shown[:DRAWN]):
-        first = next(pair for pair in found.pairs if pair.variable == variable)
-        row = [Cell(f"{variable}"), Cell(easel.name(first.producer), mono=True), _number(number_text(first.produced))]
-        for node in easel.nodes:
-            pair = pairs.get((variable, node))
-            if pair is None:
-                row.append(_number("producer" if node == first.producer else "-"))
-            else:
-                row.append(
-                    Cell(
-                        f"{'≠ ' if pair.differs_at_end else ''}{number_text(pair.held)}",
-                        number=True,
-                        bad=pair.differs_at_end,
-                    )
-                )
-        rows.append(row)
-    heads = ["variable", "producer", "its number", *(easel.name(node) for node in easel.nodes)]
-    caption = "The number of each variable that each node said last. ≠ in red: it differs from the producer's."
-    return table(caption, heads, rows, matrix=True)
-
-
-def _never_arrived(easel: Easel, found: Sequence[holding.Divergence]) -> Table:
-    rows = [
-        [
-            Cell(f"{each.variable}"),
-            Cell(easel.name(each.node), mono=True),
-            _number(f"{each.start:.3f}"),
-            Cell("never" if each.to_the_end else f"after {seconds_text(each.end - each.start)}", bad=each.to_the_end),
-            _number(number_text(each.held)),
-            _number(number_text(each.produced)),
-            _number(f"{each.missed:,}"),
-            command(easel.recorded, each.frame, each.variable),
-        ]
-        for each in found[: 2 * _LISTED]
-    ]
-    caption = (
-        "Values that never arrived, or arrived late. The command shows the frame in which the producer said the first "
-        "of them."
-    )
-    heads = ["variable", "node", "since (s)", "arrived", "it holds", "the producer", "values missed", "frame"]
-    return table(caption, heads, rows)
-
-
-def _never_said(easel: Easel, found: holding.Holding) -> list[Table]:
-    producers = [node for node in easel.nodes if any(pair.producer == node for pair in found.pairs)]
-    if not producers:
-        return []
-    rows = []
-    for node in easel.nodes:
-        row = [Cell(easel.name(node), mono=True, series=easel.nodes.index(node))]
-        for producer in producers:
-            own = [pair for pair in found.pairs if pair.node == node and pair.producer == producer]
-            could, said = sum(pair.values for pair in own), sum(pair.said for pair in own)
-            row.append(
-                _number(f"{100 * (could - said) / could:.2g} % ({could - said:,} of {could:,})" if could else "-")
-            )
-        rows.append(row)
-    caption = (
-        "Loss per pair, end to end: values of the column's node that the row's node never said it holds. A value that "
-        "was replaced before the node's next beacon counts, too."
-    )
-    return [table(caption, ["node", *(easel.name(node) for node in producers)], rows, matrix=True)]
-
-
-def _reactions(easel: Easel, found: reactions.Reactions) -> Section:
-    section = Section("reactions", "Who reacts to whom")
-    if easel.recorded.column("beacons", "node").size:
-        section.plots.append(plots.presence(easel))
-    if not found.trials.any():
-        section.words.append("No node passed on what another had said: nothing tells who hears whom.")
-        return section
-    rows, reacts = [], []
-    for place, node in enumerate(easel.nodes):
-        row = [Cell(easel.name(node), mono=True, series=place)]
-        for other in range(len(easel.nodes)):
-            share, many = found.share(place, other), int(found.trials[place, other])
-            done = int(found.reacted[place, other])
-            if place == other:
-                row.append(_number(""))
-            elif share is None:
-                row.append(_number(f"? ({done} of {many})" if many else "?"))
-            else:
-                sign = "●" if share >= reactions.REACTS else "○" if share <= reactions.DEAF else "◐"
-                row.append(_number(f"{sign} {100 * share:.0f} % ({done:,} of {many:,})"))
-        close = [easel.name(easel.nodes[other]) for other in found.hears(place)]
-        if close:
-            reacts.append(f"{easel.name(node)} to {', '.join(close)}")
-        rows.append(row)
-    caption = (
-        "Row: the node that reacts; column: to whom. Counted are intervals between two beacons of the row's node in "
-        "which the column's node alone said a value that was new to it, and how often the row's node then showed that "
-        "it has the value. ● reacts, ◐ sometimes, ○ does not, ? too little to say. What is missing to 100 % is the "
-        "loss between the two, seen from what the recorder heard."
-    )
-    section.words.append(f"Reacts: {'; '.join(reacts)}." if reacts else "No node reacted often enough to be sure.")
-    section.tables.append(table(caption, ["node", *(easel.name(node) for node in easel.nodes)], rows, matrix=True))
-    return section
-
-
-def _senders(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Section:
-    section = Section("senders", "Beacons")
-    if not senders:
-        section.words.append("There is no well-formed beacon.")
-        return section
-    names = easel.recorded.nodes
-    heads = ["sender", "beacons", "per second", "lost", "restarts", "state reports", "first (s)", "last (s)"]
-    rows = [
-        [
-            Cell(names[sender.node], series=_series(easel, sender.node), mono=True),
-            _number(f"{sender.beacons:,}"),
-            _number("-" if sender.rate is None else f"{sender.rate:.3g}"),
-            _number("unknown" if sender.loss is None else f"{sender.lost:,} ({100 * sender.loss:.2g} %)"),
-            _number(f"{sender.restarts:,}"),
-            _number(f"{sender.reports:,}"),
-            _number(f"{sender.first:.3f}"),
-            _number(f"{sender.last:.3f}"),
-        ]
-        for sender in senders
-        if sender.node in easel.nodes
-    ]
-    section.tables.append(table("What was heard of each sender", heads, rows))
-    rest = [sender for sender in senders if sender.node not in easel.nodes]
-    if rest:
-        beacons, lost = sum(each.beacons for each in rest), sum(each.lost for each in rest)
-        section.words.append(
-            f"The {len(rows)} senders with most beacons are drawn; {len(rest):,} more sent {beacons:,} beacons that "
-            f"were heard and {lost:,} that are missing."
-        )
-    if not easel.recorded.modulus:
-        section.words.append("Beacons of this profile have no sequence numbers: what is lost cannot be seen.")
-    elif easel.recorded.tells_losses and not steps.lost.any():
-        section.words.append("No sequence number of a beacon is missing.")
-    section.plots += plots.beacon_rate(easel, steps)
-    return section
-
-
-def _ages(easel: Easel, found: reactions.Reactions) -> Section:
-    section = Section("age", "Age of information")
-    recorded = easel.recorded
-    if not recorded.column("srp", "node").size:
-        section.words.append("There are no state reports (SRP) in this recording.")
-        return section
-    section.plots.append(plots.ages(easel))
-    _, high = analysis.pair_ages(recorded, easel.time, easel.nodes)
-    inferred = found.trials.any()
-    rows = []
-    for row, node in enumerate(easel.nodes):
-        hears = found.hears(row)
-        cells = [Cell(easel.name(node), mono=True, series=row)]
-        for column in range(len(easel.nodes)):
-            unknown = not np.isfinite(high[row, column]) or (inferred and column not in hears)
-            cells.append(_number("-" if unknown else f"{high[row, column]:.3g}"))
-        rows.append(cells)
-    if np.isfinite(high).any():
-        caption = (
-            "95th percentile age (s) of what the row's node could know about the column's node. Lower bound: it "
-            "assumes that the node heard everything the recorder heard"
-            f"{'; pairs that do not react to each other are left out' if inferred else ''}."
-        )
-        section.tables.append(table(caption, ["node", *(easel.name(node) for node in easel.nodes)], rows, matrix=True))
-    return section
-
-
-def _positions(easel: Easel) -> Section:
-    section = Section("positions", "Positions")
-    recorded = easel.recorded
-    many = recorded.column("srp", "node").size
-    if not {"position.x", "position.y"} <= recorded.units.keys():
-        section.words.append(f"Profile {recorded.outcome.profile} names no fields of state reports that are positions.")
-    elif not many:
-        section.words.append("There are no state reports (SRP), so there are no positions.")
-    else:
-        section.plots += plots.positions(easel)
-        wrong = many - int(plots.usable(recorded.tables["srp"]).sum())
-        if wrong:
-            section.words.append(
-                f"{wrong:,} of {many:,} state reports have coordinates that are not numbers or beyond all bounds; they "
-                "are not drawn."
-            )
-    return section
-
-
-def _variables(
-    easel: Easel, lines: Sequence[variables.VariableLine], values: variables.Values, passed: variables.Passings
-) -> Section:
-    section = Section("variables", "Variables")
-    if not lines:
-        section.words.append("No node said anything about a variable (VarDis).")
-        return section
-    heads = ["variable", "producer", "description", "values", "octets", "last value", "median delay", "95th percentile"]
-    names = easel.recorded.nodes
-    rows = [
-        [
-            Cell(str(line.number), series=place),
-            Cell(names[line.producer] if line.producer >= 0 else "not heard", mono=True),
-            Cell(plain(line.description)),
-            _number(f"{line.values:,}"),
-            _number(line.sizes),
-            Cell(line.value[:_OCTETS].hex() + ("..." if len(line.value) > _OCTETS else ""), mono=True),
-            _number("-" if line.median is None else seconds_text(line.median)),
-            _number("-" if line.p95 is None else seconds_text(line.p95)),
-        ]
-        for place, line in enumerate(lines)
-    ]
-    section.tables.append(table("Variables, their last values, and how long values take to be passed on", heads, rows))
-    rest = len(easel.recorded.variables) - len(lines)
-    if rest:
-        more = values.variable.size - sum(line.values for line in lines)
-        section.words.append(f"The {DRAWN} variables with most values are drawn; {rest:,} more have {more:,} values.")
-    section.plots += plots.values(easel, values)
-    if passed.counted.any():
-        section.plots += plots.delays(easel, passed)
-    else:
-        section.words.append("No value was heard from its producer and then from another node: there are no delays.")
-    late = int((~values.from_producer).sum())
-    if late:
-        section.words.append(
-            f"{late:,} of {values.variable.size:,} values were first heard from another node than the producer (again, "
-            "or the recorder missed it); delays leave them out."
-        )
-    return section
-
-
-def _overhead(easel: Easel) -> Section:
-    section = Section("overhead", "Overhead")
-    parts = analysis.overhead(easel.recorded, easel.time)
-    if not parts:
-        section.words.append("There is no well-formed beacon to count the octets of.")
-        return section
-    total = sum(part.octets for part in parts)
-    rows = [
-        [
-            Cell(part.name, series=place),
-            _number(f"{part.octets:,}"),
-            Cell(f"{share:.2g} %", number=True, bar=share / 100),
-        ]
-        for place, part in enumerate(parts)
-        for share in [100 * part.octets / total]
-    ]
-    caption = f"{total:,} octets in frames with good beacons; each kind of container with its header"
-    section.tables.append(table(caption, ["kind", "octets", "share"], rows))
-    section.plots.append(plots.load(easel, parts))
-    size = int(easel.recorded.column("said", "size").sum())
-    if size:
-        section.words.append(f"{total / size:.3g} octets on the air for each octet of a variable's value.")
-    return section
-
-
-def _anomalies(easel: Easel, steps: Steps) -> Section:
-    section = Section("anomalies", "Anomalies")
-    recorded = easel.recorded
-    times = analysis.anomaly_times(recorded, easel.time, steps)
-    if not any(each.size for each in times.values()):
-        told = ", no gap, restart or repetition in sequence numbers," if recorded.modulus else ""
-        section.words.append(f"None: there is no malformed frame{told} and time does not go back.")
-        return section
-    section.plots.append(plots.anomalies(easel, times))
-    reasons = recorded.column("errors", "reason")
-    if reasons.size:
-        counted = sorted(((int((reasons == n).sum()), n) for n in set(reasons.tolist())), key=lambda each: -each[0])
-        rows = [
-            [
-                Cell(recorded.reasons[reason], mono=True),
-                Cell(recorded.requirements.get(recorded.reasons[reason], ""), mono=True),
-                _number(f"{many:,}"),
-            ]
-            for many, reason in counted
-        ]
-        section.tables.append(table("Malformed frames by reason", ["reason", "requirement", "frames"], rows))
-    worst = analysis.worst(recorded, easel.time, steps, _LISTED)
-    rows = [
-        [
-            _number(f"{each.frame:,}"),
-            _number(f"{each.time:.6f}"),
-            Cell(recorded.nodes[each.node], mono=True),
-            Cell(each.kind, bad=each.kind == "malformed"),
-            Cell(each.words),
-            command(recorded, each.frame),
-        ]
-        for each in worst
-    ]
-    heads = ["frame", "time (s)", "sender", "what", "in detail", "command"]
-    section.tables.append(table("What was odd, and the command that shows the frame", heads, rows))
-    if sum(each.size for each in times.values()) > len(worst):
-        section.words.append(f"The list has the first {_LISTED} of each kind, and the largest gaps.")
-    return section
-
-
-# -- words --------------------------------------------------------------------------------------------------------
-
-
-def _number(text: str) -> Cell:
-    return Cell(text, number=True)
-
-
-def _series(easel: Easel, node: int) -> int | None:
-    return easel.nodes.index(node) if node in easel.nodes else None
 
 
 def stamp(time: int) -> str:

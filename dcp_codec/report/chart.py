@@ -15,6 +15,7 @@ from bokeh.models import (
     HoverTool,
     Legend,
     LegendItem,
+    NoOverlap,
     NumeralTickFormatter,
     PanTool,
     Range1d,
@@ -89,6 +90,8 @@ class Plot:
     #: Values of the vertical axis, to give the plots of two recordings the same one; None for rows.
     limits: tuple[float, float] | None
     over_time: bool
+    #: Whether the vertical axis starts at 0 where nothing is below.
+    from_zero: bool = True
 
     def item(self, target: str) -> dict[str, Any]:
         """What BokehJS embeds, as JSON."""
@@ -127,6 +130,7 @@ class Chart:
     rows: Sequence[str] = ()
     height: int = 300
     unit: str = ""
+    from_zero: bool = True
     _entries: list[tuple[str, list[Any]]] = field(default_factory=list)
     _ends: list[float] = field(default_factory=list)
     _words: list[str] = field(default_factory=list)
@@ -153,7 +157,12 @@ class Chart:
                 milliseconds="%s.%MS s", seconds="%M:%S", minsec="%M:%S", minutes="%H:%M h", hourmin="%H:%M h",
                 hours="%H:%M h", days="%d days",
             )  # fmt: skip
-            self.figure.add_layout(TimedeltaAxis(formatter=formats, axis_label="time since the first frame"), "below")
+            self.figure.add_layout(
+                TimedeltaAxis(
+                    formatter=formats, axis_label="time since the first frame", major_label_policy=NoOverlap()
+                ),
+                "below",
+            )
             room = 0.01 * (self.duration or 1.0) * _MS
             self.figure.x_range = Range1d(-room, (self.duration or 1.0) * _MS + room)
         if self.rows:
@@ -183,7 +192,7 @@ class Chart:
         marks = self._marks(number, source, np.linspace(0, x.size - 1, min(x.size, 9)).astype(int))
         if step:
             # Bokeh does not find steps under the pointer; it finds these.
-            drawn_there = self.figure.scatter("x", "y", source=source, size=9, fill_alpha=0, line_alpha=0)
+            drawn_there = self.figure.scatter("x", "y", source=source, size=9, color=light("card"), alpha=0)
         self._pointer([drawn_there if step else drawn], shown)
         self._entry(name, [drawn, marks], y)
 
@@ -257,7 +266,14 @@ class Chart:
             known = [end for end in self._ends if np.isfinite(end)] or [0.0, 1.0]
             limits = (min(known), max(known))
         plot = Plot(
-            self.name, self.title, self.caption, "; ".join(self._words), self.figure, limits, self.duration is not None
+            self.name,
+            self.title,
+            self.caption,
+            "; ".join(self._words),
+            self.figure,
+            limits,
+            self.duration is not None,
+            self.from_zero,
         )
         if limits is not None and self.duration is not None:
             scale(plot, limits)
@@ -320,11 +336,11 @@ class Chart:
 def scale(plot: Plot, limits: tuple[float, float]) -> None:
     """Give a plot these limits of its vertical axis, with some room."""
     low, high = limits
-    if low >= 0 and low <= 0.5 * high:
-        low = 0.0
+    if plot.from_zero and low >= 0:
+        low, high = 0.0, high or 1.0
     # Never so narrow that both ends are one number.
     room = 0.06 * max(high - low, 1e-3, 1e-6 * abs(low), 1e-6 * abs(high))
-    plot.figure.y_range = Range1d(low - (room if low else 0), high + room if high > low else low + 1)
+    plot.figure.y_range = Range1d(low - (room if low or not plot.from_zero else 0), high + room)
 
 
 def _compact(values: Any) -> Any:

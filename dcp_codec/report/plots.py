@@ -22,7 +22,7 @@ from .variables import Passings, Values, counted, numeric
 #: Nodes and variables that are drawn one by one; rows of who holds what.
 DRAWN, ROWS = 20, 40
 #: Points that one plot may have, and pieces of each series at least: more are thinned to extremes of each piece.
-_POINTS, _PIECES = 8_000, 60
+_POINTS, _PIECES = 6_000, 60
 #: Reports of each node that a piece of time should have, so that its greatest age is one.
 _REPORTS = 4
 #: Marks of the kinds of anomalies.
@@ -231,7 +231,11 @@ def positions(easel: Easel) -> list[Plot]:
         return plots
     words = drawn_words(sum(rows[2].size for rows in kept.values()), total)
     chart = easel.chart(
-        "height", "Height", f"As state reports say it.{words}", label=f"z{in_unit(unit.get('position.z'))}"
+        "height",
+        "Height",
+        f"As state reports say it.{words}",
+        label=f"z{in_unit(unit.get('position.z'))}",
+        from_zero=False,
     )
     for node, (_, _, rows) in kept.items():
         chart.line(easel.nodes.index(node), easel.name(node), time.seconds(reports["time"][rows]), reports["z"][rows])
@@ -291,7 +295,7 @@ def values(easel: Easel, found: Values) -> list[Plot]:
         "Those whose values all have one length of at most 8 octets, read as unsigned, most significant octet first."
         f"{drawn_words(drawn, total)}"
     )
-    chart = easel.chart("values", "Values of variables", caption, label="value")
+    chart = easel.chart("values", "Values of variables", caption, label="value", from_zero=False)
     for each, rows in lines:
         chart.line(
             easel.variables.index(each), f"variable {each}", found.time[rows], found.number[rows], step=True,
@@ -373,4 +377,4 @@ def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
 
 def number_text(number: int | None) -> str:
     """A held number as a table shows it."""
-    return "nothing" if number is None else {DELETED: "deleted", UNKNOWN: "asked for it"}.get(number, str(number))
+    return "nothing" if number is None else {DELETED: "deleted", UNKNOWN: "not known"}.get(number, str(number))

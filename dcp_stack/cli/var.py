@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -32,6 +32,9 @@ from .common import (
     watching,
 )
 
+if TYPE_CHECKING:
+    from dcp_spec.profile import Profile
+
 
 @click.group("var", epilog=EXIT_STATUS)
 def command() -> None:
@@ -51,7 +54,7 @@ def command() -> None:
 @click.option(
     "--repcnt",
     type=int,
-    help="In how many beacons each change is sent.  [default: 3, or VARDISPAR_MAX_REPETITIONS if that is less]",
+    help="In how many beacons each change is sent.  [default: 3, or less if profile or parameter say so]",
 )
 @click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
 @node_options
@@ -81,24 +84,34 @@ def create(
 def _repetitions(client: ControlClient) -> int:
     """As often as is sensible on a lossy link, and not more than the node allows."""
     most = client.call("VD-GetParameters")["parameters"].get("VARDISPAR_MAX_REPETITIONS", 3)
-    return min(3, int(most))
+    profile = _profile(client)
+    return min(3 if profile is None else profile.among.repetitions or 3, int(most))
+
+
+def _profile(client: ControlClient) -> Profile | None:
+    """The node's profile; None for one of its own, in a file that only the node knows."""
+    from dcp_spec.profile_loading import ProfileError, load_profile
+
+    try:
+        return load_profile(client.call("UT-Hello")["profile"])
+    except (ProfileError, KeyError):
+        return None
 
 
 def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) -> Iterator[str]:
     """Why other nodes may ignore a variable that this node has created without complaint."""
-    from dcp_spec.profile_loading import ProfileError, load_profile
-
     if not descr:
         yield "other nodes ignore a variable without a description"
     if repcnt is None:
         return
-    try:
-        limits = load_profile(client.call("UT-Hello")["profile"]).limits
-    except (ProfileError, KeyError):
-        # A profile of its own, in a file that only the node knows.
+    profile = _profile(client)
+    if profile is None:
         return
-    if repcnt > limits.max_repetitions:
-        yield f"nodes with the limits of this profile take at most {limits.max_repetitions} repetitions, not {repcnt}"
+    if repcnt > (most := profile.limits.max_repetitions):
+        yield f"nodes with the limits of this profile take at most {most} repetitions, not {repcnt}"
+    elif profile.among.repetitions is not None and repcnt > profile.among.repetitions:
+        most = profile.among.repetitions
+        yield f"unless set up otherwise, nodes of this profile refuse variables with more than {most} repetitions"
 
 
 @command.command("update", epilog=EXIT_STATUS)

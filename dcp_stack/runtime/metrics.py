@@ -34,7 +34,7 @@ PATIENCE: Final = 5_000_000_000
 
 #: What counters of BP and of the link mean; those of payloads have a label for the protocol.
 _MEANINGS: Final = {
-    "beacons-sent": "Beacons handed to the link, also if it could not send them: see dcp_link_send_errors.",
+    "beacons-sent": "Beacons handed to the link.",
     "beacons-received": "Well-formed beacons of this network from other nodes.",
     "beacons-left-out": "Beacons for which the time had passed when the node came to them.",
     "beacons-without-payload": "Times for a beacon at which there was nothing to say.",
@@ -53,7 +53,7 @@ _MEANINGS: Final = {
     "ignored": "Frames that are none of DCP, too long to be read, or from our own address.",
     "kernel_drops": "Frames that the system dropped before they were read.",
     "outages": "How often the interface went away.",
-    "own_address": "Of the ignored frames those from our own address: another node with the same one?",
+    "own_address": "Of the ignored frames those from our own address, which another node may have as well.",
 }
 
 

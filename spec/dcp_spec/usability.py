@@ -8,8 +8,12 @@ it, no profile says. Octets without a meaning (``opaque``) are sent as zeros and
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Final
 
 from .profile import OwnField, Profile, own_fields
+
+#: Keys among these that add records, or fields to records, of VarDis; ``vardis.records.NAME`` are others.
+RECORD_KEYS: Final = frozenset({"vardis.var_spec", "vardis.own_containers"})
 
 
 def unusable_keys(profile: Profile) -> dict[str, str]:

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -168,3 +169,26 @@ def test_several_dissectors_are_installed_and_each_beacon_finds_its_own(run, tmp
         assert (complaints, len(shown.stdout.splitlines())) == ([], count)
     assert run("wireshark", "remove", *options).status == 0
     assert not any(path.exists() for path in files)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_conversion_leaves_what_was_there(number, tmp_path):
+    fifo, target = tmp_path / "in", tmp_path / "out.pcap"
+    os.mkfifo(fifo)
+    target.write_bytes(b"precious")
+    code = "import sys; from dcp_codec.cli import main; main(sys.argv[1:])"
+    command = [sys.executable, "-c", code, "convert", str(fifo), str(target)]
+    octets = io.BytesIO()
+    with create_capture(octets, format="pcap") as file:
+        for _ in range(10):
+            file.write(Frame(1, 10**18, bytes(60), 60))
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process, fifo.open("wb") as pipe:
+        # More than the command reads at once: when all of it is taken, it is at work.
+        pipe.write(octets.getvalue() + octets.getvalue()[24:] * 1000)
+        pipe.flush()
+        process.send_signal(number)
+        told = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert f"interrupted; {target} was not written" in told
+    assert target.read_bytes() == b"precious"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in", "out.pcap"]

@@ -136,3 +136,13 @@ def test_a_recording_ends_with_what_its_last_summaries_say():
 
 def dict_of(history: History, time_ns: int) -> dict[tuple[str, int], int]:
     return {(node, var_id): number for node, var_id, number in history.states(time_ns)}
+
+
+def test_a_history_of_too_many_nodes_stays_within_its_bounds():
+    history = History("mac", most=64)
+    for number in range(500):
+        node = number.to_bytes(6, "big")
+        history.feed(number, number * 1000, node, saying(*(VarSumm(each, number % 256) for each in range(5))))
+    told = history.as_json()
+    assert len(told["changes"]) <= 64
+    assert len(list(history.states(1 << 62))) == 16

@@ -15,6 +15,7 @@ from dcp_conformance.concurrent.executor import SideBySide
 from dcp_conformance.concurrent.scheduler import Scheduler, Task
 from dcp_conformance.concurrent.shared import SharedLink, SharedUpper
 from dcp_conformance.concurrent.sharing import _MEASURES, ALONE
+from dcp_conformance.errors import LowerTesterError, UpperTesterError
 from dcp_conformance.lower import Arrival, LinkHealth
 from dcp_conformance.mutants import all_mutants
 from dcp_conformance.reference.inprocess import InProcess, reference_config
@@ -233,6 +234,65 @@ def test_losses_of_the_kernel_are_told_to_every_task_once() -> None:
     scheduler.start(body)
     drive(scheduler)
     assert losses == [[1, 0], [1, 0]]
+
+
+class BrokenLink(Link):
+    def receive(self, until: int, also: object = ()) -> Arrival | None:
+        if self.frames:
+            return super().receive(until, also)
+        raise LowerTesterError("the interface is gone")
+
+
+class GoneUpper:
+    """An upper tester whose connection is closed."""
+
+    name = "gone"
+    about: ClassVar[dict] = {}
+    methods = frozenset({"UT-Hello"})
+
+    def call(self, method: str, params: dict) -> Answer:
+        raise UpperTesterError("closed")
+
+    def poll(self) -> list:
+        raise UpperTesterError("closed")
+
+    def filenos(self) -> tuple:
+        return ()
+
+
+def test_a_lost_link_is_for_the_cases_to_meet() -> None:
+    scheduler = Scheduler(BrokenLink(10), None, lambda _: None)
+    met: list[str] = []
+
+    def body(task: Task) -> None:
+        own = SharedLink(scheduler, task)
+        assert own.receive(50) is not None
+        with pytest.raises(LowerTesterError, match="the interface is gone"):
+            own.receive(50)
+        met.append("lost")
+
+    scheduler.start(body)
+    scheduler.start(body)
+    drive(scheduler)
+    assert met == ["lost", "lost"]
+
+
+def test_a_lost_upper_tester_is_for_the_cases_to_meet() -> None:
+    scheduler = Scheduler(Link(10), GoneUpper(), lambda _: None)
+    met: list[str] = []
+
+    def body(task: Task) -> None:
+        own, upper = SharedLink(scheduler, task), SharedUpper(scheduler, task, scheduler.upper)
+        own.receive(50)
+        for ask in (upper.poll, lambda: upper.call("UT-Hello", {})):
+            with pytest.raises(UpperTesterError, match="closed"):
+                ask()
+        met.append("lost")
+
+    scheduler.start(body)
+    scheduler.start(body)
+    drive(scheduler)
+    assert met == ["lost", "lost"]
 
 
 class RealLink(Link):

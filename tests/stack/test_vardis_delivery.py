@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from dcp_codec.codec import get_codec
-from dcp_stack.cli import status
+from dcp_stack.cli import status, var
 from dcp_stack.config import NodeConfig
 from dcp_stack.control import ControlServer
 from dcp_stack.node import Node
@@ -176,3 +176,29 @@ def test_the_control_interface_tells() -> None:
     found = json.loads(bytes(session.output).splitlines()[0])["result"]["obstacles"]
     assert [(each["kind"], each["varId"]) for each in found] == [("superseded", 7)]
     assert "later time" in found[0]["text"]
+
+
+class Answers:
+    """The control interface of a node with a profile."""
+
+    def __init__(self, profile: str, most: int) -> None:
+        self.answers = {
+            "VD-GetParameters": {"parameters": {"VARDISPAR_MAX_REPETITIONS": most}},
+            "UT-Hello": {"profile": profile},
+        }
+
+    def call(self, method: str) -> dict[str, Any]:
+        return self.answers[method]
+
+
+@pytest.mark.parametrize(
+    ("profile", "most", "expected"), [("dcp-2.0", 15, 3), ("dcp-2.0", 2, 2), ("cpp-2.0", 15, 1), ("mine.toml", 15, 3)]
+)
+def test_variables_get_as_many_repetitions_as_neighbours_take(profile: str, most: int, expected: int) -> None:
+    assert var._repetitions(Answers(profile, most)) == expected  # type: ignore[arg-type]
+
+
+def test_more_repetitions_than_neighbours_take_are_warned_of() -> None:
+    warnings = list(var._ignored_by_others(Answers("cpp-2.0", 15), "pos", 3))  # type: ignore[arg-type]
+    assert warnings == ["unless set up otherwise, nodes of this profile refuse variables with more than 1 repetitions"]
+    assert list(var._ignored_by_others(Answers("dcp-2.0", 15), "pos", 3)) == []  # type: ignore[arg-type]

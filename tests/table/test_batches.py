@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pytest
 from numba import njit
@@ -125,7 +126,7 @@ def test_malformed_frames_are_judged_by_the_strict_decoder():
     codec = get_codec("cpp-2.0")
     decoder = ColumnDecoder(codec)
     with pytest.raises(AssertionError, match="refuses what the strict one accepts"):
-        decoder._problem(senders(1)[0].data, 14)
+        decoder._damaged(packed(senders(1), 0), np.array([0]))
 
 
 _MEMORY = """

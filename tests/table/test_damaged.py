@@ -12,7 +12,7 @@ from dcp_codec.table.decoding import ColumnDecoder
 from dcp_codec.table.sources import packed
 
 SENDER = bytes.fromhex("020000000001")
-CODEC = get_codec("cpp-1.2")
+CODEC = get_codec("cpp-1.3")
 #: A container of two summaries, then one of a type that does not exist.
 BAD_END = bytes.fromhex("0102 0103 0204 0901 05")
 
@@ -45,7 +45,7 @@ def tables(request, rows):
 
 
 def test_the_other_payloads_of_a_beacon_with_a_bad_one(tables):
-    """As release 1.2.0 sends it: a test pattern in place of the report."""
+    """As release 1.2.0 sends it: a test pattern in place of the report that the profile describes."""
     pattern = (1, bytes(range(0x20, 0x48)))
     found, batch = tables(
         frame_of(1, summaries(1)),

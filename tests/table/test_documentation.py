@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "tables.md").read_text(encoding="utf-8")
 #: The queries by their headings.
 _QUESTIONS = TEXT[TEXT.index("## Questions to ask") :]
-QUERIES = dict(re.findall(r"### (.*)\n\n(?:[^#`\n].*\n|\n)*```sql\n((?:.*\n)*?)```", _QUESTIONS))
+QUERIES = dict(re.findall(r"### (.*)\n(?:(?!#|```).*\n)*```sql\n((?:.*\n)*?)```", _QUESTIONS))
 LOSS, AGE, DELAY, OVERHEAD = (
     "Loss per link over time",
     "Age of information per neighbour pair",

@@ -7,7 +7,9 @@ import statistics
 from pathlib import Path
 
 import msgspec
+from dcp_spec.profile import Profile
 from dcp_spec.profile_loading import ProfileError
+from dcp_spec.usability import RECORD_KEYS, unusable_keys
 
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.cli.common import progress
@@ -157,10 +159,23 @@ def _codec(profile: str, ether_type: str | None) -> tuple[Codec, list[str]]:
         codec = Codec(profile)
     except ProfileError as error:
         raise UsageError(str(error)) from None
+    _refuse_own_records(codec.profile)
     if number is None:
         return codec, []
     link = with_ether_type(codec.profile.link, number)
     return Codec(msgspec.structs.replace(codec.profile, link=link)), []
+
+
+def _refuse_own_records(profile: Profile) -> None:
+    """Rules speak of the records of the specification: raise :class:`UsageError` for a profile with others."""
+    keys = unusable_keys(profile)
+    own = {key: reason for key, reason in keys.items() if key in RECORD_KEYS or key.startswith("vardis.records.")}
+    if own:
+        told = ", ".join(f"{key} {reason.partition(';')[0]}" for key, reason in own.items())
+        raise UsageError(
+            f"profile {profile.name}: check knows the rules of the specification's records only ({told}); "
+            "dcp-codec decodes such recordings"
+        )
 
 
 def _number(ether_type: str | None) -> int | None:

@@ -164,20 +164,23 @@ class Repetitions(Invariant):
         self._runs[key] = _Run(what, number, allowed, now, each, place, asked, allowed=allowed)
         self._deleting += each.kind is DELETE
 
-    def _weigh(self, key: _Key, run: _Run) -> None:
-        """Allow more for each reason that has come since reasons were last weighed."""
+    def _weigh(self, key: _Key, run: _Run, *, complete: bool = False) -> None:
+        """Allow more for each reason that was not weighed yet, until there are enough; all of them if ``complete``."""
         begin = max(run.weighed - self._dropped, 0)
         if run.fresh:
             # A payload may have been composed a while before: what was said meanwhile counts for the next one.
             run.fresh = False
             while begin and self._frames[begin - 1].time >= run.begin - self._composed:
                 begin -= 1
-        run.weighed = self._dropped + len(self._frames)
-        codec = self.context.codec
+        codec, node, var_id = self.context.codec, key[0], key[1]
         for frame in islice(self._frames, begin, None):
-            if frame.node != key[0]:
-                for each in frame.of(key[1], codec):
+            begin += 1
+            if frame.node != node:
+                for each in frame.of(var_id, codec):
                     self._allow(key, run, each.kind, each.number)
+                if run.allowed >= run.beacons and not complete:
+                    break
+        run.weighed = self._dropped + begin
 
     def _allow(self, key: _Key, run: _Run, kind: ICType, told: int) -> None:
         """Allow more, if this record of somebody else is a reason for it."""
@@ -201,7 +204,7 @@ class Repetitions(Invariant):
                 self._deleting -= key[2] is DELETE
                 told = key[2] is UPDATE and self._asked.get((key[1], run.number), 0) != run.asked
                 if told or run.beacons > run.allowed:
-                    self._weigh(key, run)
+                    self._weigh(key, run, complete=told)
                 self._closed.append((time, key, run))
 
     def _count(self, now: int) -> None:
@@ -248,6 +251,8 @@ class Requests(Invariant):
         super().__init__(context)
         self._asked: dict[tuple[bytes, int], list[int]] = {}
         self._producers: dict[int, bytes] = {}
+        self._sent: dict[int, int] = {}
+        """How often the create of a variable was sent after the first request for it."""
 
     def feed(self, seen: Seen) -> None:
         """Compare requests with what the node last said."""
@@ -260,11 +265,14 @@ class Requests(Invariant):
                     self.violated(text, [before, each], once=(seen.sender, each.var_id))
             elif each.kind is CREATE:
                 self._producers[each.var_id] = each.record.spec.prod_id
+                if each.var_id in self._sent:
+                    self._sent[each.var_id] += 1
 
     def _count(self, each: Said, seen: Seen) -> None:
         key = (seen.sender, each.var_id)
         if key in self._asked or len(self._asked) < MOST_VARIABLES:
             self._asked.setdefault(key, [0, each.frame])[0] += 1
+            self._sent.setdefault(each.var_id, 0)
 
     def finish(self) -> None:
         """Hazards of the design: requests that never end, and producers that ask for their own variables."""
@@ -276,7 +284,8 @@ class Requests(Invariant):
                 self.note("a producer that has forgotten its own variable (H2)", text, [Mark(first)])
         for var_id, askers in by_variable.items():
             often = [each for each in askers if each[1] >= 10]
-            if len(often) >= 2:
+            # Where it is sent again and again, somebody has it: CK_VD_ENDLESS tells why it may not be taken.
+            if len(often) >= 2 and self._sent[var_id] < len(often):
                 who = ", ".join(f"{name(node)} {count} times" for node, count, _ in often)
                 marks = [Mark(first) for _, _, first in often]
                 self.note("nodes that ask each other for what neither has (H1)", f"variable {var_id}: {who}", marks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from dcp_conformance.applicability import why_not
 from dcp_conformance.attribution import Trial
@@ -16,7 +16,7 @@ from dcp_conformance.heard import Heard
 from dcp_conformance.lower import Arrival
 from dcp_conformance.passive import SIDE_BY_SIDE
 from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
+from dcp_conformance.runner import SLOW_DEATH, Runner
 from dcp_conformance.verdict import Verdict
 
 from .scheduler import Scheduler, Task
@@ -53,6 +53,15 @@ def execute(
     return executor.reasons
 
 
+class _Pass(NamedTuple):
+    """A pass that is not handed on yet."""
+
+    trial: Trial
+    result: CaseResult
+    ended: int
+    """Time of the lower tester's clock, ns."""
+
+
 class SideBySide:
     """Executes cases side by side, against the implementation of a runner.
 
@@ -85,16 +94,14 @@ class SideBySide:
         """Whether the implementation may have stopped taking part in this wave."""
         self._suspects: list[str] = []
         """The cases that were executed when that became doubtful."""
-        self._lost = False
-        """Whether the implementation has stopped taking part in this wave."""
         self._resets = 0
         """How often the implementation could not be brought into its initial state."""
         self._used_up = False
         """Whether a case of this wave has found all identifiers used up."""
         self._doubts = 0
         """Cases in a row that were no pass."""
-        self._unconfirmed: list[tuple[Case, int, CaseResult]] = []
-        """Passes, each with its time in ns, since which no frame of the implementation has come."""
+        self._passed: list[_Pass] = []
+        """The passes of the last seconds, of which the implementation may be dying still."""
         self._last = 0
         """When (ns) the last frame of the implementation came."""
         self._observer = Bench(self._session, sanity)
@@ -107,8 +114,14 @@ class SideBySide:
         """
         for case in cases:
             (self._waiting if "vardis" in case.needs.entities else self._light).append(case)
-        while self._waiting or self._light:
-            self._wave(on_result)
+        try:
+            while self._waiting or self._light:
+                self._wave(on_result)
+        finally:
+            for each in self._passed:
+                on_result(each.trial.case, each.result)
+                self._runner.remember(each.trial, each.result, each.ended)
+            self._passed.clear()
 
     def _wave(self, on_result: Callable[[Case, CaseResult], None]) -> None:
         """Execute cases from one initial state of the implementation, until identifiers are used up or it is gone."""
@@ -136,7 +149,7 @@ class SideBySide:
                     break
                 scheduler.step(session.lower.now() + _LOOK)
                 for case, trial in ended:
-                    self._end(case, trial, on_result)
+                    self._end(case, trial)
                 ended.clear()
                 self._confirm(on_result)
                 if session.lower.now() - looked >= _LOOK:
@@ -150,31 +163,34 @@ class SideBySide:
             session.passive.interrupted(session.lower.now())
             self._live.clear()
         for case, trial in ended:
-            self._end(case, trial, on_result)
-        if self._unconfirmed and not self._doubtful:
+            self._end(case, trial)
+        if self._silent() and not self._doubtful:
             self._doubtful = True
-            self._suspects = [case.id for case, _, _ in self._unconfirmed]
+            self._suspects = [each.trial.case.id for each in self._passed]
         deaths = self._runner.deaths_side_by_side
         if self._doubtful and (why := self._runner.check_life(self._sanity, self._suspects)):
             self._give_up(why)
-        self._lost = self._runner.deaths_side_by_side > deaths
-        self._settle(on_result)
+        if self._runner.deaths_side_by_side > deaths:
+            self._withhold()
+
+    def _silent(self) -> bool:
+        """Whether the implementation has not been heard since one of the last passes."""
+        return any(each.trial.bench.silent and each.ended >= self._last for each in self._passed)
 
     def _confirm(self, on_result: Callable[[Case, CaseResult], None]) -> None:
-        """Hand on the passes since which the implementation was heard: it has survived those cases."""
-        for case, _, result in [each for each in self._unconfirmed if each[1] < self._last]:
-            on_result(case, result)
-        self._unconfirmed = [each for each in self._unconfirmed if each[1] >= self._last]
+        """Hand on the passes that the implementation has survived: it was heard after them, and had time to die."""
+        settled = self._session.lower.now() - round(SLOW_DEATH * 1e9)
+        for each in self._passed:
+            if each.ended <= settled and each.ended < self._last:
+                on_result(each.trial.case, each.result)
+        self._passed = [each for each in self._passed if each.ended > settled or each.ended >= self._last]
 
-    def _settle(self, on_result: Callable[[Case, CaseResult], None]) -> None:
-        """At the end of a wave: if the implementation lives, hand on all passes, else repeat those in doubt."""
-        for case, _, result in self._unconfirmed:
-            if self._lost:
-                self.left.append(case)
-                self.reasons[case.id] = "the implementation was not heard after it"
-            else:
-                on_result(case, result)
-        self._unconfirmed.clear()
+    def _withhold(self) -> None:
+        """The implementation was lost: leave the cases that passed shortly before to be executed alone."""
+        for each in self._passed:
+            self.left.append(each.trial.case)
+            self.reasons[each.trial.case.id] = "the implementation was lost shortly after it"
+        self._passed.clear()
 
     def _next(self) -> Case | None:
         """The next case of this wave; None if no further one is to begin now."""
@@ -220,7 +236,7 @@ class SideBySide:
             del self._live[case.id]
         return trial
 
-    def _end(self, case: Case, trial: Trial, on_result: Callable[[Case, CaseResult], None]) -> None:
+    def _end(self, case: Case, trial: Trial) -> None:
         """Take the outcome of a case into account."""
         session = self._session
         if trial.used_up and self._used_up_in[case.id] < _ATTEMPTS:
@@ -232,10 +248,7 @@ class SideBySide:
         if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.spoilt:
             self._doubts = 0
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
-            if trial.bench.silent:
-                self._unconfirmed.append((case, session.lower.now(), result))
-            else:
-                on_result(case, result)
+            self._passed.append(_Pass(trial, result, session.lower.now()))
             return
         self.left.append(case)
         self.reasons[case.id] = _reason(trial)

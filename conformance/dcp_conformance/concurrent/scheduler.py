@@ -11,6 +11,7 @@ from typing import Any
 
 from greenlet import greenlet
 
+from dcp_conformance.errors import LowerTesterError, UpperTesterError
 from dcp_conformance.lower import Arrival, LowerTester, OnThisMachine
 from dcp_conformance.upper import Answer, Notification, UpperTester
 
@@ -35,11 +36,6 @@ class Task:
             self._body(self)
         finally:
             self.done = True
-
-    @property
-    def ready(self) -> bool:
-        """Whether it waits for something that has come."""
-        return self.until is not None and bool(self.inbox or self.notifications)
 
 
 class _Call:
@@ -73,6 +69,10 @@ class Scheduler:
         self._awake, self._wake = socket.socketpair()
         self._awake.setblocking(False)
         self._closing = False
+        self.lost_link: LowerTesterError | None = None
+        """Why the link cannot be used any more."""
+        self.lost_upper: UpperTesterError | None = None
+        """Why the upper tester cannot be used any more."""
 
     # -- for the executor ----------------------------------------------------------------------------------------------
 
@@ -86,11 +86,12 @@ class Scheduler:
         """Wait until something happens, at most to ``until`` (ns), and let the tasks that it concerns run."""
         self._finish_call()
         self._begin_call()
-        if ready := [task for task in self.tasks if task.ready]:
+        lost = self.lost_link is not None or self.lost_upper is not None
+        waiting = [task for task in self.tasks if task.until is not None]
+        if ready := [task for task in waiting if lost or task.inbox or task.notifications]:
             for task in ready:
                 self._resume(task)
             return
-        waiting = [task for task in self.tasks if task.until is not None]
         first = min((task.until for task in waiting if task.until is not None), default=until)
         if not self.drain(min(first, until), wait=True) and self.lower.now() >= first:
             for task in waiting:
@@ -117,13 +118,20 @@ class Scheduler:
     # -- for the facades of tasks --------------------------------------------------------------------------------------
 
     def receive(self, task: Task, until: int) -> Arrival | None:
-        """The next frame for the task before ``until``; None then, or when there are notifications."""
+        """The next frame for the task before ``until``; None then, or when there are notifications.
+
+        Raises ``LowerTesterError`` if the link cannot be used.
+        """
+        if self.lost_link is not None:
+            raise self.lost_link
         if self._closing:
             self.drain(until, wait=True)
         elif not task.inbox and self.lower.now() < until and not task.notifications:
             task.until = until
             self._main.switch()
             task.until = None
+            if self.lost_link is not None:
+                raise self.lost_link
         elif not task.inbox:
             # Everything that arrived before ``until`` is to be received before None is returned.
             while self.drain(until, wait=False) and not task.inbox:
@@ -135,6 +143,8 @@ class Scheduler:
     def call(self, task: Task, method: str, params: dict[str, Any]) -> Answer:
         """Call the upper tester for a task. Raises what the upper tester raises."""
         assert self.upper is not None
+        if self.lost_upper is not None and not self._closing:
+            raise self.lost_upper
         if self._threads is None:
             answer = self.upper.call(method, params)
             self.take_notifications()
@@ -155,7 +165,12 @@ class Scheduler:
         if wait and self._threads is not None:
             idle = not self._calls and self.upper is not None
             also = (self._awake.fileno(), *(self.upper.filenos() if idle and self.upper is not None else ()))
-        arrival = self.lower.receive(until, also)
+        try:
+            arrival = self.lower.receive(until, also)
+        except LowerTesterError as error:
+            # For the cases to meet: this is no fault of the scheduler.
+            self.lost_link = error
+            return False
         dropped = self.lower.health().dropped
         for task in self.tasks if dropped else ():
             task.dropped += dropped
@@ -170,9 +185,13 @@ class Scheduler:
 
     def take_notifications(self) -> None:
         """Hand what the implementation has told without being asked to all tasks."""
-        if self.upper is None or self._calls:
+        if self.upper is None or self._calls or self.lost_upper is not None:
             return
-        found = self.upper.poll()
+        try:
+            found = self.upper.poll()
+        except UpperTesterError as error:
+            self.lost_upper = error
+            return
         for task in self.tasks if found else ():
             if not task.done:
                 task.notifications += found

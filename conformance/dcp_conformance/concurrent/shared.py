@@ -82,7 +82,9 @@ class SharedUpper:
         return self._scheduler.call(self._task, method, params)
 
     def poll(self) -> list[Notification]:
-        """The notifications since the last call."""
+        """The notifications since the last call. Raises ``UpperTesterError`` if the upper tester is gone."""
+        if self._scheduler.lost_upper is not None:
+            raise self._scheduler.lost_upper
         found, self._task.notifications = self._task.notifications, []
         return found
 

@@ -45,6 +45,8 @@ class Situation:
     seconds: float = 30.0
     busy: float = 1.0
     """Service requests for each node and second."""
+    deletes: float = 0.1
+    """The part of them that deletes a variable."""
     restarts: bool = False
     late: bool = False
     """Whether the last node is switched on in the middle."""
@@ -218,10 +220,10 @@ def _moving(situation: Situation) -> tuple[Topology, list[tuple[int, Callable[[]
 def _applications(network: MixedNetwork, index: int, rng: random.Random, situation: Situation, end: int) -> None:
     time = 0
     while (time := time + round(rng.expovariate(situation.busy) * SECOND)) < end - 3 * SECOND:
-        network.at(time, lambda: _something(network, index, rng))
+        network.at(time, lambda: _something(network, index, rng, situation.deletes))
 
 
-def _something(network: MixedNetwork, index: int, rng: random.Random) -> None:
+def _something(network: MixedNetwork, index: int, rng: random.Random, deletes: float) -> None:
     """A service request that may be refused."""
     if network.stations[index].node is None:
         return
@@ -233,7 +235,7 @@ def _something(network: MixedNetwork, index: int, rng: random.Random) -> None:
         network.request(
             index, "RTDB-Create", varId=var_id, repCnt=rng.randrange(1, 4), descr=f"v{var_id}", value=value, **more
         )
-    elif action < 0.9:
+    elif action < 1.0 - deletes:
         network.request(index, "RTDB-Update", varId=var_id, value=value)
     else:
         network.request(index, "RTDB-Delete", varId=var_id)

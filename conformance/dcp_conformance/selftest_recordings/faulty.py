@@ -58,7 +58,9 @@ class FaultyResult(msgspec.Struct, frozen=True, kw_only=True):
 
 @cache
 def _situation(profile: str, shape: Literal["bus", "line"]) -> Situation:
-    return Situation(profile=profile, shape=shape, nodes=5, seconds=16.0, busy=2.0, restarts=True, late=True, seed=7)
+    return Situation(
+        profile=profile, shape=shape, nodes=5, seconds=30.0, busy=2.0, deletes=0.25, restarts=True, late=True, seed=7
+    )
 
 
 @cache

@@ -5,8 +5,13 @@
   const items = json("plots"), colours = json("swap"), views = new Map(), spans = new Map();
 
   // Every colour of a plot is one of the light scheme or of the dark one.
+  function exchange() {
+    const to = dark() ? 1 : 0;
+    return new Map(colours.map((pair) => [pair[1 - to], pair[to]]));
+  }
+
   function paint(model) {
-    const to = dark() ? 1 : 0, now = new Map(colours.map((pair) => [pair[1 - to], pair[to]]));
+    const now = exchange();
     for (const each of model.references()) {
       const changed = {};
       for (const name of Object.keys(each.properties)) {
@@ -38,10 +43,11 @@
     const name = place.dataset.plot;
     if (views.has(name)) return;
     views.set(name, null);
-    const manager = await Bokeh.embed.embed_item(items[name].item, place.id);
+    // In its colours from the start: what is painted over shines through at the edges.
+    const now = exchange(), item = JSON.parse(JSON.stringify(items[name].item), (_, value) => now.get(value) ?? value);
+    const manager = await Bokeh.embed.embed_item(item, place.id);
     const model = [...manager][0].model;
     views.set(name, model);
-    paint(model);
     // A finger scrolls the page until a tool is chosen.
     if (matchMedia("(pointer: coarse)").matches) for (const tool of model.toolbar.tools) if (tool.active && tool.type !== "HoverTool") tool.active = false;
     if (items[name].time) link(model, items[name].group);

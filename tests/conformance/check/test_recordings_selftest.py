@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from dcp_conformance.reference.networks import Situation, identifier, record
-from dcp_conformance.selftest_recordings import clean, situation
+from typing import Literal
+
+import pytest
+from dcp_conformance.mutants import all_mutants
+from dcp_conformance.reference.inprocess import plain_node
+from dcp_conformance.reference.networks import Other, Situation, identifier, record
+from dcp_conformance.selftest_recordings import clean, faulty, situation
+from dcp_conformance.selftest_recordings.table import document
 
 from ..air import case_of, findings, judged
 
@@ -34,3 +40,22 @@ def test_links_of_a_line_are_those_of_neighbours():
         near = {names[other] for other in (index - 1, index + 1) if 0 <= other < 5}
         assert {each for each in names if each in heard} <= near, line
         assert near & {each for each in names if each in heard}, line
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "rule"),
+    [("M-VD-PD-04-ignored", "bus", "CK_VD_TAKES_DELETE"), ("M-VD-PU-07-ignored", "line", "CK_VD_TAKES_UPDATE")],
+)
+def test_a_faulty_node_in_a_network_is_found_with_its_requirement(name: str, shape: Literal["bus", "line"], rule: str):
+    result = faulty([all_mutants()[name]], shapes=[shape])
+    (outcome,) = result.outcomes
+    assert (outcome.fate, rule in outcome.rules) == ("found", True), outcome
+    text = document(result, clean(DRAW[:1]))
+    assert f"| {name} |" in text
+    assert "1 networks" in text
+
+
+def test_a_node_of_ours_in_place_of_a_mutant_is_the_same():
+    case = Situation(seconds=4.0)
+    assert record(case, {2: Other(plain_node)}) == record(case)
+    assert record(case, {2: Other(all_mutants()["M-BP-FMT-01-checksum-in-length"].make)}) != record(case)

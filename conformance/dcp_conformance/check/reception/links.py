@@ -8,8 +8,9 @@ trial. Expectation maximisation finds the p that explain the outcomes best (Demp
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 _ROUNDS, _FLOOR = 25, 1e-9
@@ -42,12 +43,15 @@ class Link(NamedTuple):
     """Reactions to this speaker alone."""
 
 
-def bits(mask: int) -> Iterator[int]:
-    """The bits that are set, as masks."""
+@functools.lru_cache(maxsize=1 << 16)
+def bits(mask: int) -> tuple[int, ...]:
+    """The bits that are set, as masks. The same few masks are asked for again and again."""
+    found = []
     while mask:
         low = mask & -mask
-        yield low
+        found.append(low)
         mask ^= low
+    return tuple(found)
 
 
 def infer(outcomes: Outcomes) -> dict[int, tuple[float, int, float]]:

@@ -105,6 +105,9 @@ class Interval:
     """Whether all of it stood in the second half of its payload."""
     length: int
     """The length of the shortest payload with it."""
+    frame: int
+    """The beacon that said it last."""
+    beacons: int = 1
 
 
 class Trial(NamedTuple):
@@ -119,6 +122,8 @@ class Trial(NamedTuple):
     cause: Said
     late_half: bool
     length: int
+    once: bool = False
+    """Of a reaction: whether there was a single beacon that it can be due to."""
 
 
 @dataclass(slots=True, eq=False)
@@ -348,6 +353,7 @@ class Observer:
         before, speakers = self._carried.pop(key, (-_CARRIED, 0))
         if station.beacons - before >= _CARRIED:
             speakers = 0
+        once = len(intervals) == 1 and not speakers and intervals[0].beacons == 1
         carried = 0
         for each in intervals:
             speakers |= each.speakers
@@ -359,7 +365,7 @@ class Observer:
         self._outcome(
             Trial(
                 last.time, station, kind, var_id, speakers, True, last.cause,
-                all(each.late_half for each in intervals), min(each.length for each in intervals),
+                all(each.late_half for each in intervals), min(each.length for each in intervals), once,
             )
         )  # fmt: skip
 
@@ -510,7 +516,9 @@ class Observer:
             last.speakers |= speaker
             last.late_half = last.late_half and late_half
             last.length = min(last.length, length)
+            last.beacons += each.frame != last.frame
+            last.frame = each.frame
             return
-        intervals.append(Interval(station.beacons, self.time, each, speaker, late_half, length))
+        intervals.append(Interval(station.beacons, self.time, each, speaker, late_half, length, each.frame))
         if len(intervals) > _OPEN:
             intervals.pop(0)

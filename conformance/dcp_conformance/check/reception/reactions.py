@@ -27,9 +27,12 @@ _BELIEF = 10_000_000_000
 _DOUBTFUL, _STEADY = 2_500_000_000, 0.9
 #: Fewer expected reactions decide nothing; of those expected at most this part may come; chance is excluded below this.
 _EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
+#: The same where links fail: then what is missed together may have one cause.
+_UNSTEADY = 1e-6
 #: A link that was up before and after is up in between with this probability, whatever was missed meanwhile.
 _UP = 0.9
 _EXAMPLES = 3
+_TAKEN = (Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.TAKE_DELETE)
 #: A group of trials of which at most this part was met is looked at more closely.
 _SUSPICIOUS = 0.4
 #: A pass is withheld where so many reactions were expected and only this part came.
@@ -48,21 +51,23 @@ class _Gap:
 
     best: float = 0.0
     silent: float = 1.0
+    steady: bool = True
     hit: bool = False
     speakers: int = 0
     late_half: bool = True
     shortest: int = 1 << 31
     cause: Said | None = None
 
-    def add(self, expected: float) -> None:
-        """A trial with this probability of a reaction."""
+    def add(self, expected: float, *, steady: bool) -> None:
+        """A trial with this probability of a reaction; ``steady``: the link has hardly ever failed."""
         self.best = max(self.best, expected)
         self.silent *= 1.0 - expected
+        self.steady = self.steady and steady
 
     @property
     def expected(self) -> float:
         """The probability of any reaction: many trials help as far as a link is up."""
-        return max(self.best, min(1.0 - self.silent, _UP))
+        return max(self.best, min(1.0 - self.silent, _UP)) if self.steady else self.best
 
 
 @dataclass(slots=True)
@@ -73,6 +78,8 @@ class Tally:
     """Times between two reactions that show that the node hears; all trials in between count as one."""
     hits: int = 0
     expected: float = 0.0
+    steady: bool = True
+    """Whether all links that this rests on have hardly ever failed."""
     all_trials: int = 0
     """Trials, whatever is known of them."""
     all_hits: int = 0
@@ -90,6 +97,7 @@ class Tally:
             self.trials += 1
             self.hits += gap.hit
             self.expected += gap.expected
+            self.steady = self.steady and gap.steady
             if gap.cause is not None and not gap.hit:
                 self.speakers |= gap.speakers
                 self.late_half = self.late_half and gap.late_half
@@ -135,6 +143,19 @@ class _Shown:
     """The longest payload that it has reacted to."""
     late_half: int = 0
     """Reactions to what stood in the second half of a payload."""
+
+
+class _Known(NamedTuple):
+    """Whom a node hears in a window."""
+
+    shares: dict[int, float]
+    """Speaker -> the part of its beacons that is heard, as it looks."""
+    bounds: dict[int, float]
+    """The same with caution, of those speakers of whom it is certain."""
+    sure: dict[int, list[int]]
+    """Speaker -> when it was shown, in order."""
+    heard: dict[int, int]
+    """Frame -> its speaker, of beacons that the node has heard for sure."""
 
 
 class Reception:
@@ -211,8 +232,10 @@ class Reception:
         # Whatever a node never does shows nothing of whom it hears, as long as there is anything that it does.
         left_out = {id(trial) for _, group in suspects for trial in group}
         rest = [trial for trial in trials if id(trial) not in left_out]
-        for key, group in suspects:
-            self._suspect(key, group, rest)
+        if suspects:
+            known = self._known(rest)
+            for key, group in suspects:
+                self._suspect(key, group, known)
         self._infer(station, rest or trials)
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
@@ -226,8 +249,8 @@ class Reception:
                 alone = outcomes.get(bit, (0, 0))[1]
                 self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
-    def _suspect(self, key: Group, group: list[Trial], others: list[Trial]) -> None:
-        """Add what was expected of a group, as all trials of the node that are well show it."""
+    def _known(self, others: list[Trial]) -> _Known:
+        """Whom a node hears in a window, as all its trials that are well show it."""
         outcomes = _outcomes(others)
         shares = {bit: share for bit, (share, _, _) in infer(outcomes).items()}
         bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
@@ -235,7 +258,13 @@ class Reception:
         bounds = {
             bit: bound for bit, bound in bounds.items() if bound >= _HEARS and outcomes.get(bit, (0, 0))[1] >= _ALONE
         }
-        sure = self._sure(others, shares)
+        # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
+        heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
+        return _Known(shares, bounds, self._sure(others, shares), heard)
+
+    def _suspect(self, key: Group, group: list[Trial], known: _Known) -> None:
+        """Add what was expected of a group, as what is known of the node shows it."""
+        shares, bounds, sure, heard = known
         tally = self._tallies.get(key)
         if tally is None:
             if len(self._tallies) >= _GROUPS:
@@ -252,12 +281,17 @@ class Reception:
                 for bit, bound in bounds_of.items()
                 if _between(sure.get(bit), trial.time, _BELIEF if shares[bit] >= _STEADY else _DOUBTFUL)
             }
-            if not believed:
+            if (speaker := heard.get(trial.cause.frame)) is not None:
+                believed = {speaker: _UP}
+                gap = gaps.setdefault((0, trial.cause.frame, True), _Gap())
+                gap.add(_UP, steady=True)
+            elif believed:
+                best = max(believed, key=lambda bit: believed[bit])
+                place = bisect_left(sure[best], trial.time)
+                gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
+                gap.add(reacts(trial.speakers, believed), steady=shares[best] >= _STEADY)
+            else:
                 continue
-            best = max(believed, key=lambda bit: believed[bit])
-            place = bisect_left(sure[best], trial.time)
-            gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
-            gap.add(reacts(trial.speakers, believed))
             gap.hit = gap.hit or trial.hit
             if not trial.hit:
                 for bit in believed:
@@ -271,11 +305,15 @@ class Reception:
     def _sure(self, trials: Iterable[Trial], shares: dict[int, float]) -> dict[int, list[int]]:
         """When the node has shown that it hears a speaker, and nobody else in its place."""
         sure: dict[int, list[int]] = {}
+        alone: dict[int, tuple[int, ...]] = {}
+        """Speakers of a trial -> those whom nobody else can stand for."""
         for trial in trials:
             if trial.hit:
-                for bit in bits(trial.speakers):
-                    if reacts(trial.speakers ^ bit, shares) < 1 - _SURE:
-                        sure.setdefault(bit, []).append(trial.time)
+                mask = trial.speakers
+                if mask not in alone:
+                    alone[mask] = tuple(bit for bit in bits(mask) if reacts(mask ^ bit, shares) < 1 - _SURE)
+                for bit in alone[mask]:
+                    sure.setdefault(bit, []).append(trial.time)
         for times in sure.values():
             times.sort()
         return sure
@@ -300,7 +338,7 @@ class Reception:
             if tally.short or tally.doubtful:
                 station = self.observer.stations[node]
                 names = tuple(self.observer.by_bit[bit].node for bit in bits(tally.speakers))
-                certain = tally.short and tally.chance < _CHANCE
+                certain = tally.short and tally.chance < (_CHANCE if tally.steady else _UNSTEADY)
                 found.append(Shortage(station, kind, var_id, tally, names, certain))
         # All variables together say more than each, unless it is one of them alone.
         every = {(each.station.node, each.kind) for each in found if each.var_id is None and each.certain}
