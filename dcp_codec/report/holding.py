@@ -158,7 +158,7 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
     heard = np.zeros(produced.time.size, bool)
     if said is None:
         start = max(float(produced.time[0]), float(beacons[0]))
-        missing = end > start and pair.produced != DELETED
+        missing = end > start and pair.produced >= 0
         pieces = np.array([(start, end)] if missing else [], np.float64).reshape(-1, 2)
         differs = np.ones(len(pieces), bool)
     else:
@@ -169,12 +169,12 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
         pieces, differs = _pieces(produced, said, end, forgotten)
         pair.known = _joined(pieces)
     pair.claims = said, produced
-    could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number != DELETED)
+    could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number >= 0)
     pair.values, pair.said = int(could.sum()), int((could & heard).sum())
     pair.differs = _joined(pieces[differs])
     # What it says in its last beacon counts, too.
     final = np.array([end])
-    agrees = said is not None and said.number[said.at(final)[0]] == produced.number[produced.at(final)[0]]
+    agrees = said is not None and not _differ(said.number[said.at(final)], produced.number[produced.at(final)])[0]
     open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
     found = []
     for start, stop in pair.differs:
@@ -201,6 +201,12 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
                 frame=int(produced.frame[first]),
             )
         )
+    return found
+
+
+def _differ(held: Column, produced: Column) -> Column:
+    """Whether numbers differ. Nodes that deleted a variable, or do not know it, hold the same: nothing."""
+    found: Column = (held != produced) & ((held >= 0) | (produced >= 0))
     return found
 
 
@@ -241,7 +247,7 @@ def _pieces(produced: _Claims, said: _Claims, end: float, forgotten: float) -> t
     mine, theirs = said.at(times[:-1]), produced.at(times[:-1])
     row = np.maximum(mine, 0)
     known = (mine >= 0) & (theirs >= 0) & ~(silent[row] & (times[:-1] >= said.time[row] + forgotten))
-    differs = said.number[row] != produced.number[np.maximum(theirs, 0)]
+    differs = _differ(said.number[row], produced.number[np.maximum(theirs, 0)])
     return np.stack([times[:-1], times[1:]], axis=1)[known], differs[known]
 
 

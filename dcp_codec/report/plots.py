@@ -377,4 +377,4 @@ def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
 
 def number_text(number: int | None) -> str:
     """A held number as a table shows it."""
-    return "nothing" if number is None else {DELETED: "deleted", UNKNOWN: "asked for it"}.get(number, str(number))
+    return "nothing" if number is None else {DELETED: "deleted", UNKNOWN: "not known"}.get(number, str(number))

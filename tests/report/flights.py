@@ -19,6 +19,7 @@ from dcp_codec.values import (
     Payload,
     VarCreate,
     VarDelete,
+    VarReqCreate,
     VarSpec,
     VarSumm,
     VarUpdate,
@@ -60,6 +61,10 @@ def update(variable: int, seqno: int, value: bytes) -> Payload:
 
 def summary(variable: int, seqno: int) -> Payload:
     return Payload(VARDIS, (Container(SUMMARIES, (VarSumm(variable, seqno),)),))
+
+
+def ask(variable: int) -> Payload:
+    return Payload(VARDIS, (Container(4, (VarReqCreate(variable),)),))
 
 
 def delete(variable: int) -> Payload:

@@ -15,7 +15,7 @@ from dcp_codec.report.chapter import chapter
 from dcp_codec.report.holding import Divergence, Holding, Pair, holding, shares
 from dcp_codec.report.recorded import Recorded, gather
 
-from .flights import CAPTURES, Sent, create, delete, gathered, name, record, report, summary, update
+from .flights import CAPTURES, Sent, ask, create, delete, gathered, name, record, report, summary, update
 
 
 def looked_at(path: Path, sent: list[Sent]) -> tuple[Recorded, Holding]:
@@ -136,6 +136,16 @@ def test_a_deletion_that_is_followed_ignored_and_only_fallen_silent_about(tmp_pa
     assert not silent.differs_at_end
     assert ignores.differs_at_end
     assert (ignores.held, ignores.produced) == (0, DELETED)
+
+
+def test_a_node_that_asks_for_a_deleted_variable_holds_as_little_as_its_producer(tmp_path):
+    sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), *beats(1, 0, 0.1, 3), *beats(2, 0, 0.1, 3.1)]
+    sent += [(3.0, 1, 90, (delete(7),)), *beats(1, 0, 3.1, 9, variable=9)]
+    sent += [(3.2 + n / 10, 2, 100 + n, (ask(7),)) for n in range(55)]
+    recorded, found = looked_at(tmp_path, sent)
+    one = pair(recorded, found, 7, 2)
+    assert (one.held, one.produced, one.differs_at_end) == (UNKNOWN, DELETED, False)
+    assert found.divergences == []
 
 
 def test_silence_is_not_taken_for_holding(tmp_path):

@@ -251,6 +251,8 @@ class Requests(Invariant):
         super().__init__(context)
         self._asked: dict[tuple[bytes, int], list[int]] = {}
         self._producers: dict[int, bytes] = {}
+        self._sent: dict[int, int] = {}
+        """How often the create of a variable was sent after the first request for it."""
 
     def feed(self, seen: Seen) -> None:
         """Compare requests with what the node last said."""
@@ -263,11 +265,14 @@ class Requests(Invariant):
                     self.violated(text, [before, each], once=(seen.sender, each.var_id))
             elif each.kind is CREATE:
                 self._producers[each.var_id] = each.record.spec.prod_id
+                if each.var_id in self._sent:
+                    self._sent[each.var_id] += 1
 
     def _count(self, each: Said, seen: Seen) -> None:
         key = (seen.sender, each.var_id)
         if key in self._asked or len(self._asked) < MOST_VARIABLES:
             self._asked.setdefault(key, [0, each.frame])[0] += 1
+            self._sent.setdefault(each.var_id, 0)
 
     def finish(self) -> None:
         """Hazards of the design: requests that never end, and producers that ask for their own variables."""
@@ -279,7 +284,8 @@ class Requests(Invariant):
                 self.note("a producer that has forgotten its own variable (H2)", text, [Mark(first)])
         for var_id, askers in by_variable.items():
             often = [each for each in askers if each[1] >= 10]
-            if len(often) >= 2:
+            # Where it is sent again and again, somebody has it: CK_VD_ENDLESS tells why it may not be taken.
+            if len(often) >= 2 and self._sent[var_id] < len(often):
                 who = ", ".join(f"{name(node)} {count} times" for node, count, _ in often)
                 marks = [Mark(first) for _, _, first in often]
                 self.note("nodes that ask each other for what neither has (H1)", f"variable {var_id}: {who}", marks)

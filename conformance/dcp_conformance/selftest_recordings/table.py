@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final
 
+from dcp_conformance.mutants import all_mutants
+
 from .clean import CleanResult
 from .faulty import SHAPES, FaultyResult, Outcome
 
@@ -38,6 +40,7 @@ def document(result: FaultyResult, clean: CleanResult | None) -> str:
         "Each mutant (our node with one small fault) is put into the middle of a simulated network of five nodes, on a",
         "bus and in a line, with restarts, a node that joins late, and applications that create, update and delete.",
         "`check` judges the recording. A mutant that sends the octets of our node in this traffic cannot be found.",
+        f"{len(table)} of {len(all_mutants())} mutants were tried for this page.",
         "",
         "| network | " + " | ".join(TITLES[each] for each in _ORDER) + " |",
         "|---|" + "---:|" * len(_ORDER),
