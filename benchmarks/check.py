@@ -23,6 +23,8 @@ from dcp_codec.codec import Codec
 from dcp_codec.framing import OtherTraffic, locate
 
 PROFILE = "dcp-2.0"
+#: Beacon periods between two values of a variable: 5 s, as in ``dcp-node simulate``.
+_EVERY = 50
 #: Frames that are made, and then judged: making them is not measured.
 _CHUNK = 2_000
 
@@ -45,7 +47,8 @@ def measure(beacons: int, attack: bool) -> tuple[float, float, float, int]:
     judge = Judge(codec, Pics(), recording="made up", period_known=False)
     decoding = judging = 0.0
     base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for frames in chunks((Attack if attack else Flight)(codec), beacons):
+    flight = (Attack if attack else Flight)(codec, every=_EVERY)
+    for frames in chunks(flight, beacons):
         begin = time.process_time()
         for frame in frames:
             framing = locate(frame.data, codec.profile.link)

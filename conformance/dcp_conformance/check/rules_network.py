@@ -66,6 +66,8 @@ class Backed(Invariant):
         self._whole: dict[bytes, tuple[int, int]] = {}
         """Since when a node is heard without a gap; in how many beacons in a row it has summarised all that it has."""
         self._created: set[int] = set()
+        self._pairs = 0
+        """Of a node and a variable that are followed: of all nodes together, since anybody can forge more."""
 
     def feed(self, seen: Seen) -> None:
         """Follow the numbers of the sender."""
@@ -93,19 +95,19 @@ class Backed(Invariant):
                 self._created.add(each.var_id)
                 self._back(known, each, sender.time)
             elif each.kind is ICType.DELETE_VARIABLES:
-                known.pop(each.var_id, None)
+                self._pairs -= known.pop(each.var_id, None) is not None
         for each in said:
             if each.kind is ICType.SUMMARIES:
                 summaries += 1
                 self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
         self._whole[seen.sender] = (sender.unbroken, whole + 1 if summaries >= len(known) else 0)
 
-    @staticmethod
-    def _back(known: dict[int, _Backing], each: Said, time: int) -> None:
+    def _back(self, known: dict[int, _Backing], each: Said, time: int) -> None:
         state = known.get(each.var_id)
         if state is not None and state.number == seqno_of(each):
             state.backed, state.time = True, time
-        elif state is not None or len(known) < MOST_VARIABLES:
+        elif state is not None or self._pairs < MOST_VARIABLES:
+            self._pairs += state is None
             known[each.var_id] = _Backing(each, seqno_of(each), backed=True, time=time)
 
     def _summary(
@@ -113,7 +115,8 @@ class Backed(Invariant):
     ) -> None:
         state, number = known.get(each.var_id), each.record.seqno
         if state is None:
-            if len(known) < MOST_VARIABLES:
+            if self._pairs < MOST_VARIABLES:
+                self._pairs += 1
                 # Of a node that was heard to the last beacon, all of whose variables are known, this one is new.
                 known[each.var_id] = _Backing(each, number, backed=not complete, time=seen.time)
             return
