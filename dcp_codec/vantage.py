@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from .capture import CaptureError, open_capture
+
 MEDIUM: Final = "medium"
 """``vantage`` in the metadata record ``dcp.recording`` of a recording of all transmissions; otherwise a node."""
 
@@ -19,3 +21,14 @@ NO_LOSSES: Final = "each transmission once, as it was sent: what receivers lost 
 def records_transmissions(metadata: Mapping[str, Mapping[str, str]]) -> bool:
     """Whether the metadata of a capture say that it has each transmission once, and no receptions."""
     return metadata.get("dcp.recording", {}).get("vantage") == MEDIUM
+
+
+def is_of_medium(path: str) -> bool:
+    """As :func:`records_transmissions` for a file; False for one that cannot be read."""
+    try:
+        with open_capture(path) as capture:
+            # Metadata stand before the first frame.
+            next(iter(capture), None)
+            return records_transmissions(getattr(capture, "metadata", {}))
+    except (CaptureError, OSError):
+        return False

@@ -131,7 +131,7 @@ def senders_of(recorded: Recorded, time: Time, steps: Steps) -> list[Sender]:
                 node=each,
                 beacons=received,
                 lost=missing,
-                loss=missing / (received + missing) if recorded.modulus else None,
+                loss=missing / (received + missing) if recorded.tells_losses else None,
                 rate=max(0, received - int(links[each])) / span if span else None,
                 restarts=int(restarts[each]),
                 first=float(first[each]),

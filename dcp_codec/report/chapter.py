@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dcp_codec.plain import plain
+from dcp_codec.vantage import NO_LOSSES
 
 from . import analysis, holding, reactions, sections, variables
 from .analysis import Sender, Steps, Time
@@ -88,7 +89,7 @@ def _tiles(
     malformed, stale = recorded.outcome.malformed, sum(pair.differs_at_end for pair in held.pairs)
     lost, share = _lost(recorded, steps)
     tiles = [(f"{recorded.column('beacons', 'node').size:,}", "beacons", ""), (f"{len(senders):,}", "senders", "")]
-    if recorded.modulus:
+    if recorded.tells_losses:
         tiles.append((f"{share:.2g} %", "lost", "fail" if lost else ""))
     tiles.append((str(len(recorded.variables)), "variables", ""))
     if held.pairs:
@@ -108,6 +109,8 @@ def _problems(recorded: Recorded, steps: Steps) -> list[str]:
         found.append(f"There are no DCP frames of profile {outcome.profile} in this recording. {there}")
     elif outcome.other:
         found.append(f"{outcome.other:,} of {outcome.frames:,} frames are other traffic than DCP.")
+    if recorded.transmissions_only:
+        found.append(f"Losses are unknown: {NO_LOSSES}.")
     if steps.back.any():
         found.append(
             "Time goes back in this recording: the clock of the recorder was set. Rates, ages, delays and the order of "
@@ -141,7 +144,7 @@ def _figures(
         ("profile", plain(recorded.outcome.profile)),
         ("senders", f"{len(senders):,}"),
         ("beacons", f"{recorded.column('beacons', 'node').size:,}"),
-        ("beacons lost", f"{lost:,} ({share:.2g} %)" if recorded.modulus else "unknown"),
+        ("beacons lost", f"{lost:,} ({share:.2g} %)" if recorded.tells_losses else "unknown"),
         ("malformed frames", f"{recorded.outcome.malformed:,}"),
         ("values of variables", f"{values.variable.size:,}"),
         ("values that a node never said", f"{could - said:,} of {could:,}"),

@@ -17,6 +17,7 @@ from dcp_codec.plain import plain
 from dcp_codec.table.decoding import Batch, ColumnDecoder, worth_compiling
 from dcp_codec.table.job import Advance, Outcome, others, resolve
 from dcp_codec.table.sources import Recording
+from dcp_codec.vantage import is_of_medium
 
 Column = npt.NDArray[Any]
 
@@ -91,6 +92,13 @@ class Recorded:
     number_modulus: int
     #: Options of dcp-codec that decode this recording as this report did.
     options: str = ""
+    #: The recording has each transmission once, whoever received it: nothing about losses follows from it.
+    transmissions_only: bool = False
+
+    @property
+    def tells_losses(self) -> bool:
+        """Whether gaps in sequence numbers of beacons say what was lost."""
+        return bool(self.modulus) and not self.transmissions_only
 
     def column(self, table: str, name: str) -> Column:
         """One column; empty if the profile has no such table."""
@@ -354,6 +362,7 @@ def gather(
         units={role: member.unit for role, member in gatherer.roles.items()},
         modulus=gatherer.modulus,
         number_modulus=gatherer.number_modulus,
+        transmissions_only=path != "-" and is_of_medium(path),
         options=_options(codec.profile.name if profile == "auto" else profile, ether_type),
     )
 

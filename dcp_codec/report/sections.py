@@ -202,7 +202,7 @@ def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Se
         )
     if not easel.recorded.modulus:
         section.words.append("Beacons of this profile have no sequence numbers: what is lost cannot be seen.")
-    elif not steps.lost.any():
+    elif easel.recorded.tells_losses and not steps.lost.any():
         section.words.append("No sequence number of a beacon is missing.")
     section.plots += plots.beacon_rate(easel, steps)
     return section

@@ -131,10 +131,10 @@ QUICKLY: list[Step] = [frame(create(1)), frame(create(2, 3)), Wait(8.0)]
 @pytest.mark.parametrize(
     ("mutant", "steps", "kind"),
     [
-        ("M-VD-SCR-06-not-refreshed", ALIVE, "state"),
+        ("M-VD-SCR-06-not-refreshed", ALIVE, "said"),
         ("M-VD-SCR-06-summaries-refresh", SUMMED, "said"),
         ("M-VD-INI-06-never", LONG, "said"),
-        ("M-VD-SCR-03-half", [frame(create(1, 0, 1900)), Wait(11.0)], "state"),
+        ("M-VD-SCR-03-half", [frame(create(1, 0, 1900)), Wait(11.0)], "said"),
         ("M-VD-CMP-06-one-more", QUICKLY, "said"),
     ],
 )

@@ -162,6 +162,21 @@ def test_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, ca
     assert own["02:00:00:00:00:01"]["lost"] > 5
 
 
+@pytest.mark.parametrize("vantage", ["medium", "node"])
+def test_nor_does_the_page_of_such_a_recording(run, tmp_path, vantage):
+    pytest.importorskip("bokeh")
+    from dcp_codec.cli import main as codec
+
+    medium, folder, page = tmp_path / "medium.mcap", tmp_path / "nodes", tmp_path / "page.html"
+    run("simulate", "-n", 2, "--duration", 5, "--loss", 0.5, "--record-medium", medium, "--record", folder)
+    with pytest.raises(SystemExit) as ended:
+        codec(["report", str(medium if vantage == "medium" else folder / "node-0.mcap"), "--out", str(page)])
+    assert not ended.value.code
+    text = page.read_text()
+    assert ("Losses are unknown: each transmission once" in text) == (vantage == "medium")
+    assert "No sequence number of a beacon is missing" not in text
+
+
 def test_the_default_scenario_knows_how_far_values_have_to_go(run):
     """Values need 1.5 beacon periods a hop: 5 s are too few for 62 hops, and nothing is amiss."""
     report = json.loads(

@@ -77,7 +77,8 @@ class Directed:
             params = {"varId": var_id, "repCnt": 1, "descr": "own", "value": "00"}
             found = [Call("RTDB-Create", params), Wait(1.0)]
             if life == "deleted":
-                found += [Call("RTDB-Delete", {"varId": var_id}), Wait(1.0)]
+                # Up to 1.3 the variable is forgotten after its last VarDelete, which may be in the next beacon.
+                found += [Call("RTDB-Delete", {"varId": var_id}), Wait(0.1)]
         elif whose == "foreign":
             number = _NUMBER
             found = [sequences.frame(sequences.good_create(var_id, seqno=number, creation=CREATION))]

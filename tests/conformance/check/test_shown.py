@@ -20,8 +20,9 @@ from dcp_conformance.pics import Pics
 from dcp_conformance.reporting.page import render
 from dcp_conformance.verdict import Verdict
 
-from dcp_codec import VarSpec, get_codec
+from dcp_codec import Beacon, BPHeader, Container, Payload, VarSpec, VarSumm, get_codec
 from dcp_codec.capture import Frame, create_capture, open_capture
+from dcp_codec.envelope import Envelope
 
 from ..air import case_of, judged
 
@@ -156,3 +157,22 @@ def test_the_page_marks_numbers_that_differ_from_the_producers(tmp_path):
         ("bad", "\u2260 0"),
     ]
     assert "4 numbers differ from the producer's" in dom
+
+
+def test_a_bad_payload_shows_nothing_of_padding():
+    """A test pattern in place of a report that has opaque octets in the profile: no part of it is a pointer."""
+    codec = get_codec("cpp-1.3")
+    vardis = codec.encode_containers((Container(1, (VarSumm(7, 3),)),))
+    frames = []
+    for number in range(40):
+        node = b"\x02\0\0\0\0\1"
+        octets = codec.encode_envelope(
+            Beacon(BPHeader(node, number), (Payload(1, bytes(range(0x20, 0x48))), Payload(2, vardis)))
+        )
+        data = Envelope(codec.profile.link).frame(octets, node)
+        frames.append(Frame(number + 1, 1_750_000_000_000_000_000 + number * 100_000_000, data, len(data)))
+    run = judged(frames, "cpp-1.3", enough=None)
+    assert case_of(run, "CK_BP_FORMAT").verdict is Verdict.FAIL
+    assert case_of(run, "CK_DATA_PACKED").verdict is Verdict.NOT_APPLICABLE
+    # What the beacon says besides is judged.
+    assert case_of(run, "CK_VD_SEQNO").occasions["VD-TYP-03"] == 39
