@@ -54,3 +54,19 @@ def test_shown_output_is_printed(command, shown, tmp_path, monkeypatch, capsys):
     assert expected
     missing = [line for line in expected if line not in lines]
     assert missing == []
+
+
+def programs() -> list[str]:
+    """The Python programs of the README."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("program", programs(), ids=lambda text: text.splitlines()[0])
+def test_programs_run_as_they_are(program, capsys):
+    exec(compile(program, "README.md", "exec"), {"__name__": "__main__"})
+    assert capsys.readouterr().out
+
+
+def test_there_are_programs():
+    assert len(programs()) >= 2
