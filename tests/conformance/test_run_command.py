@@ -174,7 +174,7 @@ class TestWhatIsRun:
             (["--interface", "nosuch0"], "there is no such interface; there are lo"),
             (["--link", "udp:nowhere"], "nowhere"),
             (["--in-process", "--link", "udp"], "--in-process tests our own node"),
-            (["--ether-type", "IP"], "'IP' is no number"),
+            (["--ether-type", "IP"], "'ip' is not an EtherType; write it in hex, as in 0x4953"),
             (["--ut", "unix:node.sock"], "--ut is for an implementation of yours: name its --interface or --link"),
             (["--in-process", "--restart", "true"], "--restart is for an implementation of yours"),
             (["--timing-scale", "0"], "0.0 is not in the range 0<x<=1000.0"),

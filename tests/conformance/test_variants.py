@@ -102,14 +102,16 @@ def test_an_inconclusive_verdict_counts_unless_the_variant_explains_it():
     found = judge(silent, PROFILE, case)
     assert [each.case for each in found.inconclusive] == ["TC_BP_HDR_BV_09"]
     assert found.explained == 0
-    explaining = Variant(silent.id, silent.what, silent.why, silent.build, explains=("^TC_BP_HDR_BV_09: a pause",))
+    explaining = Variant(
+        silent.id, silent.what, silent.why, silent.build, explains=("^TC_BP_HDR_BV_09: no beacon during the pause",)
+    )
     again = judge(explaining, PROFILE, case)
     assert (again.inconclusive, again.explained, again.good) == ((), 1, True)
 
 
 def test_an_explanation_that_nothing_needs_is_told():
     loud = all_variants()["V-APP-every-beacon"]
-    explains = ("^TC_BP_HDR_BV_09: a pause", "^TC_BP_HDR_BV_09: something else")
+    explains = ("^TC_BP_HDR_BV_09: no beacon during the pause", "^TC_BP_HDR_BV_09: something else")
     variant = Variant(loud.id, loud.what, loud.why, loud.build, SpecVersion.V2_0, explains=explains)
     cases = some_cases("TC_BP_HDR_BV_09")
     one = VariantsResult(trials=(judge(variant, "dcp-2.0", cases),))

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 import yaml
+from dcp_spec.profile_loading import ProfileError
 
 from dcp_codec import Codec, DecodeError, Field, get_codec, strategies
 from dcp_codec.capture import open_capture
@@ -225,5 +226,6 @@ def test_two_members_of_one_name_are_refused(tmp_path: Path) -> None:
     members = '{ name = "aB", type = "u8" }, { name = "a_b", type = "u8" }'
     path = tmp_path / "own.toml"
     path.write_text(f'extends = "dcp-2.0"\nname = "own"\n[srp]\nsafety_data = [{members}]\n', encoding="utf-8")
-    with pytest.raises(ValueError, match="SafetyData: two members would be called a_b"):
+    # The profile itself is refused: every view would have to give one of them another name.
+    with pytest.raises(ProfileError, match=r"field name 'aB' is used twice.*field name 'a_b' is used twice"):
         kaitai_struct(Codec(path))

@@ -19,7 +19,10 @@ from one state of its database. Of the invariants of ``check``:
   what ``CK_BP_FORMAT`` finds).
 * Not used, since their occasions come from peers that lie: ``CK_VD_SEQNO``, ``CK_VD_VALUE``, ``CK_VD_SPEC``,
   ``CK_VD_DELETED``, ``CK_VD_CREATION``, ``CK_VD_REPEAT``, ``CK_VD_REQUEST``, ``CK_VD_ANSWER_UPDATE``,
-  ``CK_VD_ANSWER_CREATE``, ``CK_VD_TAKES_UPDATE`` and the rest of ``rules_dialogue``.
+  ``CK_VD_ANSWER_CREATE``, ``CK_VD_TAKES_CREATE``, ``CK_VD_TAKES_UPDATE``, ``CK_VD_TAKES_DELETE``, ``CK_VD_ASK_UPDATE``,
+  ``CK_VD_ASK_CREATE``, ``CK_VD_TEACH``, ``CK_VD_BACKED``, ``CK_VD_ENDLESS``.
+* Not used, since they are about several nodes, of which a run has one: ``CK_NET_HEARS``, ``CK_NET_AGREES``,
+  ``CK_NET_SILENT``.
 """
 
 from __future__ import annotations
