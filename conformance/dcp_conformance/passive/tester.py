@@ -87,6 +87,10 @@ class PassiveTester:
         """How often each case was executed: frames are numbered in each execution anew."""
         self._beacons: Counter[str] = Counter()
         """Beacons that were judged, by the case in which they were heard."""
+        self._heard_in: Counter[str] = Counter()
+        """The same; those heard while several cases were executed count for each of them."""
+        self._beside: set[str] = set()
+        """The cases that are being executed side by side."""
 
     @property
     def frames(self) -> int:
@@ -119,9 +123,11 @@ class PassiveTester:
     def enter(self, case: str) -> None:
         """Another case begins beside those that are being executed."""
         self._executions[case] += 1
+        self._beside.add(case)
 
     def leave(self, case: str) -> None:
         """A case that was announced with :meth:`enter` has ended."""
+        self._beside.discard(case)
         if self._suspended.pop(case, None):
             self._deal()
 
@@ -165,6 +171,7 @@ class PassiveTester:
         if heard.time <= self._since or not (self._side_by_side or traffic is self._traffic):
             return
         self._beacons[case] += 1
+        self._heard_in.update(self._beside if case == SIDE_BY_SIDE else (case,))
         self._recent.append(_Place(case, self._executions[case], heard, frame, start))
         seen = Seen(self._codec, heard, frame, start, frame[:6] if start >= ETHERNET_HEADER else None)
         for rule in self._fed:
@@ -204,14 +211,11 @@ class PassiveTester:
             return [cited]
         chosen: list[str] = []
         beacons = 0
-        for case, count in self._beacons.most_common(_MOST_CASES):
+        for case, count in self._heard_in.most_common(_MOST_CASES):
             if beacons >= _ENOUGH_BEACONS:
                 break
             chosen.append(case)
             beacons += count
-        if SIDE_BY_SIDE in chosen:
-            # Any of them: all are repeated.
-            return []
         # The sanity case is run in any case.
         return [case for case in chosen if case != SANITY] or chosen
 
