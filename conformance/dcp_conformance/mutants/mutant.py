@@ -158,7 +158,7 @@ def replaced(changed: Mapping[type, type]) -> Iterator[None]:
     """Make nodes with other parts (part -> subclass of it) inside the block.
 
     The modules of the node find the subclasses under the names of the parts, so that the node needs no hooks. Nodes
-    that exist already keep their parts. Other threads must not make nodes meanwhile.
+    that exist already keep their parts. Other threads must not make nodes while the block runs.
     """
     with ExitStack() as restoring:
         for part, other in changed.items():
