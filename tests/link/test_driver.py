@@ -186,7 +186,9 @@ def test_frames_wait_for_a_beacon_unless_a_client_listens(listening):
     driver = Driver(Node(config, rng=random.Random(1), now=now, wall=wall), link)
     if listening:
         session = driver.server.open()
-        session.feed(b'{"jsonrpc":"2.0","id":1,"method":"UT-Subscribe","params":{"neighbours":true}}\n', now=now, wall=wall)
+        session.feed(
+            b'{"jsonrpc":"2.0","id":1,"method":"UT-Subscribe","params":{"neighbours":true}}\n', now=now, wall=wall
+        )
         assert driver.server.listening
 
     def talk() -> None:
