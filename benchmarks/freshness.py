@@ -32,9 +32,9 @@ from dcp_stack.effects import NeighbourSeen, VariableChanged
 from dcp_stack.links.memory import Quality
 from dcp_stack.links.topology import Full, Line
 from dcp_stack.node import Node
-from dcp_stack.sim.network import Network
-from dcp_stack.sim.scenario import Scenario, Topology
-from dcp_stack.sim.testbed import Testbed
+from dcp_stack.sim.scenario.definition import Scenario, Topology
+from dcp_stack.sim.testbed.testbed import Testbed
+from dcp_stack.sim.virtual.network import Network
 
 CODEC = get_codec("dcp-2.0")
 MS = 1_000_000

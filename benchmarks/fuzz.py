@@ -28,24 +28,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dcp_conformance.bench import Session
-from dcp_conformance.fuzz.batches import Lives
+from dcp_conformance.execution.runner import Runner
 from dcp_conformance.fuzz.campaign import read_state
-from dcp_conformance.fuzz.live import LiveTarget
-from dcp_conformance.fuzz.observing import Observer
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.soaking import Soak
-from dcp_conformance.fuzz.stack import StackTarget
+from dcp_conformance.fuzz.execute.live import LiveTarget
+from dcp_conformance.fuzz.execute.model_monitor import Observer
+from dcp_conformance.fuzz.execute.soak import Soak
+from dcp_conformance.fuzz.execute.stack import StackTarget
+from dcp_conformance.fuzz.generate.sequence_batches import Lives
+from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Frame
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
-from dcp_conformance.runner import Runner
-from dcp_conformance.target import Target
+from dcp_conformance.sut.target import Target
+from dcp_conformance.test_system.bench import Session
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_stack.node import Node
 
 SEED = 1

@@ -16,16 +16,16 @@ import time
 from pathlib import Path
 from typing import Any
 
-from dcp_conformance.fuzz.artefact import SavedTarget
-from dcp_conformance.fuzz.batches import Lives
 from dcp_conformance.fuzz.campaign import Campaign, Limits
-from dcp_conformance.fuzz.replaying import stack_target
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.sweep import Swept
-from dcp_conformance.mutants import Mutant, all_mutants
+from dcp_conformance.fuzz.findings.artefact import SavedTarget
+from dcp_conformance.fuzz.findings.replaying import stack_target
+from dcp_conformance.fuzz.generate.sequence_batches import Lives
+from dcp_conformance.fuzz.generate.sequences import Sequences
+from dcp_conformance.fuzz.generate.sweep import Swept
+from dcp_conformance.selftest.mutants import Mutant, all_mutants
 
 from dcp_codec.codec import Codec
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 CHOSEN = (
     # They die.

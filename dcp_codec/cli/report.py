@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from dcp_codec.capture import CaptureError
-from dcp_codec.commandline import ExpectedError
-from dcp_codec.wholefile import refuse_irregular, write_whole
+from dcp_codec.common.atomic_write import refuse_irregular, write_whole
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import note, profile_options
 from .recordings import check_input, extras, octets_progress, tell

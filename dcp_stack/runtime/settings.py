@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-from dcp_spec.profile import Profile
-from dcp_spec.profile_loading import ProfileError
-from dcp_spec.readings import UnknownReadingError
+from dcp_spec.catalogue.readings import UnknownReadingError
+from dcp_spec.profile.definition import Profile
+from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec.codec import Codec, get_codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
@@ -183,7 +183,7 @@ def _among_others(vardis: VardisSettings, profile: Profile) -> VardisSettings:
 
 def parse_node_id(text: str, profile: Profile) -> bytes:
     """A node identifier as people write it in this profile. Raises SettingsError."""
-    from dcp_codec.jsonform import node_id_octets
+    from dcp_codec.views.jsonform import node_id_octets
 
     layout = profile.types.node_id
     try:

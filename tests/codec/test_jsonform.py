@@ -25,9 +25,9 @@ from dcp_codec import (
     VarSpec,
     VarUpdate,
     get_codec,
-    strategies,
 )
-from dcp_codec.jsonform import (
+from dcp_codec.testing import strategies
+from dcp_codec.views.jsonform import (
     beacon_from_json,
     beacon_json,
     node_id_octets,

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_conformance.citations import campaign, unit_tests
-from dcp_conformance.citations.campaign import chosen, run
-from dcp_conformance.citations.changes import changes_under
-from dcp_conformance.citations.ledger import _File, key, ledger
-from dcp_conformance.citations.places import Citation, citations, citations_in
 from dcp_conformance.errors import UsageError
+from dcp_conformance.selftest.citations import campaign, unit_tests
+from dcp_conformance.selftest.citations.campaign import chosen, run
+from dcp_conformance.selftest.citations.changes import changes_under
+from dcp_conformance.selftest.citations.ledger import _File, key, ledger
+from dcp_conformance.selftest.citations.places import Citation, citations, citations_in
 
 from .command import Command
 
@@ -135,7 +135,7 @@ class TestCommand:
     def test_the_list(self, dcp_conformance: Command):
         done = dcp_conformance("selftest", "--citations", "--list", "bp_queue.py")
         assert done.status == 0
-        assert "BP-QM-01    dcp_stack/bp_queue.py:" in done.out
+        assert "BP-QM-01    dcp_stack/bp/queue.py:" in done.out
 
     @pytest.mark.parametrize(
         ("words", "message"), [(["NO-SUCH"], "neither a requirement"), (["--full"], "--full does not go with")]
@@ -158,7 +158,7 @@ class TestCommand:
 
 def test_a_pattern_means_ids_or_files():
     assert {each.requirement for each in chosen(["BP-QM-0*"])} >= {"BP-QM-01", "BP-QM-05"}
-    assert {each.path for each in chosen(["bp_queue.py"])} == {"dcp_stack/bp_queue.py"}
+    assert {each.path for each in chosen(["bp_queue.py"])} == {"dcp_stack/bp/queue.py"}
     assert len(chosen([])) == len(citations())
     with pytest.raises(UsageError):
         chosen(["XX-01"])

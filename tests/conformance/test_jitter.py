@@ -6,8 +6,8 @@ import itertools
 import random
 
 import pytest
-from dcp_conformance.heard import Heard
-from dcp_conformance.jitter import SHIFT, compare, intervals
+from dcp_conformance.test_steps.jitter import SHIFT, compare, intervals
+from dcp_conformance.test_system.reception import Heard
 
 from dcp_codec.values import VarSumm
 

@@ -11,23 +11,23 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance import check, passive
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.clients import ONCE, BPClient
-from dcp_conformance.heard import Heard
-from dcp_conformance.lanes import LaneEnd
-from dcp_conformance.mutants import all_mutants
+from dcp_conformance.execution.parallel import LaneEnd
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import Selection
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import PassiveTester, joined
-from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting.merge import compare
-from dcp_conformance.results import CaseResult
-from dcp_conformance.run import ConformanceRun
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import Selection
-from dcp_conformance.target import TargetOptions
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.sut.target import TargetOptions
+from dcp_conformance.test_steps.bp_clients import ONCE, BPClient
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.test_system.reception import Heard
 
 from dcp_codec.values import VarSumm
 
@@ -174,7 +174,7 @@ def test_stations_other_than_the_implementation_are_not_judged():
 
 
 def _arrival(bench: Bench, octets: bytes) -> object:
-    from dcp_conformance.lower import Arrival
+    from dcp_conformance.lower_tester import Arrival
 
     frame = b"\xff" * 6 + b"\x02" * 6 + b"\x49\x53" + octets
     return Arrival(bench.now(), bench.lower.wall(), octets, frame, b"\x02" * 6)

@@ -8,25 +8,25 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.bench import Session
-from dcp_conformance.case import DECLARED, DENIED, all_cases
-from dcp_conformance.declared import denied_by
 from dcp_conformance.errors import UsageError
-from dcp_conformance.forge import Block, Forge
-from dcp_conformance.lower import Arrival
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
-from dcp_conformance.pics_file import QUESTIONS, pics_text
-from dcp_conformance.probe import Period, draft, measured_period, rounded, write_pics
-from dcp_conformance.ranking import doubtful, ranked_with
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.interconnection.probe import Period, draft, measured_period, rounded, write_pics
+from dcp_conformance.interconnection.profile_ranking import doubtful, ranked_with
+from dcp_conformance.lower_tester import Arrival
+from dcp_conformance.model.case import DECLARED, DENIED, all_cases
+from dcp_conformance.model.declared import denied_by
+from dcp_conformance.model.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
+from dcp_conformance.model.pics_file import QUESTIONS, pics_text
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import ordered
-from dcp_conformance.selftest import PROFILES
-from dcp_conformance.target import TargetOptions, describe
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
-from dcp_spec.profile_loading import BUILTIN_PROFILES
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.runner import PROFILES
+from dcp_conformance.sut.target import TargetOptions, describe
+from dcp_conformance.test_system.bench import Session
+from dcp_conformance.test_system.frame_builder import Block, Forge
+from dcp_conformance.upper_tester import Answer
+from dcp_spec.profile.loading import BUILTIN_PROFILES
 
 from dcp_codec import Codec
 from dcp_codec.values import Beacon, BPHeader, VarSumm

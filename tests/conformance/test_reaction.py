@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.bench import Bench
-from dcp_conformance.pics import Capabilities, Pics, Testing
-from dcp_conformance.reaction import measure, prepare
-from dcp_conformance.session import FLOOR
+from dcp_conformance.interconnection.reaction import measure, prepare
+from dcp_conformance.model.pics import Capabilities, Pics, Testing
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.session import FLOOR
 
 from .rig import known_cases
 from .slow import polling, runner_for

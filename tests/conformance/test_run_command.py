@@ -12,19 +12,27 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dcp_conformance.case import SANITY, all_cases
 from dcp_conformance.errors import UsageError
-from dcp_conformance.expected import ExpectedResults
-from dcp_conformance.lanes import lanes_of, run_in_lanes
-from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, INTERRUPTED, TESTER_ERROR, UNEXPECTED, USAGE, exit_status
-from dcp_conformance.plugin import run_with_pytest
-from dcp_conformance.process import started_at
+from dcp_conformance.execution.parallel import lanes_of, run_in_lanes
+from dcp_conformance.execution.pytest_plugin import run_with_pytest
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.selection import Selection, select
+from dcp_conformance.model.case import SANITY, all_cases
+from dcp_conformance.model.expected import ExpectedResults
+from dcp_conformance.model.outcome import (
+    AS_EXPECTED,
+    INCONCLUSIVE,
+    INTERRUPTED,
+    TESTER_ERROR,
+    UNEXPECTED,
+    USAGE,
+    exit_status,
+)
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import load_results
-from dcp_conformance.results import CaseResult
-from dcp_conformance.run import ConformanceRun
-from dcp_conformance.selection import Selection, select
-from dcp_conformance.target import TargetOptions, open_target
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.sut.process import started_at
+from dcp_conformance.sut.target import TargetOptions, open_target
 
 from ..ports import own_port
 from ..waiting import PATIENCE, eventually
@@ -115,7 +123,7 @@ class TestExitStatus:
         self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
         """Its last words tell why nobody listens at the upper tester's address."""
-        monkeypatch.setattr("dcp_conformance.target.UPPER_PATIENCE", 1.5)
+        monkeypatch.setattr("dcp_conformance.sut.target.UPPER_PATIENCE", 1.5)
         script = tmp_path / "start.sh"
         script.write_text("sleep 0.7; echo config file missing >&2; exit 3\n")
         done = dcp_conformance(
@@ -354,7 +362,8 @@ class TestList:
 class TestPytest:
     def test_cases_are_pytest_items_anywhere(self, tmp_path: Path):
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases",
+            [sys.executable, "-m", "pytest", "-p", "dcp_conformance.execution.pytest_plugin",
+             "--pyargs", "dcp_conformance.suite",
              "--dcp-in-process", "-k", "TC_VD_UPD_BV", "-q", "-p", "no:cacheprovider"],
             cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=False,
         )  # fmt: skip

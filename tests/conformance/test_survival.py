@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import Bench, Session
 
 from .rig import codec_of, known_cases, one_case
 

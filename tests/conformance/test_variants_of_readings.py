@@ -8,11 +8,11 @@ import re
 from importlib import import_module
 
 import pytest
-from dcp_conformance import variants
-from dcp_conformance.selftest import PROFILES
-from dcp_conformance.variants import Variant, all_variants
-from dcp_conformance.variants.variant import variants_of
-from dcp_spec.readings import readings
+from dcp_conformance.selftest import variants
+from dcp_conformance.selftest.runner import PROFILES
+from dcp_conformance.selftest.variants import Variant, all_variants
+from dcp_conformance.selftest.variants.variant import variants_of
+from dcp_spec.catalogue.readings import readings
 
 import dcp_stack
 

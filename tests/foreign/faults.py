@@ -16,7 +16,7 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, Queueing
 
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import Beacon, Payload
-from dcp_stack.bp_wire import BPWire, Reception
+from dcp_stack.bp.wire import BPWire, Reception
 from dcp_stack.effects import SendBeacon
 from dcp_stack.node import Node
 
@@ -47,8 +47,8 @@ def with_faults(names: Iterable[str], victim: Victim, *, poll_ms: float | None =
 
 def mutant(name: str) -> NodeClass:
     """The class of a node that is a mutant of the self-test."""
-    package = importlib.import_module("dcp_conformance.mutants")
-    node_with = importlib.import_module("dcp_conformance.mutants.mutant").node_with
+    package = importlib.import_module("dcp_conformance.selftest.mutants")
+    node_with = importlib.import_module("dcp_conformance.selftest.mutants.mutant").node_with
     for info in pkgutil.iter_modules(package.__path__):
         for value in vars(importlib.import_module(f"{package.__name__}.{info.name}")).values():
             made = vars(value).get("__dcp_mutant__") if isinstance(value, type) else None

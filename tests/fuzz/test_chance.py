@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from dcp_codec.chance import Chance
+from dcp_codec.testing.draws import Chance
 
 ENDS = (1, 2, 3, 4, 5, 7, 8, 9, 60, 255, 256, 257, 1 << 16, (1 << 32) - 1, 1 << 32, (1 << 64) + 1)
 

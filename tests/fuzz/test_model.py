@@ -9,26 +9,26 @@ import random
 from typing import Any
 
 import pytest
-from dcp_conformance.forge import Forge
 from dcp_conformance.fuzz import Frame, Wait
-from dcp_conformance.fuzz.batches import Lives
-from dcp_conformance.fuzz.replaying import stack_target
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.soaking import Soak
-from dcp_conformance.fuzz.stack import StackTarget
+from dcp_conformance.fuzz.execute.soak import Soak
+from dcp_conformance.fuzz.execute.stack import StackTarget
+from dcp_conformance.fuzz.findings.replaying import stack_target
+from dcp_conformance.fuzz.generate.sequence_batches import Lives
+from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Call, Step
-from dcp_conformance.mutants.mutant import all_mutants, node_with
 from dcp_conformance.reference.inprocess import plain_node
+from dcp_conformance.selftest.mutants.mutant import all_mutants, node_with
+from dcp_conformance.test_system.frame_builder import Forge
 
 from dcp_codec import Codec
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.vardis_compose import Composer
-from dcp_stack.vardis_db import Database, DBEntry
-from dcp_stack.vardis_receive import Receiver
-from dcp_stack.vardis_wire import Extracted
+from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.database import Database, DBEntry
+from dcp_stack.vardis.receive import Receiver
+from dcp_stack.vardis.wire import Extracted
 
 CODEC = Codec("dcp-2.0")
 FORGE = Forge(CODEC)

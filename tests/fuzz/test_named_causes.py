@@ -9,17 +9,17 @@ import sys
 
 import pytest
 from dcp_conformance.fuzz import Campaign, Frame, Limits, save
-from dcp_conformance.fuzz.artefact import SavedTarget
-from dcp_conformance.fuzz.batches import Batches, Joined, Lives
-from dcp_conformance.fuzz.cases import artefact_cases
-from dcp_conformance.fuzz.live import LiveTarget
-from dcp_conformance.fuzz.replaying import stack_target
-from dcp_conformance.fuzz.samples import Samples
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.sweep import Swept
-from dcp_conformance.mutants import all_mutants
+from dcp_conformance.fuzz.execute.live import LiveTarget
+from dcp_conformance.fuzz.findings.artefact import SavedTarget
+from dcp_conformance.fuzz.findings.cases import artefact_cases
+from dcp_conformance.fuzz.findings.replaying import stack_target
+from dcp_conformance.fuzz.generate.samples import Samples
+from dcp_conformance.fuzz.generate.sequence_batches import Batches, Joined, Lives
+from dcp_conformance.fuzz.generate.sequences import Sequences
+from dcp_conformance.fuzz.generate.sweep import Swept
+from dcp_conformance.selftest.mutants import all_mutants
 
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 from .fragile import CODEC, FAULTS, make_of, mixed, opened
 

@@ -6,13 +6,13 @@ import random
 from typing import Any
 
 from dcp_spec.constants import QueueingMode
-from dcp_spec.profile_rules import header_size
+from dcp_spec.profile.rules import header_size
 from dcp_spec.status import BPStatus
 
 from dcp_codec import get_codec
 from dcp_codec.codec import Codec
 from dcp_codec.values import Beacon, BPHeader, Payload
-from dcp_stack.bp import BeaconingProtocol
+from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.config import BPConfig, NodeConfig
 from dcp_stack.effects import Dropped, Effect, PayloadReceived, PayloadTransmitted, SendBeacon
 

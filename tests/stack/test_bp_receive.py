@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from dcp_stack.bp_statistics import SMOOTHING, Counters, LossTable, NeighbourLoss
+from dcp_stack.bp.statistics import SMOOTHING, Counters, LossTable, NeighbourLoss
 from dcp_stack.effects import Dropped, PayloadReceived
 
 from .bp_rig import ME, MS, ONCE, OTHER, SINCE_1_1, SINCE_1_2, VERSIONS, Rig

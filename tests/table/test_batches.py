@@ -20,11 +20,11 @@ from pyarrow import parquet
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
 from dcp_codec.table import ColumnDecoder, Recording
-from dcp_codec.table.compiled import cache_folder
-from dcp_codec.table.jit import machine, options_of
-from dcp_codec.table.pools import Pool
-from dcp_codec.table.sources import packed
-from dcp_codec.table.stage import MOVED, OF_A_FRAME
+from dcp_codec.table.input.sources import packed
+from dcp_codec.table.kernel.compiled import cache_folder
+from dcp_codec.table.kernel.jit import machine, options_of
+from dcp_codec.table.kernel.pools import Pool
+from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
 from dcp_codec.table.writing import ParquetTable
 
 

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dcp_conformance.forge import Forge
+from dcp_conformance.test_system.frame_builder import Forge
 from dcp_spec.constants import ICType
 
 from dcp_codec import Codec
-from dcp_codec.layout import walk
-from dcp_codec.plan import Group, Many, Scalar, Text
+from dcp_codec.plan.layout import walk
+from dcp_codec.plan.tree import Group, Many, Scalar, Text
 from dcp_codec.table import ColumnDecoder
-from dcp_codec.table.compiled import PLAIN, function_of
-from dcp_codec.table.kernel import kernel_source
-from dcp_codec.table.sources import packed
-from dcp_codec.table.stage import MOVED, OF_A_FRAME
+from dcp_codec.table.input.sources import packed
+from dcp_codec.table.kernel.compiled import PLAIN, function_of
+from dcp_codec.table.kernel.generator import kernel_source
+from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
 from dcp_codec.values import VarReqCreate
 
 from .test_decoding import framed

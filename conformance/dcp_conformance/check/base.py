@@ -6,18 +6,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 from dcp_spec.constants import Features, features
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
-from dcp_codec.dissect import Dissection
-from dcp_conformance.heard import Heard, Instruction
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import Mark
-from dcp_conformance.verdict import Verdict
+from dcp_codec.views.dissect import Dissection
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import Mark
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.test_system.reception import Heard, Instruction
 
-from .lives import Lives
-from .said import CREATE, DELETE, SUMMARY, UPDATE, Said, said_in, speaker
+from .lifetimes import Lives
 from .senders import Senders
+from .statements import CREATE, DELETE, SUMMARY, UPDATE, Said, said_in, speaker
 from .stations import Origin, Stations
 
 #: Findings of one invariant that are shown with their frames; all are counted.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .said import Said
+from .statements import Said
 
 #: Of so many occasions this part must be missed for a verdict; of fewer, down to the last number, every one.
 _OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4

@@ -10,17 +10,16 @@ from typing import Final
 
 import msgspec
 
+from dcp_codec.analysis.holdings import History
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.holdings import History
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.declared import declarations
-from dcp_conformance.heard import Heard
-from dcp_conformance.moment import timestamp
-from dcp_conformance.outcome import assemble
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import (
+from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.declared import declarations
+from dcp_conformance.model.moment import timestamp
+from dcp_conformance.model.outcome import assemble
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import (
     CaseResult,
     Check,
     EventRecord,
@@ -29,22 +28,21 @@ from dcp_conformance.results import (
     RunResult,
     Sut,
 )
-from dcp_conformance.verdict import Verdict, worst
+from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.test_system.reception import Heard
 
-from . import (
-    rules_bp,
-    rules_data,
-    rules_dialogue,
-    rules_network,
-    rules_repetition,
-    rules_srp,
-    rules_vardis,
-    rules_variables,
-)
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
 from .reception import reception_of
 from .reception.links import summary
+from .rules import bp as rules_bp
+from .rules import data as rules_data
+from .rules import dialogue as rules_dialogue
+from .rules import network as rules_network
+from .rules import repetition as rules_repetition
+from .rules import srp as rules_srp
+from .rules import vardis as rules_vardis
+from .rules import variables as rules_variables
 from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (

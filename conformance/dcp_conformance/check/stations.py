@@ -12,9 +12,9 @@ from enum import Enum, auto
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_conformance.heard import Heard
+from dcp_conformance.test_system.reception import Heard
 
-from .said import speaker
+from .statements import speaker
 
 #: A beacon continues a sequence of numbers that was so far behind at most.
 _CONTINUES = 20

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 
 from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
 
 if TYPE_CHECKING:
-    from dcp_conformance.run import ConformanceRun
+    from dcp_conformance.execution.run import ConformanceRun
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -52,9 +52,9 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    from dcp_conformance.lanes import lanes_of, run_in_lanes
-    from dcp_conformance.run import ConformanceRun
-    from dcp_conformance.signals import deferred, ending_like_interrupts
+    from dcp_conformance.execution.parallel import lanes_of, run_in_lanes
+    from dcp_conformance.execution.run import ConformanceRun
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
 
     from .display import Display
 
@@ -85,7 +85,7 @@ def command(**options: Any) -> int:
         make_folder(report)
     with ending_like_interrupts():
         if extra:
-            from dcp_conformance.plugin import run_with_pytest
+            from dcp_conformance.execution.pytest_plugin import run_with_pytest
 
             run_with_pytest(run, extra)
         else:
@@ -99,7 +99,7 @@ def command(**options: Any) -> int:
 
 def _at_a_time(options: dict[str, Any]) -> int:
     """How many cases are executed at a time against one implementation, unless the user says so."""
-    from dcp_conformance.concurrent import WIDTH
+    from dcp_conformance.execution.concurrent import WIDTH
 
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])

@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from typing import Final, NamedTuple, NoReturn
 
-from dcp_conformance.case import SANITY
-from dcp_conformance.mutants import Mutant, all_mutants
-from dcp_conformance.selftest import Suite, cases, process_pool
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import Mutant, all_mutants
+from dcp_conformance.selftest.runner import Suite, cases, process_pool
 
 from .dictionary import Dictionary, Fault
 

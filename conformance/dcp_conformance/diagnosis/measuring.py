@@ -10,10 +10,10 @@ from typing import Final
 
 import msgspec
 
-from dcp_conformance.mutants import Mutant, all_mutants
-from dcp_conformance.mutants.combination import combined
-from dcp_conformance.results import Diagnosis
-from dcp_conformance.selftest import Suite, cases, process_pool
+from dcp_conformance.model.results import Diagnosis
+from dcp_conformance.selftest.mutants import Mutant, all_mutants
+from dcp_conformance.selftest.mutants.combination import combined
+from dcp_conformance.selftest.runner import Suite, cases, process_pool
 
 from .dictionary import Dictionary, load
 from .explain import explain

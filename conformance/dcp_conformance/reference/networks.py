@@ -21,7 +21,7 @@ from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.links.memory import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Topology
 from dcp_stack.node import Node
-from dcp_stack.sim.network import Network, node_id
+from dcp_stack.sim.virtual.network import Network, node_id
 
 from .inprocess import EPOCH, MakeNode, plain_node
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Literal
 
 import pytest
-from dcp_conformance.mutants import all_mutants
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.networks import Other, Situation, identifier, record
-from dcp_conformance.selftest_recordings import clean, faulty, situation
-from dcp_conformance.selftest_recordings.table import document
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.recordings import clean, faulty, situation
+from dcp_conformance.selftest.recordings.table import document
 
 from ..air import case_of, findings, judged
 

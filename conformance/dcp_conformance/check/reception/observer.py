@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
-from dcp_conformance.check.said import Said
+from dcp_conformance.check.statements import Said
 from dcp_conformance.check.stations import Origin
-from dcp_conformance.circular import Circle
+from dcp_conformance.test_steps.circular import Circle
 
 from .records import RecordSizes
 

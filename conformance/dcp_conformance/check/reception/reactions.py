@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dcp_conformance.check.base import Context, Seen
-from dcp_conformance.check.said import Said
+from dcp_conformance.check.statements import Said
 
 from .links import Link, bits, chance, infer, lower_bound, reacts
 from .observer import Kind, Observer, Station, Trial

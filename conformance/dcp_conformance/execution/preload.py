@@ -1,0 +1,12 @@
+"""Import once what every lane needs: lanes are forked from a process that has imported this module."""
+
+from __future__ import annotations
+
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.reference import process
+
+from . import pytest_plugin as plugin
+
+__all__ = ["plugin", "process"]
+
+all_cases()
