@@ -21,7 +21,7 @@ class Members(Protocol[_T_co]):
     def __getitem__(self, index: int, /) -> _T_co: ...
 
 
-class Chance:
+class Draws:
     """Draws whole numbers and members from ``rng``, which may be drawn from by others in between."""
 
     __slots__ = ("_bits",)

@@ -28,7 +28,7 @@ from dcp_codec.plan.tree import Many, Node, Scalar, Select
 from dcp_codec.views.dissector import generate_dissector
 from dcp_codec.views.fields import Field
 
-from .draws import Chance
+from .draws import Draws
 
 Touch = tuple[str, str]
 """A field (its path without indices) and the class of what was done to it."""
@@ -91,7 +91,7 @@ class Mutator:
         """
         layout = codec.beacon_plan if plan is None else plan
         self._rng = rng
-        self._chance = Chance(rng)
+        self._chance = Draws(rng)
         self._dissect = generate_dissector(layout, "of a pool")
         self.sources = [_taken_apart(self._dissect(each, 0, 0).root, each) for each in pool if each]
         if not self.sources:

@@ -35,7 +35,7 @@ from dcp_codec.values import (
     VarUpdate,
 )
 
-from .draws import Chance
+from .draws import Draws
 
 #: Chances of a boundary where a number is drawn.
 _EDGE = 0.4
@@ -49,7 +49,7 @@ class ValidValues:
     def __init__(self, codec: Codec, rng: random.Random) -> None:
         self.codec = codec
         self.rng = rng
-        self._chance = Chance(rng)
+        self._chance = Draws(rng)
         types = codec.profile.types
         self._types = types
         self._numbers = codec.profile.vardis.container_types.by_name()

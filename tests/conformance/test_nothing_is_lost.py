@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 
 import pytest
 from dcp_conformance.errors import ConformanceError, UpperTesterError
-from dcp_conformance.execution.parallel import LaneEnd, messages
+from dcp_conformance.execution.parallel import WorkerEnd, messages
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
@@ -109,7 +109,7 @@ def failing(case: Case, attempt: int) -> CaseResult:
                       attempt=attempt)  # fmt: skip
 
 
-# -- lanes -------------------------------------------------------------------------------------------------------------
+# -- workers --------------------------------------------------------------------------------------------------------
 
 
 class Ended:
@@ -128,8 +128,8 @@ def test_a_lane_that_is_killed_in_the_middle_of_a_message(octets: bytes):
     theirs.close()
     waiting: dict[Connection, object] = {ours: Ended()}
     [end] = list(messages(waiting))
-    assert isinstance(end, LaneEnd)
-    assert "a lane of the tester has ended with status -9" in end.trouble
+    assert isinstance(end, WorkerEnd)
+    assert "a worker of the tester has ended with status -9" in end.trouble
     ours.close()
 
 

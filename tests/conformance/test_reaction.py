@@ -47,7 +47,7 @@ def test_while_payloads_wait_reactions_may_take_longer():
     bench.wait(50)
     assert bench.reaction == found.periods
     peer = bench.peer()
-    peer.send(*(bench.forge.vardis(peer.summary(each, 1)) for each in range(8)))
+    peer.send(*(bench.builder.vardis(peer.summary(each, 1)) for each in range(8)))
     assert bench.reaction == pytest.approx(found.periods + 8 * found.per_payload)
     bench.wait(8 * found.per_payload)
     assert bench.reaction == pytest.approx(found.periods)

@@ -159,7 +159,7 @@ def test_a_death_is_told_with_the_last_sign_of_life():
         peer = bench.peer()
         bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=3, descr="d", value="01")
         bench.require(bench.beacons(2, 5), "beacons", "")
-        peer.send(bench.forge.container(peer.summary(1, 1), ic_type=0))
+        peer.send(bench.builder.container(peer.summary(1, 1), ic_type=0))
         peer.send(peer.summary(1, 1))
 
     sut = InProcess(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)

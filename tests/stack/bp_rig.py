@@ -117,7 +117,7 @@ class Rig:
 
     # -- reception
 
-    def forge(self, *blocks, seqno=0, sender=OTHER, network=None):
+    def builder(self, *blocks, seqno=0, sender=OTHER, network=None):
         """The bearer payload with blocks of (protocol id, octets), in the layout of the profile."""
         own = self.bp.parameters().get("BPPAR_NETWORK_ID")
         header = BPHeader(sender, seqno, own if network is None else network) if self.header else None

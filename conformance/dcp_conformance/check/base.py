@@ -13,11 +13,11 @@ from dcp_codec.views.dissect import Dissection
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_system.reception import Heard, Instruction
+from dcp_conformance.test_system.reception import Instruction, ReceivedBeacon
 
-from .lifetimes import Lives
+from .lifetimes import Lifetimes
 from .senders import Senders
-from .statements import CREATE, DELETE, SUMMARY, UPDATE, Said, said_in, speaker
+from .statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, speaker, statements_in
 from .stations import Origin, Stations
 
 #: Findings of one invariant that are shown with their frames; all are counted.
@@ -39,8 +39,8 @@ class Trace(NamedTuple):
 class News(NamedTuple):
     """A record that is not just the summary of what the node has said before."""
 
-    said: Said
-    before: Said | None
+    said: Statement
+    before: Statement | None
     """The last create, update or summary of the variable by this node, if no beacon of it is missing since, and it has
     not deleted the variable."""
 
@@ -69,7 +69,9 @@ class Seen:
         "time",
     )
 
-    def __init__(self, codec: Codec, heard: Heard, frame: bytes, start: int, destination: bytes | None) -> None:
+    def __init__(
+        self, codec: Codec, heard: ReceivedBeacon, frame: bytes, start: int, destination: bytes | None
+    ) -> None:
         self.heard = heard
         self.number = heard.number
         """As in the recording."""
@@ -85,11 +87,11 @@ class Seen:
         self.destination = destination
         self._codec = codec
         self._dissection: Dissection | None = None
-        self._said: tuple[Said, ...] | None = None
+        self._said: tuple[Statement, ...] | None = None
         self._trace: Trace | None = None
         self.news: Sequence[News] = ()
         """What it says of variables, in order, without ``again``. Set by :meth:`Context.feed`."""
-        self.again: Sequence[Said] = ()
+        self.again: Sequence[Statement] = ()
         """Summaries with the number that the node has said of the variable before, with no beacon missing since."""
 
     @property
@@ -106,10 +108,10 @@ class Seen:
         return self._dissection
 
     @property
-    def said(self) -> tuple[Said, ...]:
+    def said(self) -> tuple[Statement, ...]:
         """All that it says of variables, in order."""
         if self._said is None:
-            self._said = said_in(self.heard, self.sender)
+            self._said = statements_in(self.heard, self.sender)
         return self._said
 
     @property
@@ -136,7 +138,7 @@ class Finding(NamedTuple):
     """What follows for the network, in a sentence; empty: what generally follows."""
 
 
-Evidence = Seen | Trace | Said | Instruction | Mark
+Evidence = Seen | Trace | Statement | Instruction | Mark
 """What can be cited."""
 
 
@@ -162,14 +164,14 @@ class Context:
         self.stations = Stations(MOST_SENDERS)
         self.shared: dict[type, object] = {}
         """What several invariants make together, by its class."""
-        self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
+        self.lives = Lifetimes(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
         self.now: int | None = None
         """The time of the frame that is being judged, in ns since 1970; None before and after the recording."""
         self.withheld: dict[str, str] = {}
         """Requirements that do not pass whatever was shown, and why."""
         self.changed = False
         """Whether there are findings that :meth:`Judge.feed` has not looked at."""
-        self._last: dict[bytes, dict[int, Said]] = {}
+        self._last: dict[bytes, dict[int, Statement]] = {}
         """By node and variable: what it last said that it has, since the last gap in its beacons."""
         self._since: dict[bytes, int] = {}
         """By node: :attr:`Sender.unbroken` when what it had said was last forgotten."""
@@ -190,7 +192,7 @@ class Context:
             for each, _ in seen.news:
                 self.lives.feed(each)
 
-    def _sort(self, seen: Seen, said: Sequence[Said]) -> None:
+    def _sort(self, seen: Seen, said: Sequence[Statement]) -> None:
         """Tell what is new from what is said again: most of a recording is, and few rules look at it."""
         sender = self.senders.get(seen.sender)
         if sender is None:
@@ -205,7 +207,7 @@ class Context:
             self._pairs -= len(last)
             last.clear()
         news: list[News] = []
-        again: list[Said] = []
+        again: list[Statement] = []
         for each in said:
             kind, var_id = each.kind, each.var_id
             before = last.get(var_id)
@@ -357,7 +359,7 @@ class Invariant:
             return what
         if isinstance(what, Seen | Trace):
             return Mark(what.number)
-        if isinstance(what, Said):
+        if isinstance(what, Statement):
             return Mark(what.frame, path=f"{what.kind.label} {what.var_id}")
         return Mark(what.heard.number, path=f"{what.kind.label} {what.var_id}")
 

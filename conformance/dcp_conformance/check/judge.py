@@ -29,7 +29,7 @@ from dcp_conformance.model.results import (
     Sut,
 )
 from dcp_conformance.model.verdict import Verdict, worst
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
@@ -143,7 +143,7 @@ class Judge:
         if self._first is None:
             self._first = frame.time_ns
         octets = frame.data[framing.start : framing.end]
-        heard = Heard(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+        heard = ReceivedBeacon(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
         seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
         if seen.sender in self._senders or len(self._senders) < 4096:
             self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1

@@ -15,39 +15,39 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VarSpec
 
 from .senders import Senders
-from .statements import Said
+from .statements import Statement
 
 
 @dataclass(slots=True)
-class Life:
+class Lifetime:
     """What is known of one identifier."""
 
     producer: bytes | None = None
     spec: VarSpec | None = None
-    first: Said | None = None
+    first: Statement | None = None
     """Its producer's first create, if nobody had spoken of it before."""
     producer_life: int = 0
     mixed: bool = False
     """There was another life, or may have been."""
 
 
-class Lives:
+class Lifetimes:
     """All variables of a recording."""
 
     def __init__(self, senders: Senders, most: int, *, creation_time: bool) -> None:
         self._senders = senders
         self._most = most
         self._creation_time = creation_time
-        self._known: dict[int, Life] = {}
+        self._known: dict[int, Lifetime] = {}
 
-    def feed(self, said: Said) -> None:
+    def feed(self, said: Statement) -> None:
         """Something is said of a variable."""
         life = self._known.get(said.var_id)
         create = said.record if said.kind is ICType.CREATE_VARIABLES else None
         if life is None:
             if len(self._known) >= self._most:
                 return
-            life = self._known[said.var_id] = Life()
+            life = self._known[said.var_id] = Lifetime()
             if create is not None and create.spec.prod_id == said.sender and create.upd.seqno == 0:
                 life.first = said
         if create is not None:
@@ -72,7 +72,7 @@ class Lives:
         life = self._known.get(var_id)
         return None if life is None else life.producer
 
-    def first(self, var_id: int) -> tuple[int, Said] | None:
+    def first(self, var_id: int) -> tuple[int, Statement] | None:
         """When its producer created a variable of which nobody had spoken before, in ns since 1970, and the record."""
         life = self._known.get(var_id)
         return None if life is None or life.first is None else (life.first.time, life.first)

@@ -22,7 +22,7 @@ from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .judge import Judge
 from .versions import Versions, undecided, weakness
@@ -126,7 +126,7 @@ class _Choice:
 
 def _period(path: Path, codec: Codec) -> float | None:
     """The longest beacon period of any sender in ms, as the beginning shows it; None if it does not."""
-    last: dict[bytes, Heard] = {}
+    last: dict[bytes, ReceivedBeacon] = {}
     intervals: dict[bytes, list[float]] = {}
     try:
         with open_capture(path) as reader:
@@ -135,7 +135,7 @@ def _period(path: Path, codec: Codec) -> float | None:
                 if isinstance(framing, OtherTraffic):
                     continue
                 octets = frame.data[framing.start : framing.end]
-                heard = Heard(codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+                heard = ReceivedBeacon(codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
                 who = heard.sender or heard.source
                 before = last.get(who)
                 last[who] = heard

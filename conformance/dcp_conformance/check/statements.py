@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 from dcp_spec.constants import ICType
 
-from dcp_conformance.test_system.reception import KIND_OF, Heard
+from dcp_conformance.test_system.reception import KIND_OF, ReceivedBeacon
 
 
-class Said(msgspec.Struct, frozen=True, gc=False):
+class Statement(msgspec.Struct, frozen=True, gc=False):
     """A record of a VarDis payload, without the frame around it: what can be remembered for long."""
 
     kind: ICType
@@ -25,7 +25,7 @@ class Said(msgspec.Struct, frozen=True, gc=False):
     """The sequence number that it carries, -1 for a record without."""
 
 
-def speaker(heard: Heard) -> bytes:
+def speaker(heard: ReceivedBeacon) -> bytes:
     """The node that a frame is from; for one without sender the station."""
     return heard.sender or heard.source
 
@@ -35,9 +35,9 @@ DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDA
 """Members of the enumeration by names of the module: looking them up there takes longer than most rules."""
 
 
-def said_in(heard: Heard, sender: bytes) -> tuple[Said, ...]:
+def statements_in(heard: ReceivedBeacon, sender: bytes) -> tuple[Statement, ...]:
     """What a frame of ``sender`` says of variables."""
-    found: list[Said] = []
+    found: list[Statement] = []
     frame, time = heard.number, heard.wall
     for container in heard.containers:
         records = container.records
@@ -45,9 +45,9 @@ def said_in(heard: Heard, sender: bytes) -> tuple[Said, ...]:
             continue
         kind = KIND_OF[type(records[0])]
         if kind is CREATE:
-            found += [Said(kind, each, frame, time, sender, each.spec.var_id, each.upd.seqno) for each in records]
+            found += [Statement(kind, each, frame, time, sender, each.spec.var_id, each.upd.seqno) for each in records]
         elif kind is DELETE or kind is ASK_CREATE:
-            found += [Said(kind, each, frame, time, sender, each.var_id, -1) for each in records]
+            found += [Statement(kind, each, frame, time, sender, each.var_id, -1) for each in records]
         else:
-            found += [Said(kind, each, frame, time, sender, each.var_id, each.seqno) for each in records]
+            found += [Statement(kind, each, frame, time, sender, each.var_id, each.seqno) for each in records]
     return tuple(found)

@@ -136,7 +136,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
     from dcp_conformance.fuzz.findings.replaying import stack_target
     from dcp_conformance.fuzz.generate.directed import Directed
-    from dcp_conformance.fuzz.generate.sequence_batches import Lives
+    from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
     from dcp_conformance.fuzz.generate.sequences import Sequences
     from dcp_conformance.fuzz.generate.sweep import Swept
 
@@ -150,7 +150,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
     yield Campaign(
         codec,
         target,
-        Lives(sequences),
+        Lifetimes(sequences),
         saved,
         options["seed"],
         mutator=mutator,

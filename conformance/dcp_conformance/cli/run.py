@@ -52,7 +52,7 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    from dcp_conformance.execution.parallel import lanes_of, run_in_lanes
+    from dcp_conformance.execution.parallel import run_in_workers, workers_for
     from dcp_conformance.execution.run import ConformanceRun
     from dcp_conformance.execution.signals import deferred, ending_like_interrupts
 
@@ -89,9 +89,9 @@ def command(**options: Any) -> int:
 
             run_with_pytest(run, extra)
         else:
-            lanes = lanes_of(run, options["jobs"])
+            workers = workers_for(run, options["jobs"])
             with display:
-                run_in_lanes(run, lanes) if lanes > 1 else run.execute()
+                run_in_workers(run, workers) if workers > 1 else run.execute()
         with deferred():
             _report(run, report)
     return run.exit_status()

@@ -20,7 +20,7 @@ from dcp_conformance.model.results import Check, Table
 from dcp_conformance.model.verdict import Verdict, worst
 from dcp_conformance.sut.life import Loss
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.trace import Event, Traffic
+from dcp_conformance.test_system.traffic import Event, Traffic
 
 from .service_requirements import concerns, violated_by_death
 

@@ -11,7 +11,7 @@ import msgspec
 from dcp_conformance.model.results import CaseResult, Check, EventRecord
 from dcp_conformance.model.verdict import Verdict, worst
 from dcp_conformance.test_system.checks import in_force
-from dcp_conformance.test_system.trace import Event
+from dcp_conformance.test_system.traffic import Event
 
 from .attribution import Trial
 

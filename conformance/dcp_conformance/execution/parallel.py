@@ -1,6 +1,6 @@
-"""One run in several lanes: each has an implementation of its own, and a share of the cases.
+"""One run in several workers: each has an implementation of its own, and a share of the cases.
 
-Cases wait most of the time, so that lanes cost little. Only our own node can be had several times; a foreign
+Cases wait most of the time, so that workers cost little. Only our own node can be had several times; a foreign
 implementation is there once.
 """
 
@@ -27,8 +27,8 @@ from .selection import Selection
 from .signals import deferred
 
 
-class LaneEnd(NamedTuple):
-    """The last message of a lane."""
+class WorkerEnd(NamedTuple):
+    """The last message of a worker."""
 
     sut: Sut | None
     notes: tuple[str, ...]
@@ -38,29 +38,29 @@ class LaneEnd(NamedTuple):
 
 
 class Revised(NamedTuple):
-    """Replaces a result of a lane; JSON of a ``CaseResult``."""
+    """Replaces a result of a worker; JSON of a ``CaseResult``."""
 
     result: bytes
 
 
-def lanes_of(run: ConformanceRun, jobs: int | None = None) -> int:
-    """How many lanes a run needs, at most ``jobs``: one unless it is our own node in processes, or has few cases.
+def workers_for(run: ConformanceRun, jobs: int | None = None) -> int:
+    """How many workers a run needs, at most ``jobs``: one unless it is our own node in processes, or has few cases.
 
-    By default two for each processor, 4 to 16: a lane takes a twentieth of one, but starts with a second of work.
+    By default two for each processor, 4 to 16: a worker takes a twentieth of one, but starts with a second of work.
     """
     options = run.options
     jobs = jobs or min(16, max(4, 2 * (os.cpu_count() or 1)))
     return 1 if options.foreign or options.in_process else max(1, min(jobs, len(run.selected)))
 
 
-def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
+def run_in_workers(run: ConformanceRun, workers: int) -> None:
     """Run the selected cases of ``run`` in this many processes, and pass each result to ``run`` as it comes."""
-    # Every lane begins with the sanity case, and runs only that if nothing else is wanted.
+    # Every worker begins with the sanity case, and runs only that if nothing else is wanted.
     cases = [case.id for case in run.selected if case.base != SANITY] or [SANITY]
-    lanes = max(1, min(lanes, len(cases)))
-    # Neighbouring cases take about the same time: dealing them out one by one balances the lanes.
-    shares = [cases[number::lanes] for number in range(lanes)]
-    # Imports take most of the time to start a lane: they are done once, in the server that forks the lanes.
+    workers = max(1, min(workers, len(cases)))
+    # Neighbouring cases take about the same time: dealing them out one by one balances the workers.
+    shares = [cases[number::workers] for number in range(workers)]
+    # Imports take most of the time to start a worker: they are done once, in the server that forks the workers.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([f"{__package__}.preload"])
     if run.on_start is not None:
@@ -75,10 +75,10 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             theirs.close()
             stack.callback(_end, process)
             connections[ours] = process
-        ends: list[LaneEnd] = []
+        ends: list[WorkerEnd] = []
         try:
             for message in messages(connections):
-                if isinstance(message, LaneEnd):
+                if isinstance(message, WorkerEnd):
                     ends.append(message)
                     continue
                 if isinstance(message, Revised):
@@ -92,18 +92,18 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
             run.interrupt(len({result.id for result in run.results} - {SANITY}), len(cases))
         with deferred():
             stack.close()
-    run.close_lanes(ends, lanes, [run.cases[name] for name in cases] * run.repeat)
+    run.close_workers(ends, workers, [run.cases[name] for name in cases] * run.repeat)
 
 
 def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
-    """The selection of one lane."""
+    """The selection of one worker."""
     return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,))
 
 
 def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
-    """Yield the messages of all lanes until all have ended; ``connections``: one for each lane, with its process.
+    """Yield the messages of all workers until all have ended; ``connections``: one for each worker, with its process.
 
-    For a lane that ends without a :class:`LaneEnd`, yields one with the reason.
+    For a worker that ends without a :class:`LaneEnd`, yields one with the reason.
     """
     open_ones = dict(connections)
     done: set[Connection] = set()
@@ -113,17 +113,16 @@ def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
             try:
                 message = ready.recv()
             except (EOFError, OSError):
-                # OSError: the lane was killed in the middle of a message.
+                # OSError: the worker was killed in the middle of a message.
                 process = open_ones.pop(ready)
                 process.join(5)
                 if process.exitcode or ready not in done:
                     # It ended without its last message.
-                    text = (
-                        f"a lane of the tester has ended with status {process.exitcode}, before all its cases were run"
-                    )
-                    yield LaneEnd(None, (), text, usage=False)
+                    status = f"with status {process.exitcode}"
+                    text = f"a worker of the tester has ended {status}, before all its cases were run"
+                    yield WorkerEnd(None, (), text, usage=False)
                 continue
-            if isinstance(message, LaneEnd):
+            if isinstance(message, WorkerEnd):
                 done.add(ready)
             yield message
 
@@ -136,10 +135,10 @@ def _lane(
     until_fail: bool,
     artefacts: Path | None,
 ) -> None:
-    """The main function of a lane's process."""
+    """The main function of a worker's process."""
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # The parent ends a lane with SIGTERM; everything is closed then.
+    # The parent ends a worker with SIGTERM; everything is closed then.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
     sent: set[tuple[str, int]] = set()
@@ -161,9 +160,9 @@ def _lane(
     try:
         run.execute(lambda result: to.send(Revised(msgspec.json.encode(result))))
         about = run.result()
-        to.send(LaneEnd(about.sut, about.notes, run.trouble, run.usage, tuple(run.passive)))
+        to.send(WorkerEnd(about.sut, about.notes, run.trouble, run.usage, tuple(run.passive)))
     except (BrokenPipeError, KeyboardInterrupt):
-        # The parent has gone, or has ended the lane.
+        # The parent has gone, or has ended the worker.
         return
     finally:
         to.close()

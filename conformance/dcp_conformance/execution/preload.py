@@ -1,4 +1,4 @@
-"""Import once what every lane needs: lanes are forked from a process that has imported this module."""
+"""Import once what every worker needs: workers are forked from a process that has imported this module."""
 
 from __future__ import annotations
 

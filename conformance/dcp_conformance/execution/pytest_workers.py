@@ -14,7 +14,7 @@ import pytest
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import CaseResult
 
-from .parallel import LaneEnd
+from .parallel import WorkerEnd
 from .pytest_plugin import Driver
 from .run import ConformanceRun
 
@@ -25,7 +25,7 @@ _END = "dcp_conformance"
 class End(msgspec.Struct, frozen=True):
     """What a worker has to say when it is done."""
 
-    about: LaneEnd
+    about: WorkerEnd
     revised: tuple[CaseResult, ...]
     """Results that replace those of reports."""
 
@@ -56,7 +56,7 @@ class Worker(Driver):
             self.run.finish()
         self.run.close()
         told = self.run.result()
-        about = LaneEnd(told.sut, told.notes, self.run.trouble, self.run.usage, tuple(self.run.passive))
+        about = WorkerEnd(told.sut, told.notes, self.run.trouble, self.run.usage, tuple(self.run.passive))
         self._output[_END] = msgspec.json.encode(End(about, tuple(self._revised))).decode()
 
 
@@ -94,7 +94,7 @@ class Controller(Driver):
         if text is not None:
             self._ends.append(msgspec.json.decode(text, type=End))
         elif error:
-            about = LaneEnd(None, (), f"a worker of pytest-xdist has ended: {error}", usage=False)
+            about = WorkerEnd(None, (), f"a worker of pytest-xdist has ended: {error}", usage=False)
             self._ends.append(End(about, ()))
 
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
@@ -110,5 +110,5 @@ class Controller(Driver):
         elif not self._planned and not listing:
             run.trouble, run.usage = "no case is left to run", True
         whole = not listing and exitstatus != pytest.ExitCode.INTERRUPTED
-        run.close_lanes([end.about for end in self._ends], self._workers, self._planned if whole else [])
+        run.close_workers([end.about for end in self._ends], self._workers, self._planned if whole else [])
         session.exitstatus = run.exit_status()

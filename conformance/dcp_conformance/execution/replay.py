@@ -29,7 +29,7 @@ from dcp_conformance.model.results import CaseResult, Mark
 from dcp_conformance.oracle import Limits, Oracle, Waiting
 from dcp_conformance.test_steps.circular import Circle
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 MS = 1_000_000
 #: How old a payload may be when it is seen on the air, in beacon periods.
@@ -83,7 +83,7 @@ def cast_of(path: Path, codec: Codec) -> Cast:
     return cast
 
 
-def beacons_of(path: Path, codec: Codec, cast: Cast | None = None) -> Iterator[tuple[Frame, Heard, bytes]]:
+def beacons_of(path: Path, codec: Codec, cast: Cast | None = None) -> Iterator[tuple[Frame, ReceivedBeacon, bytes]]:
     """The DCP frames of a recording, decoded, with the source address. Raises :class:`UsageError`."""
     try:
         with open_capture(path) as reader:
@@ -95,7 +95,7 @@ def beacons_of(path: Path, codec: Codec, cast: Cast | None = None) -> Iterator[t
                     continue
                 octets = frame.data[framing.start : framing.end]
                 source = framing.src or b"\x02\0\0\0\0\0"
-                yield frame, Heard(codec, frame.number, frame.time_ns, frame.time_ns, octets, source), source
+                yield frame, ReceivedBeacon(codec, frame.number, frame.time_ns, frame.time_ns, octets, source), source
     except CaptureError as error:
         raise UsageError(str(error)) from None
 
@@ -203,13 +203,13 @@ class Replay:
             window=round(bench.reaction * bench.period),
         )
 
-    def _send(self, bench: Bench, heard: Heard, source: bytes) -> int:
+    def _send(self, bench: Bench, heard: ReceivedBeacon, source: bytes) -> int:
         """As recorded, in the network of the implementation."""
         octets = heard.octets
         if bench.profile.has_header_field("networkId") and heard.beacon is not None and heard.beacon.bp is not None:
             network = bench.parameter("BPPAR_NETWORK_ID")
             if heard.beacon.bp.network_id != network:
-                octets = bench.forge.patched(bench.codec.envelope_plan, octets, {"bp.networkId": network})
+                octets = bench.builder.patched(bench.codec.envelope_plan, octets, {"bp.networkId": network})
         return bench.transmit(octets, source)
 
     def _judge(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> int:
@@ -313,7 +313,7 @@ class _Applications:
         """Variable -> creation time and number that were last sent."""
         self._report: Any = None
 
-    def act(self, heard: Heard) -> None:
+    def act(self, heard: ReceivedBeacon) -> None:
         """A beacon of the recorded node tells what its applications did."""
         for each in heard.instructions(ICType.CREATE_VARIABLES):
             self._create(each.record)
@@ -365,7 +365,7 @@ class _Applications:
                 self._oracle.updated(record.var_id, record.value, self._bench.now())
 
 
-def _remember(table: dict[int, int | None], heard: Heard, only: ICType | None = None) -> None:
+def _remember(table: dict[int, int | None], heard: ReceivedBeacon, only: ICType | None = None) -> None:
     """Note the last number of each variable that a node sent; None for one that it deleted."""
     for each in heard.instructions():
         if each.kind is ICType.DELETE_VARIABLES:
@@ -376,7 +376,7 @@ def _remember(table: dict[int, int | None], heard: Heard, only: ICType | None = 
             table[each.var_id] = each.record.upd.seqno
 
 
-def _doubt(codec: Codec, oracle: Oracle, heard: Heard) -> None:
+def _doubt(codec: Codec, oracle: Oracle, heard: ReceivedBeacon) -> None:
     """A frame that is no beacon: what the implementation takes of it is open (X34)."""
     for each in dissect(codec.beacon_plan, heard.octets).root.walk():
         if each.name == "varId" and isinstance(each.value, int):

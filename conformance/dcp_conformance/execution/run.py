@@ -33,7 +33,7 @@ from .selection import Selection, left_out, matches, select
 from .signals import deferred
 
 if TYPE_CHECKING:
-    from .parallel import LaneEnd
+    from .parallel import WorkerEnd
 
 
 class _Key(NamedTuple):
@@ -265,7 +265,7 @@ class ConformanceRun:
             self.revise(revised)
 
     def take(self, case: Case, result: CaseResult) -> str:
-        """Add a result, from this process or from a lane. Returns what is unexpected in it."""
+        """Add a result, from this process or from a worker. Returns what is unexpected in it."""
         if case.id == SANITY and any(each.id == SANITY for each in self.results):
             # The repetition only checks that the implementation is still there. A failure is a finding, though.
             counted = result.verdict in (Verdict.FAIL, Verdict.ERROR)
@@ -277,7 +277,7 @@ class ConformanceRun:
         return surprise
 
     def take_passive(self, results: Iterable[CaseResult]) -> None:
-        """Add the results of the invariants, from this process or from all lanes."""
+        """Add the results of the invariants, from this process or from all workers."""
         self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._unheard]
         for each in self.passive:
             self._surprises[_Key(each.id, 1)] = self.expected.judge(self._invariants[each.id], each)
@@ -335,14 +335,14 @@ class ConformanceRun:
         )
         self.take(case, lost)
 
-    # -- lanes ---------------------------------------------------------------------------------------------------------
+    # -- several workers -----------------------------------------------------------------------------------------------
 
-    def close_lanes(self, ends: Sequence[LaneEnd], lanes: int, planned: Sequence[Case]) -> None:
-        """Merge what the lanes report when all have ended, account for each case, and sort the results."""
+    def close_workers(self, ends: Sequence[WorkerEnd], workers: int, planned: Sequence[Case]) -> None:
+        """Merge what the workers report when all have ended, account for each case, and sort the results."""
         self._sut = next((end.sut for end in ends if end.sut is not None), None)
         self._notes += [note for end in ends for note in end.notes]
-        if lanes > 1:
-            self._notes.append(f"{lanes} nodes were tested side by side, each with a share of the cases")
+        if workers > 1:
+            self._notes.append(f"{workers} nodes were tested side by side, each with a share of the cases")
         for end in ends:
             if end.trouble and not self.trouble:
                 self.trouble, self.usage = end.trouble, end.usage

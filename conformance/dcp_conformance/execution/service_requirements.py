@@ -12,7 +12,7 @@ from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.model.case import Case
-from dcp_conformance.test_system.trace import Event
+from dcp_conformance.test_system.traffic import Event
 
 #: Endings of the queueing modes with a buffer for a single payload.
 _BUFFER_MODES: Final = ("ONCE", "REPEAT")

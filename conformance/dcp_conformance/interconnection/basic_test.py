@@ -18,7 +18,7 @@ from dcp_conformance.model.results import Mark
 from dcp_conformance.test_steps.bp_clients import ACTIVATE, CLIENT, DEREGISTER, RECEIVED, BPClient, indications, until
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.frame_builder import Block
-from dcp_conformance.test_system.reception import Heard, var_id_of
+from dcp_conformance.test_system.reception import ReceivedBeacon, var_id_of
 
 from .contact import BrokenRule, Contact, Question, Stimulus, stimuli
 from .header_rules import Violation, judge
@@ -232,7 +232,7 @@ def _broken_rules(bench: Bench, *, vardis: bool) -> Iterable[BrokenRule]:
     return found.values()
 
 
-def _violations(bench: Bench) -> Iterator[tuple[Heard, Violation]]:
+def _violations(bench: Bench) -> Iterator[tuple[ReceivedBeacon, Violation]]:
     """Frames with what they break; first what only shows in comparison."""
     if (wrong := misnamed(bench)) is not None and bench.session.sut_id is not None:
         yield wrong, _at(bench, wrong, "bp.senderId", "BP-HDR-03", bench.session.sut_id.hex(":"))
@@ -256,13 +256,13 @@ def _violations(bench: Bench) -> Iterator[tuple[Heard, Violation]]:
             yield heard, each
 
 
-def _sampled(heard: Sequence[Heard]) -> Sequence[Heard]:
+def _sampled(heard: Sequence[ReceivedBeacon]) -> Sequence[ReceivedBeacon]:
     """Frames to judge: the first ones, and later ones, which may hold other blocks. To judge a bad frame takes long."""
     half = _JUDGED // 2
     return heard if len(heard) <= _JUDGED else [*heard[:half], *heard[half :: len(heard) // half][:half]]
 
 
-def _at(bench: Bench, heard: Heard, path: str, requirement: str, right: str) -> Violation:
+def _at(bench: Bench, heard: ReceivedBeacon, path: str, requirement: str, right: str) -> Violation:
     """A field with the wrong octets; ``right`` is what it should say."""
     field = bench.codec.dissect(heard.octets).root.find(path)
     place = (0, 0) if field is None else (field.offset, field.length)
@@ -275,7 +275,7 @@ def _suspect(bench: Bench) -> str:
     return "" if _renumbered(bench) is not None else suspect(bench)
 
 
-def _renumbered(bench: Bench) -> tuple[Heard, int] | None:
+def _renumbered(bench: Bench) -> tuple[ReceivedBeacon, int] | None:
     """A beacon in which VarDis answers under another protocolId, and the number of the block; None if there is none."""
     asked = {var_id for _, var_id in stimuli(bench.codec, bench.traffic.events, ())}
     for heard in bench.heard:
@@ -291,7 +291,7 @@ def _renumbered(bench: Bench) -> tuple[Heard, int] | None:
     return None
 
 
-def _swapped_number(bench: Bench) -> tuple[Heard, int, int] | None:
+def _swapped_number(bench: Bench) -> tuple[ReceivedBeacon, int, int] | None:
     """A beacon with a block for SRP or VarDis whose number has swapped octets, the number of the block, and the right
     protocolId; None if there is none, or if any block has the right number.
     """

@@ -14,8 +14,8 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_conformance.model.results import Mark
-from dcp_conformance.test_system.reception import KIND_OF, Heard, var_id_of
-from dcp_conformance.test_system.trace import Event
+from dcp_conformance.test_system.reception import KIND_OF, ReceivedBeacon, var_id_of
+from dcp_conformance.test_system.traffic import Event
 
 Stimulus = Literal["summary", "create", "request", "report", "payload", "transmit", "state", "variable"]
 """What an implementation can be made to react to."""
@@ -124,7 +124,7 @@ class Contact:
         self,
         codec: Codec,
         events: Iterable[Event],
-        heard: Sequence[Heard],
+        heard: Sequence[ReceivedBeacon],
         made: Collection[int],
         requirements: Collection[str],
     ) -> str:

@@ -13,7 +13,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.values import VardisRecord
-from dcp_conformance.test_system.trace import Event
+from dcp_conformance.test_system.traffic import Event
 
 if TYPE_CHECKING:
     from dcp_conformance.test_system.bench import Bench
@@ -43,7 +43,7 @@ def lost_container(bench: Bench) -> str:
             containers = [[peer.update(first, 1, b"v" * _LENGTH)], [peer.summary(second, 1)]]
         else:
             containers = [[peer.summary(first, 1)] * _LENGTH, [peer.update(second, 1, b"v")]]
-        peer.send(*(bench.forge.container(*each) for each in containers))
+        peer.send(*(bench.builder.container(*each) for each in containers))
 
         def requested(*wanted: int, since: int = since) -> bool:
             return {*wanted} <= {each.var_id for each in bench.instructions(ICType.REQUEST_VARCREATES, since=since)}

@@ -12,8 +12,8 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.errors import DecodeError
 from dcp_conformance.lower_tester import HearsEveryType
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
-from dcp_conformance.test_system.trace import Event
+from dcp_conformance.test_system.reception import ReceivedBeacon
+from dcp_conformance.test_system.traffic import Event
 
 from .probe import question
 from .profile_ranking import EXPLAINED, doubtful, ranked_with
@@ -26,7 +26,7 @@ _NETWORKS: Final = (0, 1, 2, 3, 0x00FF, 0x0100, 0x1111, 0x1234, 0xFFFF)
 _ETHER_TYPES: Final = (0x88B5, 0x88B6)
 
 
-def misnamed(bench: Bench) -> Heard | None:
+def misnamed(bench: Bench) -> ReceivedBeacon | None:
     """A beacon of the implementation under another name: its own one backwards, or sent from its address."""
     own = bench.session.sut_id
     if own is None or bench.heard:

@@ -16,8 +16,8 @@ from dcp_spec.constants import ICType
 from dcp_codec.codec import Codec
 from dcp_codec.values import Payload, VarCreate
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.test_system.reception import Heard
-from dcp_conformance.test_system.trace import Event
+from dcp_conformance.test_system.reception import ReceivedBeacon
+from dcp_conformance.test_system.traffic import Event
 
 if TYPE_CHECKING:
     from dcp_conformance.test_system.bench import Bench
@@ -124,7 +124,7 @@ def _swapped(value: int, width: int) -> tuple[int, int]:
     return int.from_bytes(octets, "big"), int.from_bytes(octets, "big", signed=True)
 
 
-def backwards(codec: Codec, heard: Iterable[Heard], sut_id: bytes | None, wall: int) -> bool:
+def backwards(codec: Codec, heard: Iterable[ReceivedBeacon], sut_id: bytes | None, wall: int) -> bool:
     """Whether a VarCreate of a variable of the implementation's own has a time of today only with swapped octets.
 
     ``wall``: ns since 1970. False where the profile's clock tells no time of day.

@@ -22,7 +22,7 @@ from dcp_conformance.lower_tester import Arrival, LowerTester
 from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
 from dcp_conformance.model.pics_file import write_pics
-from dcp_conformance.test_system.frame_builder import Forge
+from dcp_conformance.test_system.frame_builder import FrameBuilder
 from dcp_conformance.test_system.session import Session
 from dcp_conformance.upper_tester import Answer, UpperTester
 
@@ -220,15 +220,15 @@ def _listen(lower: LowerTester, codecs: Sequence[Codec], seconds: float, ask: bo
 
 def question(codec: Codec, number: int) -> bytes:
     """A beacon with the summary of a variable that is not there: who has VarDis asks for it (VD-PS-01)."""
-    forge = Forge(codec)
+    builder = FrameBuilder(codec)
     layout = codec.profile.types.node_id
     if layout.representation == "text":
         sender = ASKER.hex(":").encode()
     else:
         sender = ASKER[-layout.width :].rjust(layout.width, b"\x02")
     highest = (1 << (8 * codec.profile.types.var_id.width)) - 1
-    block = forge.vardis(VarSumm(number % (highest + 1), 1))
-    return forge.beacon(sender, number + codec.profile.behaviour.first_beacon_seqno, [block])
+    block = builder.vardis(VarSumm(number % (highest + 1), 1))
+    return builder.beacon(sender, number + codec.profile.behaviour.first_beacon_seqno, [block])
 
 
 def _profile(

@@ -14,7 +14,7 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.session import FLOOR, Reaction, Session
 
 from .extraction import lost_container
@@ -107,7 +107,7 @@ def _ask(bench: Bench, count: int) -> list[float]:
         peer.send(peer.summary(each, 1))
     found: list[float] = []
 
-    def answered(heard: Heard) -> bool:
+    def answered(heard: ReceivedBeacon) -> bool:
         new = waiting & set(_requested(heard))
         found.extend([(heard.time - begun) / bench.period] * len(new))
         waiting.difference_update(new)
@@ -121,5 +121,5 @@ def _ask(bench: Bench, count: int) -> list[float]:
     return found
 
 
-def _requested(heard: Heard) -> Iterable[int]:
+def _requested(heard: ReceivedBeacon) -> Iterable[int]:
     return (each.var_id for each in heard.instructions(ICType.REQUEST_VARCREATES))

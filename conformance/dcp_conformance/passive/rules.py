@@ -146,7 +146,7 @@ class UndisturbedPeriod(BeaconPeriod):
 
 
 class RepeatedJitter(Invariant):
-    """Chance that begins again with the same numbers."""
+    """Draws that begins again with the same numbers."""
 
     id = "CK_BP_JITTER"
     section = "dcp-bp.md: Transmit Path"

@@ -18,7 +18,7 @@ from dcp_conformance.model.case import SANITY, Case, Kind
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark
 from dcp_conformance.model.verdict import Verdict, worst
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, MostSummaries, RepeatedJitter
 
@@ -166,7 +166,7 @@ class PassiveTester:
         self._fed_instructions = [rule for rule in fed if rule.id in OF_INSTRUCTIONS]
         self._fed = [rule for rule in fed if rule.id not in OF_REPORTS | OF_INSTRUCTIONS]
 
-    def heard(self, heard: Heard, frame: bytes, start: int, case: str, traffic: object) -> None:
+    def heard(self, heard: ReceivedBeacon, frame: bytes, start: int, case: str, traffic: object) -> None:
         """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
         if heard.time <= self._since or not (self._side_by_side or traffic is self._traffic):
             return
@@ -281,7 +281,7 @@ class _Place(NamedTuple):
     case: str
     execution: int
     """Of the case: the first is 1."""
-    heard: Heard
+    heard: ReceivedBeacon
     frame: bytes
     start: int
 

@@ -24,7 +24,8 @@ from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.frame_builder import Block
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import (
     Moment,
     create_request,
@@ -33,7 +34,6 @@ from dcp_conformance.test_system.services import (
     timed,
     until_report,
 )
-from dcp_conformance.test_system.stations import Peer
 
 from .bp.beacons.receive import check_dropped, check_processed
 
@@ -274,7 +274,7 @@ def packed(bench: Bench) -> None:
         bench.info("Which records of the profile itself are not packed?", what, "DATA-02")
 
 
-def _trailing(bench: Bench, heard: Heard) -> bytes:
+def _trailing(bench: Bench, heard: ReceivedBeacon) -> bytes:
     """Return the octets after a beacon in a frame that is too long to have been padded; empty otherwise."""
     return bench.codec.dissect(heard.octets).padding if len(heard.octets) > 46 else b""
 

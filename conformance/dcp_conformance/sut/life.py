@@ -17,7 +17,7 @@ from dcp_spec.constants import ICType
 from dcp_conformance.errors import LowerTesterError, StopCase, UpperTesterError
 from dcp_conformance.model.case import Case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.session import Session
 
 from .control import SeesSockets, SutControl
@@ -160,7 +160,7 @@ class Life:
     def _await_backlog(bench: Bench, since: int) -> None:
         """Wait while records are sent that come before requests in a payload: with small payloads, for many periods."""
 
-        def leading(heard: Heard) -> bool:
+        def leading(heard: ReceivedBeacon) -> bool:
             return any(heard.instructions(kind) for kind in _BEFORE_REQUESTS)
 
         if any(map(leading, bench.heard[since:])):

@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 
 from dcp_conformance.errors import StopCase, UpperTesterError
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ def pausable(bench: Bench) -> bool:
 
 
 def in_a_gap(
-    bench: Bench, act: Callable[[], T], sent: Callable[[Heard], object], *, paused: bool = False
+    bench: Bench, act: Callable[[], T], sent: Callable[[ReceivedBeacon], object], *, paused: bool = False
 ) -> tuple[T, bool]:
     """Call ``act``; return its result, and whether no beacon for which ``sent`` is true was sent in this time.
 
@@ -61,7 +61,7 @@ def in_a_gap(
 
 
 def between_beacons(
-    bench: Bench, what: str, act: Callable[[], T], sent: Callable[[Heard], object], *, flush: float = 12
+    bench: Bench, what: str, act: Callable[[], T], sent: Callable[[ReceivedBeacon], object], *, flush: float = 12
 ) -> T:
     """Call ``act`` between two beacons, and return its result.
 

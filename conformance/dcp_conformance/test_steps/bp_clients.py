@@ -17,7 +17,7 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.case import Needs, Variant
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.frame_builder import Block
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.upper_tester import Answer, Notification
 
 from .beacon_gaps import between_beacons
@@ -111,7 +111,7 @@ def block_header_octets(bench: Bench) -> int:
 
 def _place(bench: Bench, path: str) -> int:
     peer_id = bench.peers_made[0].node_id if bench.peers_made else bench.node_id()
-    octets = bench.forge.beacon(peer_id, 0, [Block(unused_protocol_id(bench), b"x")])
+    octets = bench.builder.beacon(peer_id, 0, [Block(unused_protocol_id(bench), b"x")])
     field = bench.codec.dissect(octets).root.find(path)
     return 0 if field is None else field.offset
 
@@ -243,7 +243,7 @@ class BPClient:
 
     # -- beacons ----------------------------------------------------------------------------------------------
 
-    def in_frame(self, heard: Heard) -> list[bytes]:
+    def in_frame(self, heard: ReceivedBeacon) -> list[bytes]:
         """Return this client's payloads in a beacon."""
         return heard.data(self.prot_id)
 
@@ -251,14 +251,14 @@ class BPClient:
         """Return this client's payloads in beacons since a mark, in order."""
         return [octets for heard in self.bench.heard[since:] for octets in self.in_frame(heard)]
 
-    def frames(self, since: int = 0, *, after: int = 0) -> list[Heard]:
+    def frames(self, since: int = 0, *, after: int = 0) -> list[ReceivedBeacon]:
         """Return the beacons with a payload of this client since a mark, and not before a time in ns."""
         return [each for each in self.bench.heard[since:] if each.time >= after and self.in_frame(each)]
 
-    def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> Heard | None:
+    def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> ReceivedBeacon | None:
         """Wait for a beacon with this payload, or with any of this client."""
 
-        def wanted(heard: Heard) -> Heard | None:
+        def wanted(heard: ReceivedBeacon) -> ReceivedBeacon | None:
             found = self.in_frame(heard)
             return heard if (found if payload is None else payload in found) else None
 
@@ -337,7 +337,7 @@ def talking(bench: Bench, *, clients: int = 1) -> Iterator[list[BPClient]]:
         yield made
 
 
-def some_beacons(bench: Bench, count: int) -> list[Heard]:
+def some_beacons(bench: Bench, count: int) -> list[ReceivedBeacon]:
     """Return ``count`` beacons of an implementation that is sending; inconclusive with less than half of them."""
     found = bench.beacons(count)
     if len(found) * 2 < count:

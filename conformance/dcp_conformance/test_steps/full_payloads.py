@@ -11,7 +11,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.stations import Peer
+from dcp_conformance.test_system.peers import Peer
 
 PAYLOAD_SIZE: Final = "VARDISPAR_MAX_PAYLOAD_SIZE"
 
@@ -42,7 +42,7 @@ def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int =
         return peer.create(var_id, value=value[:value_length], descr=description[:length], seqno=seqno)
 
     def size(create: VarCreate) -> int:
-        return bench.forge.record_size(create if kind is ICType.CREATE_VARIABLES else create.upd)
+        return bench.builder.record_size(create if kind is ICType.CREATE_VARIABLES else create.upd)
 
     least = size(made(0, 1, 1))
     most = size(made(0, len(value), len(description)))

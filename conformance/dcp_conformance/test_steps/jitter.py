@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 #: The first beacon that is heard may be this many later in the sequence after one start than after the other.
 SHIFT: Final = 12
@@ -29,7 +29,7 @@ Comparison = Literal["strict", "same", "different", "coarse"]
 """Strictly periodic; the same sequence; different ones; too few different values to tell."""
 
 
-def intervals(frames: Sequence[Heard]) -> Intervals:
+def intervals(frames: Sequence[ReceivedBeacon]) -> Intervals:
     """The intervals between beacons, one for each sequence number."""
     found: list[int | None] = []
     for before, after in itertools.pairwise(frames):

@@ -12,9 +12,9 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.reception import Instruction
 from dcp_conformance.test_system.services import create_request
-from dcp_conformance.test_system.stations import Peer
 
 _DELETE = ICType.DELETE_VARIABLES
 

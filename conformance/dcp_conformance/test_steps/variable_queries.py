@@ -13,8 +13,8 @@ from dcp_spec.constants import ICType, seqno_modulus
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.reception import Instruction
-from dcp_conformance.test_system.stations import Peer
 
 State = Literal["unknown", "alive", "deleted"]
 #: All records about a single variable except summaries, which are sent repeatedly.

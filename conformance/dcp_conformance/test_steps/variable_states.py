@@ -13,15 +13,15 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord, VarUpdate
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import create_request
-from dcp_conformance.test_system.stations import Peer
 
 from .variable_queries import INSTRUCTIONS, ask, named, stepped, traces
 
 
 @dataclass
-class Situation:
+class VariableState:
     """A variable in a state at the implementation."""
 
     bench: Bench
@@ -99,15 +99,15 @@ def _repetitions(bench: Bench, state: str) -> int:
     return bench.rep_cnt(2 + math.ceil(1.5 * longest))
 
 
-def foreign(bench: Bench, state: str) -> Situation:
+def foreign(bench: Bench, state: str) -> VariableState:
     """Teach the implementation a variable of another node and bring it into a state."""
     peer = bench.peer()
     if state == "unknown":
-        return Situation(bench, peer, bench.unknown_id(), state)
+        return VariableState(bench, peer, bench.unknown_id(), state)
     rep_cnt = _repetitions(bench, state)
     record = peer.create(bench.var_id(), seqno=5, rep_cnt=rep_cnt)
     bench.learn(peer, record) if rep_cnt > 1 else _learn_once(bench, peer, record)
-    situation = Situation(bench, peer, record.spec.var_id, state, stored=record, rep_cnt=rep_cnt)
+    situation = VariableState(bench, peer, record.spec.var_id, state, stored=record, rep_cnt=rep_cnt)
     if state == "deleted" and not bench.features.removed_after_deletion:
         peer.send(peer.delete(situation.var_id))
         _until_deleted(situation)
@@ -120,20 +120,20 @@ def _learn_once(bench: Bench, peer: Peer, record: VarCreate) -> None:
         bench.inconclusive("a VarCreate of the variable, which this case needs", "not forwarded in time")
 
 
-def _until_deleted(situation: Situation) -> None:
+def _until_deleted(situation: VariableState) -> None:
     bench = situation.bench
     if bench.until_instruction(ICType.DELETE_VARIABLES, situation.var_id) is None:
         bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
 
 
-def own(bench: Bench, state: str) -> Situation:
+def own(bench: Bench, state: str) -> VariableState:
     """Create one of the node's own variables, with sequence number 2, and bring it into a state."""
     var_id, rep_cnt, since = bench.own_var_id(), _repetitions(bench, state), bench.mark()
     bench.must("RTDB-Create", **create_request(bench, var_id, rep_cnt=rep_cnt))
     for value in (bench.value(b"first"), bench.value(b"next")):
         bench.must("RTDB-Update", varId=var_id, value=value.hex())
 
-    def newest(heard: Heard) -> VarUpdate | None:
+    def newest(heard: ReceivedBeacon) -> VarUpdate | None:
         update: VarUpdate | None = heard.about(ICType.UPDATES, var_id)
         return update if update is not None and update.seqno == 2 else None
 
@@ -144,7 +144,7 @@ def own(bench: Bench, state: str) -> Situation:
     held = VarCreate(created.spec, updated)
     if rep_cnt > 1:
         bench.until_quiet(newest, since=since)
-    situation = Situation(bench, bench.peer(), var_id, state, own=True, stored=held, rep_cnt=rep_cnt)
+    situation = VariableState(bench, bench.peer(), var_id, state, own=True, stored=held, rep_cnt=rep_cnt)
     if state == "deleted" and not bench.features.removed_after_deletion:
         bench.must("RTDB-Delete", varId=var_id)
         _until_deleted(situation)
@@ -154,7 +154,7 @@ def own(bench: Bench, state: str) -> Situation:
 # -- the outcomes ------------------------------------------------------------------------------------------------------
 
 
-def ignored(situation: Situation, since: int) -> None:
+def ignored(situation: VariableState, since: int) -> None:
     """The implementation sends no record as a reaction, and the stored contents are unchanged."""
     bench, var_id = situation.bench, situation.var_id
     gone = situation.state == "deleted" and bench.features.removed_after_deletion
@@ -188,7 +188,7 @@ def ignored(situation: Situation, since: int) -> None:
         bench.check(held.record == situation.stored, "the stored contents unchanged", str(held), shown=True)
 
 
-def only(situation: Situation, since: int, kind: ICType, record: VardisRecord) -> None:
+def only(situation: VariableState, since: int, kind: ICType, record: VardisRecord) -> None:
     """Check that this record is sent in the required number of beacons, and no other record."""
     bench, var_id = situation.bench, situation.var_id
     requested = kind in (ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
@@ -201,29 +201,29 @@ def only(situation: Situation, since: int, kind: ICType, record: VardisRecord) -
     bench.check(not others, what, named(others), frames=others, shown=True)
 
 
-def requests_variable(situation: Situation, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
+def requests_variable(situation: VariableState, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
     """The implementation requests the variable once."""
     record = situation.peer.request_create(situation.var_id)
     only(situation, since, ICType.REQUEST_VARCREATES, record)
 
 
-def requests_update(situation: Situation, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
+def requests_update(situation: VariableState, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
     """The implementation requests the newer value once, with its own sequence number."""
     record = situation.peer.request_update(situation.var_id, situation.known.upd.seqno)
     only(situation, since, ICType.REQUEST_VARUPDATES, record)
 
 
-def sends_value(situation: Situation, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
+def sends_value(situation: VariableState, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
     """The implementation sends the stored value."""
     only(situation, since, ICType.UPDATES, situation.known.upd)
 
 
-def sends_variable(situation: Situation, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
+def sends_variable(situation: VariableState, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
     """The implementation sends the VarCreate with the stored contents."""
     only(situation, since, ICType.CREATE_VARIABLES, situation.known)
 
 
-def stores(situation: Situation, since: int, sent: VardisRecord) -> None:
+def stores(situation: VariableState, since: int, sent: VardisRecord) -> None:
     """The implementation stores and forwards the record unchanged."""
     bench = situation.bench
     creates = type(sent) is VarCreate
@@ -234,7 +234,7 @@ def stores(situation: Situation, since: int, sent: VardisRecord) -> None:
     bench.check(record == sent, "the record in the database", str(held), shown=held.record is not None)
 
 
-def deletes(situation: Situation, since: int, sent: VardisRecord) -> None:
+def deletes(situation: VariableState, since: int, sent: VardisRecord) -> None:
     """The implementation marks the variable as deleted and forwards the record."""
     bench, var_id = situation.bench, situation.var_id
     only(situation, since, ICType.DELETE_VARIABLES, sent)
@@ -255,7 +255,7 @@ def deletes(situation: Situation, since: int, sent: VardisRecord) -> None:
     bench.check(held.state == after, f"state of the variable: {after}", str(held), shown=held.shown)
 
 
-def taken_over(situation: Situation, since: int, sent: VardisRecord) -> None:
+def taken_over(situation: VariableState, since: int, sent: VardisRecord) -> None:
     """The implementation stores and forwards the record, although it was the producer itself."""
     stores(situation, since, sent)
     bench = situation.bench

@@ -14,7 +14,7 @@ from dcp_conformance.errors import NamesUsedUp
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.verdict import Verdict
 
-from .checks import Findings
+from .checks import Checks
 from .session import FLOOR, Session
 
 #: Maximum number of identifiers in a message.
@@ -33,7 +33,7 @@ _PIXIT = {
 }
 
 
-class Naming(Findings):
+class Allocation(Checks):
     """Supplies a case with identifiers, time stamps and records."""
 
     def __init__(self, session: Session, case: Case) -> None:

@@ -5,8 +5,8 @@ passes only within the waiting methods, so the same case runs in virtual time an
 are *checks*; a failed check stops the case (``require``) or not (``check``).
 
 The bench is built in four layers: :class:`~dcp_conformance.test_system.checks.Findings` (checks),
-:class:`~dcp_conformance.test_system.allocation.Naming` (identifiers and values),
-:class:`~dcp_conformance.test_system.waiting.Listening` (waiting
+:class:`~dcp_conformance.test_system.allocation.Allocation` (identifiers and values),
+:class:`~dcp_conformance.test_system.waiting.Waiting` (waiting
 and receiving), and, in this module, sending and service calls.
 """
 
@@ -28,11 +28,11 @@ from dcp_conformance.upper_tester import Answer, UpperTester
 from .allocation import address_of
 from .changes import Changes
 from .checks import MS
-from .frame_builder import Forge
-from .reception import Heard
+from .frame_builder import FrameBuilder
+from .peers import Peer
+from .reception import ReceivedBeacon
 from .session import Session
-from .stations import Peer
-from .waiting import Listening
+from .waiting import Waiting
 
 __all__ = ["MS", "Bench", "Session"]
 
@@ -40,12 +40,12 @@ __all__ = ["MS", "Bench", "Session"]
 _GIVEN_UP = 3
 
 
-class Bench(Listening):
+class Bench(Waiting):
     """The view that one case has of the session."""
 
     def __init__(self, session: Session, case: Case) -> None:
         super().__init__(session, case)
-        self.forge = Forge(session.codec)
+        self.builder = FrameBuilder(session.codec)
         self.peers_made: list[Peer] = []
         self.changes = Changes(self._initial_value)
         self.not_restored = ""
@@ -92,7 +92,7 @@ class Bench(Listening):
         wanted = {create.spec.var_id for create in creates}
         peer.send_all(creates)
 
-        def present(heard: Heard) -> bool:
+        def present(heard: ReceivedBeacon) -> bool:
             return any(each.var_id in wanted for each in heard.instructions(ICType.CREATE_VARIABLES))
 
         self.until_quiet(present, since=start)
@@ -105,9 +105,9 @@ class Bench(Listening):
 
         As :attr:`reaction`, and longer if they do not fit into one payload.
         """
-        header = self.forge.container_header_size
+        header = self.builder.container_header_size
         room = self.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") - header
-        each = max(1, room // self.forge.record_size(self.sample()))
+        each = max(1, room // self.builder.record_size(self.sample()))
         return self.reaction + math.ceil(count / each) - 1
 
     def probe(self, periods: float | None = None) -> bool:
@@ -136,12 +136,12 @@ class Bench(Listening):
         wanted = [*sorted(self.created)[:1], *(self.unknown_ids(1) if self.has_unknown_ids() else ())]
         peer.send(*map(peer.request_create, wanted))
 
-        def answered(heard: Heard) -> bool:
+        def answered(heard: ReceivedBeacon) -> bool:
             return self._passed_on(heard) or any(heard.about(ICType.REQUEST_VARCREATES, each) for each in wanted)
 
         return bool(wanted) and self.until(answered, periods) is not None
 
-    def _passed_on(self, heard: Heard) -> bool:
+    def _passed_on(self, heard: ReceivedBeacon) -> bool:
         """Return whether a beacon has a VarCreate of one of the case's peers."""
         ours = [peer.node_id for peer in self.peers_made]
         return any(each.record.spec.prod_id in ours for each in heard.instructions(ICType.CREATE_VARIABLES))

@@ -39,9 +39,9 @@ from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import Check, Mark, Table
 from dcp_conformance.model.verdict import Verdict, worst
 
-from .reception import Heard, Instruction
+from .reception import Instruction, ReceivedBeacon
 from .session import Session
-from .trace import Traffic
+from .traffic import Traffic
 
 MS = 1_000_000
 
@@ -60,7 +60,7 @@ def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ..
     return tuple(each for each in requirements if requirement(each).holds_in(version)) or tuple(requirements)
 
 
-class Findings:
+class Checks:
     """The checks of one case, with the excuses for failed ones."""
 
     def __init__(self, session: Session, case: Case) -> None:
@@ -71,7 +71,7 @@ class Findings:
         self.pics = session.pics.pics
         self.pixit = session.pics.pixit
         self.traffic = Traffic()
-        self.heard: list[Heard] = []
+        self.heard: list[ReceivedBeacon] = []
         """The implementation's frames since the case began."""
         self.checks: list[Check] = []
         self.readings: dict[str, str] = {}
@@ -119,7 +119,7 @@ class Findings:
         observed: str = "",
         /,
         *requirements: str,
-        frames: Iterable[Heard | Instruction | Mark] = (),
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
         shown: object = False,
         numbers: bool = False,
         field: Misread | None = None,
@@ -165,7 +165,7 @@ class Findings:
         observed: str = "",
         /,
         *requirements: str,
-        frames: Iterable[Heard | Instruction | Mark] = (),
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
         shown: object = False,
         numbers: bool = False,
     ) -> None:
@@ -179,7 +179,7 @@ class Findings:
         observed: str,
         /,
         *requirements: str,
-        frames: Iterable[Heard | Instruction | Mark] = (),
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
         shown: object = False,
         numbers: bool = False,
     ) -> NoReturn:
@@ -200,7 +200,12 @@ class Findings:
         raise StopCase
 
     def info(
-        self, question: str, observed: str, /, *requirements: str, frames: Iterable[Heard | Instruction | Mark] = ()
+        self,
+        question: str,
+        observed: str,
+        /,
+        *requirements: str,
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
     ) -> None:
         """Report a behaviour that the specification leaves open."""
         self._add(Verdict.INFO, question, observed, requirements, frames)
@@ -225,7 +230,7 @@ class Findings:
         expected: str,
         observed: str,
         requirements: Sequence[str],
-        frames: Iterable[Heard | Instruction | Mark],
+        frames: Iterable[ReceivedBeacon | Instruction | Mark],
         *,
         shown: bool = False,
         disturbed: bool = False,
@@ -239,10 +244,10 @@ class Findings:
         self.checks.append(checked)
         self.traffic.note("note", self.lower.wall(), f"{verdict}: {expected}" + (f": {observed}" if observed else ""))
 
-    def _mark(self, what: Heard | Instruction | Mark) -> Mark:
+    def _mark(self, what: ReceivedBeacon | Instruction | Mark) -> Mark:
         if isinstance(what, Mark):
             return what
-        if isinstance(what, Heard):
+        if isinstance(what, ReceivedBeacon):
             return Mark(what.number)
         return self._mark_of_instruction(what)
 

@@ -37,11 +37,11 @@ class Block(NamedTuple):
     octets: bytes
 
 
-class ForgeError(ValueError):
+class FrameBuilderError(ValueError):
     """A lie about a field that is not there, or a value that no octets of that field can hold."""
 
 
-class Forge:
+class FrameBuilder:
     """Builds bearer payloads of a profile."""
 
     def __init__(self, codec: Codec) -> None:
@@ -149,14 +149,14 @@ def _found(fields: Mapping[str, Field], path: str) -> Field:
     try:
         return fields[path]
     except KeyError:
-        raise ForgeError(f"there is no field {path}; there are {', '.join(filter(None, fields))}") from None
+        raise FrameBuilderError(f"there is no field {path}; there are {', '.join(filter(None, fields))}") from None
 
 
 def _number(field: Field, value: int) -> bytes:
     layout = field.layout
     if not isinstance(layout, Scalar) or layout.kind != "int":
-        raise ForgeError(f"{field.path} is no number; give its octets")
+        raise FrameBuilderError(f"{field.path} is no number; give its octets")
     try:
         return value.to_bytes(layout.size, layout.order, signed=layout.signed and value < 0)
     except OverflowError:
-        raise ForgeError(f"{field.path} has {layout.size} octets, which cannot hold {value}") from None
+        raise FrameBuilderError(f"{field.path} has {layout.size} octets, which cannot hold {value}") from None

@@ -41,7 +41,7 @@ _CLIENT: Final = re.compile(r"payloads\[\d+\]\.(srp|vardis)\b")
 class Instruction(NamedTuple):
     """A record of a VarDis payload and where it stood."""
 
-    heard: Heard
+    heard: ReceivedBeacon
     container: int
     """Counts the containers of the beacon from 0."""
     position: int
@@ -55,7 +55,7 @@ class Instruction(NamedTuple):
         return var_id_of(self.record)
 
 
-class Heard:
+class ReceivedBeacon:
     """One frame of the implementation, read once.
 
     ``beacon`` is what can be read of it (see :mod:`dcp_codec.views.salvage`), None if nothing can. ``problems`` is

@@ -19,8 +19,8 @@ from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.upper_tester import Answer
 
 from .bench import Bench
-from .reception import Heard, var_id_of
-from .stations import Peer
+from .peers import Peer
+from .reception import ReceivedBeacon, var_id_of
 
 OK = "VARDIS-STATUS-OK"
 INACTIVE = "VARDIS-STATUS-INACTIVE"
@@ -302,22 +302,24 @@ def told(bench: Bench, report: Any) -> dict[str, Any]:
 
 def report_octets(bench: Bench) -> int:
     """Return ssizeof(ExtendedSafetyDataT)."""
-    return len(bench.forge.srp(bench.report(bench.node_id(), 0)).octets)
+    return len(bench.builder.srp(bench.report(bench.node_id(), 0)).octets)
 
 
-def srp_blocks(heard: Heard) -> list[bytes]:
+def srp_blocks(heard: ReceivedBeacon) -> list[bytes]:
     """Return the SRP payloads of a beacon as octets, whether they are state reports or not."""
     return heard.data(BP_PROTID_SRP)
 
 
-def until_report(bench: Bench, values: dict[str, Any] | None = None, periods: float | None = None) -> Heard | None:
+def until_report(
+    bench: Bench, values: dict[str, Any] | None = None, periods: float | None = None
+) -> ReceivedBeacon | None:
     """Wait for a beacon with a state report with these values, or with any.
 
     Stops as inconclusive if there are only SRP payloads that cannot be decoded: TC_SRP_REC_BV_01 fails for them.
     """
     start = len(bench.heard)
 
-    def wanted(heard: Heard) -> bool:
+    def wanted(heard: ReceivedBeacon) -> bool:
         return heard.report is not None and (values is None or told(bench, heard.report) == values)
 
     found = bench.until(lambda heard: heard if wanted(heard) else None, periods)

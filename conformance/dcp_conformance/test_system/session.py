@@ -20,8 +20,8 @@ from dcp_conformance.upper_tester import UpperTester
 from .identifiers import Identifiers
 
 if TYPE_CHECKING:
-    from .reception import Heard
-    from .waiting import Listening
+    from .reception import ReceivedBeacon
+    from .waiting import Waiting
 
 FLOOR: Final = REACTION_FLOOR
 
@@ -150,12 +150,12 @@ class Session:
         """The time in ns that nine of ten calls do not exceed; 0 before the first one."""
         return sorted(self.call_times)[len(self.call_times) * 9 // 10] if self.call_times else 0
 
-    def heard(self, heard: Heard, arrival: Arrival, bench: Listening) -> None:
+    def heard(self, heard: ReceivedBeacon, arrival: Arrival, bench: Waiting) -> None:
         """Take a frame of the implementation that ``bench`` has received into account for the rest of the run."""
         self.take(heard, arrival, bench.case.id, bench.traffic, bench.departure())
 
-    def take(self, heard: Heard, arrival: Arrival, case: str, traffic: object, departure: int) -> None:
-        """As :meth:`heard`; ``departure``: see :meth:`dcp_conformance.test_system.allocation.Naming.departure`."""
+    def take(self, heard: ReceivedBeacon, arrival: Arrival, case: str, traffic: object, departure: int) -> None:
+        """As :meth:`heard`; ``departure``: see :meth:`dcp_conformance.test_system.allocation.Allocation.departure`."""
         self.counting.heard(heard.seqno)
         self.passive.heard(heard, arrival.frame, len(arrival.frame) - len(arrival.octets), case, traffic)
         gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}

@@ -15,7 +15,7 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS
 from dcp_codec.values import ExtendedSafetyData
 
 from .bench import Bench
-from .reception import Heard
+from .reception import ReceivedBeacon
 from .services import Moment, safety_data, timed, told, until_report
 
 _UPDATE: Final = "SRP-UpdateSafetyData"
@@ -32,7 +32,7 @@ _SHOWN: Final = 2
 class Sent(NamedTuple):
     """A report of the tester in a beacon."""
 
-    heard: Heard
+    heard: ReceivedBeacon
     report: ExtendedSafetyData
     values: dict[str, Any]
     moment: Moment
@@ -56,7 +56,7 @@ class Reporter:
         """Return safety data that were not submitted recently."""
         return safety_data(self.bench, len(self._handed) % _DIFFERENT)
 
-    def hand_down(self) -> dict[str, Any]:
+    def submit(self) -> dict[str, Any]:
         """Submit new safety data; inconclusive if the request is rejected."""
         values = self.next_values()
         self.noted(values, timed(self.bench, _UPDATE, sData=values))
@@ -75,7 +75,7 @@ class Reporter:
             self.bench.must(_UPDATE, sData=values)
             self.count += 1
 
-    def is_own(self, heard: Heard) -> bool:
+    def is_own(self, heard: ReceivedBeacon) -> bool:
         """Return whether a beacon has a report that the tester submitted."""
         if heard.report is None:
             return False
@@ -105,7 +105,7 @@ class Reporter:
 
         Stops as inconclusive if an application replaces them each time.
         """
-        values = self.hand_down()
+        values = self.submit()
         return self.awaited(values, *requirements, what=what)
 
     def awaited(
@@ -144,7 +144,7 @@ class Reporter:
             self.bench.inconclusive(what, "an application on the node replaces the data by its own", *requirements)
         self.bench.fail(what, "none in time", *requirements)
 
-    def _insist(self, since: int) -> Heard | None:
+    def _insist(self, since: int) -> ReceivedBeacon | None:
         """Submit safety data repeatedly until a beacon is sent before an application replaces them."""
         bench = self.bench
         if not any(each.report is not None and not self.is_own(each) for each in bench.heard[since:]):
@@ -152,7 +152,7 @@ class Reporter:
         wanted: list[dict[str, Any]] = []
         start = bench.mark()
         for _ in range(_BURST):
-            wanted.append(self.hand_down())
+            wanted.append(self.submit())
             bench.wait_ns(bench.period // _PAUSE)
             for each in bench.heard[start:]:
                 if each.report is not None and told(bench, each.report) in wanted:

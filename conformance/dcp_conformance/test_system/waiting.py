@@ -10,20 +10,20 @@ from dcp_spec.constants import ICType
 from dcp_conformance.model.case import Case
 from dcp_conformance.upper_tester import Notification
 
-from .allocation import Naming
+from .allocation import Allocation
 from .checks import MS
-from .reception import Heard, Instruction
+from .reception import Instruction, ReceivedBeacon
 from .session import Session
 
 T = TypeVar("T")
 
 
-class Listening(Naming):
+class Waiting(Allocation):
     """The frames that a case receives from the implementation, and how long it waits for them."""
 
     def __init__(self, session: Session, case: Case) -> None:
         super().__init__(session, case)
-        self.others: list[Heard] = []
+        self.others: list[ReceivedBeacon] = []
         """Frames with another senderId that the tester has not sent."""
         self.notifications: list[Notification] = []
         self._stimulus: int | None = None
@@ -47,11 +47,11 @@ class Listening(Naming):
         self.wait_ns(0)
         return len(self.heard)
 
-    def wait(self, periods: float) -> list[Heard]:
+    def wait(self, periods: float) -> list[ReceivedBeacon]:
         """Let time pass; return the frames received in this time."""
         return self.wait_ns(round(periods * self.period))
 
-    def wait_ns(self, duration: int) -> list[Heard]:
+    def wait_ns(self, duration: int) -> list[ReceivedBeacon]:
         """As :meth:`wait`, in ns."""
         before = len(self.heard)
         deadline = self.now() + duration
@@ -59,7 +59,7 @@ class Listening(Naming):
             pass
         return self.heard[before:]
 
-    def until(self, wanted: Callable[[Heard], T], periods: float | None = None) -> T | None:
+    def until(self, wanted: Callable[[ReceivedBeacon], T], periods: float | None = None) -> T | None:
         """Wait for a frame for which ``wanted`` returns a true value, and return that value; None if there is none in
         time.
 
@@ -80,7 +80,7 @@ class Listening(Naming):
         """Wait for a record of this kind about a variable, and return it; None if there is none in time."""
         return self.until(lambda heard: heard.about(kind, var_id), periods)
 
-    def beacons(self, count: int, periods: float | None = None) -> list[Heard]:
+    def beacons(self, count: int, periods: float | None = None) -> list[ReceivedBeacon]:
         """Wait for ``count`` beacons and return those received, which may be fewer."""
         # Beacons received during a call do not count.
         before = self.mark()
@@ -92,8 +92,8 @@ class Listening(Naming):
         return self.heard[before:]
 
     def until_quiet(
-        self, present: Callable[[Heard], object], periods: float = 60, since: int | None = None
-    ) -> list[Heard]:
+        self, present: Callable[[ReceivedBeacon], object], periods: float = 60, since: int | None = None
+    ) -> list[ReceivedBeacon]:
         """Wait until frames for which ``present`` is true have stopped; return those since ``since`` (a mark).
 
         They have stopped after ``quiet_beacons`` (PIXIT) consecutive beacons without, or if there are no beacons for
@@ -148,7 +148,7 @@ class Listening(Naming):
 
     # -- hearing -------------------------------------------------------------------------------------------------------
 
-    def _listen(self, deadline: int) -> Iterator[Heard]:
+    def _listen(self, deadline: int) -> Iterator[ReceivedBeacon]:
         """Yield the implementation's frames on reception, until the deadline."""
         lower, upper = self.lower, self.session.upper
         also = upper.filenos() if upper is not None else ()
@@ -164,7 +164,7 @@ class Listening(Naming):
                     self._acted = max(begun, deadline)
                     return
                 continue
-            heard = Heard(self.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
+            heard = ReceivedBeacon(self.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
             ours = self.is_sut(heard)
             start = len(arrival.frame) - len(arrival.octets)
             who = (heard.sender or arrival.source).hex(":")
@@ -192,7 +192,7 @@ class Listening(Naming):
             self.traffic.note("notified", self.lower.wall(), notification.method, notification.params)
             self.notifications.append(notification)
 
-    def is_sut(self, heard: Heard) -> bool:
+    def is_sut(self, heard: ReceivedBeacon) -> bool:
         """Return whether the implementation sent a frame. If its identifier is unknown, the sender of the first frame
         counts.
         """
@@ -221,6 +221,6 @@ class Listening(Naming):
         """Return all records of a kind since a mark, about one variable or any."""
         return [each for heard in self.heard[since:] for each in heard.instructions(kind, var_id)]
 
-    def frames_with(self, kind: ICType, var_id: int, since: int = 0) -> list[Heard]:
+    def frames_with(self, kind: ICType, var_id: int, since: int = 0) -> list[ReceivedBeacon]:
         """Return the beacons with a record of this kind about a variable."""
         return [heard for heard in self.heard[since:] if heard.instructions(kind, var_id)]

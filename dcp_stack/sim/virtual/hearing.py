@@ -57,7 +57,7 @@ class Parsed(msgspec.Struct, frozen=True, gc=False):
     blocks: tuple[int, ...]
 
 
-class Heard(msgspec.Struct, frozen=True, gc=False):
+class ReceivedBeacon(msgspec.Struct, frozen=True, gc=False):
     """One arrival of such a beacon; ``now`` is monotonic, ``wall`` since 1970, in ns."""
 
     beacon: Parsed
@@ -108,7 +108,7 @@ class HearingBP(BeaconingProtocol):
 
     node: HearingNode | None = None
 
-    def settle(self, sender_id: bytes, heard: list[Heard]) -> None:
+    def settle(self, sender_id: bytes, heard: list[ReceivedBeacon]) -> None:
         """Work in beacons of one sender, in the order of their arrival."""
         count, record = self._counters.count, self._losses.record
         count("frames-received", len(heard))
@@ -139,7 +139,7 @@ class HearingTable(NeighbourTable):
 
     node: HearingNode | None = None
 
-    def settle(self, sender_id: bytes, heard: list[Heard]) -> None:
+    def settle(self, sender_id: bytes, heard: list[ReceivedBeacon]) -> None:
         """Work in the reports of one neighbour, in the order of their arrival."""
         for each in heard:
             if each.beacon.report is not None:
@@ -332,7 +332,7 @@ class HearingNode(Node):
     vardis_class = HearingVardis
 
     def __init__(self, config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> None:
-        self.waiting: dict[bytes, list[Heard]] = {}
+        self.waiting: dict[bytes, list[ReceivedBeacon]] = {}
         """Beacons by sender that are in no statistics yet; a key for each sender that is known well enough."""
         self.ready = False
         """Whether :meth:`hear` can be used at all: see :meth:`look`."""
@@ -383,7 +383,7 @@ class HearingNode(Node):
             cast("HearingVardis", vardis).look()
         self.network_id = self.bp.parameters().get("BPPAR_NETWORK_ID")
 
-    def hear(self, heard: Heard) -> bool:
+    def hear(self, heard: ReceivedBeacon) -> bool:
         """Take in a beacon if it changes nothing but statistics; False: it has to be handled."""
         beacon = heard.beacon
         if beacon.vardis not in self._known or beacon.network_id != self.network_id:
@@ -398,7 +398,7 @@ class HearingNode(Node):
             self.settle_one(beacon.sender_id)
         return True
 
-    def _hear_newcomer(self, heard: Heard) -> bool:
+    def _hear_newcomer(self, heard: ReceivedBeacon) -> bool:
         """As :meth:`hear` for a sender that is new, if it changes no timer and displaces nobody."""
         beacon = heard.beacon
         if self.srp is not None:
@@ -429,7 +429,7 @@ class HearingNode(Node):
             if waiting:
                 self.settle_one(sender_id)
 
-    def last_report(self, sender_id: bytes) -> Heard | None:
+    def last_report(self, sender_id: bytes) -> ReceivedBeacon | None:
         """The last report of a sender that is not in the neighbour table yet."""
         waiting = self.waiting.get(sender_id, ())
         return next((heard for heard in reversed(waiting) if heard.beacon.report is not None), None)

@@ -22,7 +22,7 @@ from dcp_stack.positions.base import Sample
 from dcp_stack.positions.tracks import Track
 from dcp_stack.sim.scenario.requests import answer
 
-from .hearing import Heard, HearingNode, Parsed, Parser
+from .hearing import HearingNode, Parsed, Parser, ReceivedBeacon
 from .sharing import SharedCodec
 
 log = logging.getLogger(__name__)
@@ -289,7 +289,7 @@ class Network:
                     station.hearing.settle_all()
                 self._deliver(station, delivery)
             return
-        heard = Heard(beacon, self.now, reception.wall)
+        heard = ReceivedBeacon(beacon, self.now, reception.wall)
         for receiver in arrival.receivers:
             station = stations[receiver]
             node = station.hearing

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
-from dcp_conformance.check.statements import Said
+from dcp_conformance.check.statements import Statement
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.test_steps.circular import Circle
 
@@ -98,7 +98,7 @@ class Interval:
 
     begin: int
     time: int
-    cause: Said
+    cause: Statement
     speakers: int
     """Who said it, as bits."""
     late_half: bool
@@ -119,7 +119,7 @@ class Trial(NamedTuple):
     var_id: int
     speakers: int
     hit: bool
-    cause: Said
+    cause: Statement
     late_half: bool
     length: int
     once: bool = False
@@ -148,7 +148,7 @@ class Variable:
     value: int = 8
     create: int = 60
     """Octets of its last update and create."""
-    last_create: Said | None = None
+    last_create: Statement | None = None
     open: dict[int, dict[Kind, list[Interval]]] = field(default_factory=dict)
     """Bit of a node -> its open occasions."""
 
@@ -266,7 +266,7 @@ class Observer:
 
     # -- reactions -----------------------------------------------------------------------------------------------------
 
-    def _settle(self, station: Station, said: Iterable[Said]) -> set[tuple[int, ICType]]:
+    def _settle(self, station: Station, said: Iterable[Statement]) -> set[tuple[int, ICType]]:
         """What a beacon shows that a node has done; what it says, by variable and kind."""
         bit, stated = station.bit, set()
         for each in said:
@@ -291,7 +291,7 @@ class Observer:
         return stated
 
     def _states(
-        self, station: Station, variable: Variable, each: Said, opened: dict[Kind, list[Interval]] | None
+        self, station: Station, variable: Variable, each: Statement, opened: dict[Kind, list[Interval]] | None
     ) -> None:
         """A node states a number."""
         bit, kind = station.bit, each.kind
@@ -332,7 +332,7 @@ class Observer:
         variable.said[bit] = station.beacons
         variable.had[bit] = variable.created
 
-    def _created(self, station: Station, variable: Variable, each: Said) -> None:
+    def _created(self, station: Station, variable: Variable, each: Statement) -> None:
         spec, upd = each.record.spec, each.record.upd
         if not variable.producers and not variable.holds and spec.prod_id == station.node and upd.seqno == 0:
             variable.born = True
@@ -371,7 +371,9 @@ class Observer:
 
     # -- what did not happen -------------------------------------------------------------------------------------------
 
-    def _decide(self, station: Station, said: Iterable[Said], stated: set[tuple[int, ICType]], length: int) -> None:
+    def _decide(
+        self, station: Station, said: Iterable[Statement], stated: set[tuple[int, ICType]], length: int
+    ) -> None:
         """Occasions that this beacon shows to have been missed."""
         bit, now = station.bit, station.beacons
         for each in said:
@@ -460,7 +462,7 @@ class Observer:
                     begins, total = self._sizes.starts(seen.said)
                 self._open(station, variable, due, each, speaker.bit, 2 * begins[place] >= total, total)
 
-    def _due(self, station: Station, variable: Variable, each: Said) -> Kind | None:
+    def _due(self, station: Station, variable: Variable, each: Statement) -> Kind | None:
         """What a node has to do about a record, if it hears it."""
         kind, bit = each.kind, station.bit
         has = variable.holds.get(bit)
@@ -487,7 +489,7 @@ class Observer:
             return Kind.TEACH
         return None
 
-    def _due_of_unknown(self, station: Station, variable: Variable, each: Said) -> Kind | None:
+    def _due_of_unknown(self, station: Station, variable: Variable, each: Statement) -> Kind | None:
         kind, bit = each.kind, station.bit
         if kind is DELETE or station.node in variable.producers:
             return None
@@ -505,7 +507,14 @@ class Observer:
         return Kind.ASK_CREATE
 
     def _open(
-        self, station: Station, variable: Variable, kind: Kind, each: Said, speaker: int, late_half: bool, length: int
+        self,
+        station: Station,
+        variable: Variable,
+        kind: Kind,
+        each: Statement,
+        speaker: int,
+        late_half: bool,
+        length: int,
     ) -> None:
         opened = variable.open.setdefault(station.bit, {})
         if kind in _ABSENT:

@@ -8,7 +8,7 @@ from typing import Any
 from dcp_spec.constants import ICType
 from dcp_spec.profile.definition import Profile
 
-from dcp_conformance.check.statements import Said
+from dcp_conformance.check.statements import Statement
 
 #: icType and icNumRecords.
 _CONTAINER = 2
@@ -36,7 +36,7 @@ class RecordSizes:
             return self._summary
         return self._identifier
 
-    def starts(self, said: Sequence[Said]) -> tuple[list[int], int]:
+    def starts(self, said: Sequence[Statement]) -> tuple[list[int], int]:
         """Where each record starts, in octets from the start of the VarDis payload; and the size of the payload."""
         position, before, begins = 0, None, []
         for each in said:

@@ -14,7 +14,7 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, name
 from dcp_conformance.check.reception import reception_of
-from dcp_conformance.check.statements import Said
+from dcp_conformance.check.statements import Statement
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_steps.circular import Circle
 
@@ -37,13 +37,13 @@ _OFTEN, _ANSWERED = 10, 3
 class _Backing:
     """What a node says of a variable, and whether it has sent the value."""
 
-    said: Said
+    said: Statement
     """Where the node first stated the number."""
     number: int
     backed: bool
     time: int
-    before: Said | None = None
-    last: Said | None = None
+    before: Statement | None = None
+    last: Statement | None = None
     """Where the node stated it last."""
     beacons: int = 0
 
@@ -67,7 +67,7 @@ class Backed(Invariant):
         """Since when a node is heard without a gap; in how many beacons in a row it has summarised all that it has."""
         self._created: set[int] = set()
         self._pairs = 0
-        """Of a node and a variable that are followed: of all nodes together, since anybody can forge more."""
+        """Of a node and a variable that are followed: of all nodes together, since anybody can builder more."""
 
     def feed(self, seen: Seen) -> None:
         """Follow the numbers of the sender."""
@@ -102,7 +102,7 @@ class Backed(Invariant):
                 self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
         self._whole[seen.sender] = (sender.unbroken, whole + 1 if summaries >= len(known) else 0)
 
-    def _back(self, known: dict[int, _Backing], each: Said, time: int) -> None:
+    def _back(self, known: dict[int, _Backing], each: Statement, time: int) -> None:
         state = known.get(each.var_id)
         if state is not None and state.number == seqno_of(each):
             state.backed, state.time = True, time
@@ -111,7 +111,7 @@ class Backed(Invariant):
             known[each.var_id] = _Backing(each, seqno_of(each), backed=True, time=time)
 
     def _summary(
-        self, known: dict[int, _Backing], each: Said, seen: Seen, unbroken: int, *, complete: bool, room: bool
+        self, known: dict[int, _Backing], each: Statement, seen: Seen, unbroken: int, *, complete: bool, room: bool
     ) -> None:
         state, number = known.get(each.var_id), each.record.seqno
         if state is None:
@@ -136,7 +136,7 @@ class Backed(Invariant):
             self.exercised()
             self._tell(state, each, seen)
 
-    def _tell(self, state: _Backing, each: Said, seen: Seen) -> None:
+    def _tell(self, state: _Backing, each: Statement, seen: Seen) -> None:
         who = f"{name(seen.sender)}, variable {each.var_id}"
         if state.before is None:
             nobody = "" if each.var_id in self._created else ", and nobody has ever created it"
@@ -157,7 +157,7 @@ class _Held:
 
     number: int
     since: int
-    said: Said
+    said: Statement
     last: int = 0
 
 
@@ -285,9 +285,9 @@ class FallsSilent(Invariant):
 @dataclass(slots=True)
 class _Asked:
     count: int
-    first: Said
+    first: Statement
     answers: int = 0
-    answer: Said | None = None
+    answer: Statement | None = None
     by: set[bytes] = field(default_factory=set)
 
 
@@ -325,7 +325,7 @@ class EndlessRequests(Invariant):
                 for asks in (ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES):
                     self._ends(seen.sender, each.var_id, asks)
 
-    def _said(self, each: Said, seen: Seen, asks: ICType) -> None:
+    def _said(self, each: Statement, seen: Seen, asks: ICType) -> None:
         askers = self._askers.get((each.var_id, asks))
         if not askers:
             return
@@ -358,7 +358,7 @@ class EndlessRequests(Invariant):
                 frames = [asked.first, asked.answer]
             self.violated(text, frames, expected="requests that do not end", verdict=Verdict.INFO)
 
-    def _reason(self, node: bytes, answer: Said) -> str:
+    def _reason(self, node: bytes, answer: Statement) -> str:
         """Why a node may not take what it asks for: it is above all that the node has shown to take."""
         station = reception_of(self.context).observer.stations.get(node)
         if station is None:

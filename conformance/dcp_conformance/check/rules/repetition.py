@@ -12,10 +12,19 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
-from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Said, said_in
+from dcp_conformance.check.statements import (
+    ASK_CREATE,
+    ASK_UPDATE,
+    CREATE,
+    DELETE,
+    SUMMARY,
+    UPDATE,
+    Statement,
+    statements_in,
+)
 from dcp_conformance.model.results import Mark
 from dcp_conformance.test_steps.circular import Circle
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .dialogue import Counter
 
@@ -41,14 +50,14 @@ class _Frame:
     def __init__(self, seen: Seen) -> None:
         self.time, self.node = seen.time, seen.sender
         self._number, self._octets = seen.number, seen.heard.octets
-        self._of: dict[int, list[Said]] | None = None
+        self._of: dict[int, list[Statement]] | None = None
 
-    def of(self, var_id: int, codec: Codec) -> Sequence[Said]:
+    def of(self, var_id: int, codec: Codec) -> Sequence[Statement]:
         """All about one variable."""
         if self._of is None:
             self._of = {}
-            heard = Heard(codec, self._number, self.time, self.time, self._octets, self.node)
-            for each in said_in(heard, self.node):
+            heard = ReceivedBeacon(codec, self._number, self.time, self.time, self._octets, self.node)
+            for each in statements_in(heard, self.node):
                 self._of.setdefault(each.var_id, []).append(each)
         return self._of.get(var_id, ())
 
@@ -58,12 +67,12 @@ class _Run:
     """The beacons of a node that carry one instruction."""
 
     what: tuple[Any, ...]
-    """Life of the node, creation, number."""
+    """Lifetime of the node, creation, number."""
     number: int
     """The sequence number of updates, else 0."""
     rep_cnt: int
     begin: int
-    last: Said
+    last: Statement
     weighed: int
     """The number of frames, in all, up to which reasons have been weighed; before that, the one that began the run."""
     asked: int
@@ -144,7 +153,7 @@ class Repetitions(Invariant):
             return None
         return int(first[1].record.spec.rep_cnt)
 
-    def _sent(self, each: Said, now: int) -> None:
+    def _sent(self, each: Statement, now: int) -> None:
         key = (each.sender, each.var_id, each.kind)
         number = each.number if each.kind is UPDATE else 0
         what = (self.context.senders.life(each.sender), *self._creation.get(key[:2], ())[:2], number)
@@ -268,7 +277,7 @@ class Requests(Invariant):
                 if each.var_id in self._sent:
                     self._sent[each.var_id] += 1
 
-    def _count(self, each: Said, seen: Seen) -> None:
+    def _count(self, each: Statement, seen: Seen) -> None:
         key = (seen.sender, each.var_id)
         if key in self._asked or len(self._asked) < MOST_VARIABLES:
             self._asked.setdefault(key, [0, each.frame])[0] += 1

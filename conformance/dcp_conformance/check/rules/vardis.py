@@ -9,7 +9,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import Container, VarCreate, VarDelete, VarSumm, VarUpdate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Said
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.reception import Instruction
 
@@ -19,9 +19,9 @@ _SEQUENCES = 1024
 SENT = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
 
 
-def seqno_of(instruction: Instruction | Said) -> int:
+def seqno_of(instruction: Instruction | Statement) -> int:
     """The number that a VC, VU, VS or RU carries."""
-    if isinstance(instruction, Said):
+    if isinstance(instruction, Statement):
         return instruction.number
     record = instruction.record
     number: int = record.upd.seqno if isinstance(record, VarCreate) else record.seqno
@@ -91,7 +91,7 @@ class PayloadConsistency(Invariant):
         """Compare the records about each variable."""
         if _plain(seen.heard.containers):
             return
-        records: dict[int, Said] = {}
+        records: dict[int, Statement] = {}
         deleted = {each.var_id: each for each in seen.said if each.kind is DELETE}
         for each in seen.said:
             kind = each.kind

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Said
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
 from dcp_conformance.check.wording import differences, spec_text
 from dcp_conformance.test_steps.circular import Circle
 
@@ -29,8 +29,8 @@ _END = 1 << 63
 class _Suspect(NamedTuple):
     """What looks wrong, until it is explained."""
 
-    before: Said
-    after: Said
+    before: Statement
+    after: Statement
     beacons: int
     """How many beacons of the node had been heard by then."""
     text: str
@@ -43,7 +43,7 @@ class _OfOneNode(Invariant):
         super().__init__(context)
         self._suspects: OrderedDict[tuple[bytes, int], _Suspect] = OrderedDict()
 
-    def suspect(self, before: Said, after: Said, seen: Seen, text: str) -> None:
+    def suspect(self, before: Statement, after: Statement, seen: Seen, text: str) -> None:
         """Only if nothing of the node is missing in between."""
         sender = self.context.senders.get(seen.sender)
         if sender is None or sender.unbroken > before.time or len(self._suspects) >= _SUSPECTS:
@@ -134,7 +134,7 @@ class Deleted(_OfOneNode):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._deleted: dict[tuple[bytes, int], Said] = {}
+        self._deleted: dict[tuple[bytes, int], Statement] = {}
 
     def feed(self, seen: Seen) -> None:
         """Remember deletes; a create that the node itself sends behind one ends its force."""
@@ -158,8 +158,8 @@ class _Contradiction(NamedTuple):
     """Two nodes that say different things of one variable, until it is certain that nothing of either was missed."""
 
     begin: int
-    before: Said
-    after: Said
+    before: Statement
+    after: Statement
     text: str
     key: object
 
@@ -171,7 +171,7 @@ class _OfAllNodes(Invariant):
         super().__init__(context)
         self._open: deque[_Contradiction] = deque()
 
-    def contradict(self, begin: int, before: Said, after: Said, text: str, key: object) -> None:
+    def contradict(self, begin: int, before: Statement, after: Statement, text: str, key: object) -> None:
         """``begin``: nothing may be missing since then."""
         if len(self._open) < _SUSPECTS:
             self._open.append(_Contradiction(begin, before, after, text, key))
@@ -200,7 +200,7 @@ class OneValue(_OfAllNodes):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
-        self._values: dict[int, OrderedDict[int, tuple[bytes, Said]]] = {}
+        self._values: dict[int, OrderedDict[int, tuple[bytes, Statement]]] = {}
         self._newest: dict[int, int] = {}
 
     def feed(self, seen: Seen) -> None:
@@ -234,7 +234,7 @@ class OneValue(_OfAllNodes):
     def _far(self, number: int, newest: int) -> bool:
         return (newest - number) % self._circle.modulus >= self._circle.modulus // 4
 
-    def _compare(self, each: Said, born: int, seen: Seen) -> None:
+    def _compare(self, each: Statement, born: int, seen: Seen) -> None:
         record = each.record.upd if isinstance(each.record, VarCreate) else each.record
         newest = self._newest.get(each.var_id)
         if newest is None or self._far(record.seqno, newest):
@@ -267,10 +267,10 @@ class OneSpec(_OfAllNodes):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._specs: OrderedDict[tuple[Any, ...], Said] = OrderedDict()
+        self._specs: OrderedDict[tuple[Any, ...], Statement] = OrderedDict()
         self._forgotten = False
         """Whether there were more creations than are remembered."""
-        self._producers: dict[tuple[int, int], Said] = {}
+        self._producers: dict[tuple[int, int], Statement] = {}
         """(variable, creation time) -> the creation with the producer that was named first."""
 
     def feed(self, seen: Seen) -> None:
@@ -304,7 +304,7 @@ class OneSpec(_OfAllNodes):
                 if born is not None:
                     self.contradict(born, before, each, text, key)
 
-    def _producer(self, each: Said) -> None:
+    def _producer(self, each: Statement) -> None:
         """Whether a creation was said before with another producer and everything else alike."""
         spec = each.record.spec
         key = (each.var_id, spec.creation_time or 0)
@@ -330,7 +330,7 @@ class OneSpec(_OfAllNodes):
         )
         self.contradict(before.time, before, each, text, ("prodId", *key))
 
-    def _unheard(self, each: Said, seen: Seen) -> None:
+    def _unheard(self, each: Statement, seen: Seen) -> None:
         """A creation that its producer never sent, later than the one that it made before our eyes.
 
         An earlier one may be older than the recording, and come with a node that has been out of reach.
@@ -360,7 +360,7 @@ class Recreation(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._last: dict[int, Said] = {}
+        self._last: dict[int, Statement] = {}
         self._life: dict[int, int] = {}
         """The life of the producer in which it created the variable last."""
 
@@ -378,7 +378,7 @@ class Recreation(Invariant):
                 self._last[each.var_id] = each
                 self._life[each.var_id] = self.context.senders.life(seen.sender)
 
-    def _judge(self, each: Said, seen: Seen) -> None:
+    def _judge(self, each: Statement, seen: Seen) -> None:
         before = self._last.get(each.var_id)
         if before is None or before.record.spec.creation_time == each.record.spec.creation_time:
             return

@@ -17,7 +17,7 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import SIDE_BY_SIDE
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .scheduler import Scheduler, Task
 from .shared import SharedLink, SharedSession, SharedUpper
@@ -261,7 +261,7 @@ class SideBySide:
     def _account(self, arrival: Arrival) -> None:
         """Take a frame into account for the session, once for all cases."""
         session, observer = self._session, self._observer
-        heard = Heard(session.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
+        heard = ReceivedBeacon(session.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
         if observer.is_sut(heard):
             self._frames += 1
             self._last = arrival.time

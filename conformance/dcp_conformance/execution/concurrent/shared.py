@@ -15,8 +15,8 @@ from .scheduler import Scheduler, Task
 from .sharing import ALONE, forbidden
 
 if TYPE_CHECKING:
-    from dcp_conformance.test_system.reception import Heard
-    from dcp_conformance.test_system.waiting import Listening
+    from dcp_conformance.test_system.reception import ReceivedBeacon
+    from dcp_conformance.test_system.waiting import Waiting
 
 
 class SharedLink:
@@ -115,5 +115,5 @@ class SharedSession(Session):
     def __setattr__(self, name: str, value: Any) -> None:
         setattr(vars(self)["_base"], name, value)
 
-    def heard(self, heard: Heard, arrival: Arrival, bench: Listening) -> None:
+    def heard(self, heard: ReceivedBeacon, arrival: Arrival, bench: Waiting) -> None:
         """Nothing: all tasks receive each frame, and the executor takes it into account once."""

@@ -15,7 +15,7 @@ from dcp_conformance.fuzz.steps import Call, Effect
 from dcp_conformance.oracle import Version
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.services import described, rows
-from dcp_conformance.test_system.trace import Event
+from dcp_conformance.test_system.traffic import Event
 from dcp_conformance.upper_tester import Answer
 
 from .model_monitor import Observer

@@ -16,7 +16,7 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.fuzz.steps import Call, Effect, Frame, Step, Wait
 from dcp_conformance.oracle import Version
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
-from dcp_conformance.test_system.frame_builder import Forge
+from dcp_conformance.test_system.frame_builder import FrameBuilder
 
 from .model_monitor import Observer
 from .time_limit import TIME_LIMIT, Overtime, TimeLimit
@@ -93,7 +93,7 @@ class StackTarget:
         self._make = make
         self._seed = seed
         self._limit = TimeLimit(time_limit)
-        self._forge = Forge(codec)
+        self._forge = FrameBuilder(codec)
         self._period = self.config.bp.beacon_period_ms * _MS
         self._network = codec.profile.bp.network_id
         self._most = codec.profile.limits.max_beacon_size

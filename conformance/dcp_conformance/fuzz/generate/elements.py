@@ -9,7 +9,7 @@ from typing import Final
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS, seqno_modulus
 
 from dcp_codec.codec import Codec
-from dcp_codec.testing.draws import Chance
+from dcp_codec.testing.draws import Draws
 from dcp_codec.testing.mutation_values import ValidValues
 from dcp_codec.values import (
     Beacon,
@@ -35,7 +35,7 @@ class Parts:
     def __init__(self, codec: Codec, rng: random.Random) -> None:
         self.codec = codec
         self.rng = rng
-        self._chance = Chance(rng)
+        self._chance = Draws(rng)
         self._values = ValidValues(codec, rng)
         self._nodes: dict[int, bytes] = {}
         self._seqno = 0

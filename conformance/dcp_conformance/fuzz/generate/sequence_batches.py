@@ -39,7 +39,7 @@ class Joined:
         self._sequences.keep(steps)
 
 
-class Lives(Joined):
+class Lifetimes(Joined):
     """The same for a stack in this process: now and then it is given the time to say all that it has to."""
 
     def __init__(self, sequences: Generator, size: int = IN_PROCESS) -> None:

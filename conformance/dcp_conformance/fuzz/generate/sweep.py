@@ -1,6 +1,6 @@
 """The beginning of every campaign: each kind of structural damage once, in the smallest frame that has it.
 
-Chance takes long to find an empty block or a container without records. A sweep tries every kind within the first few
+Draws takes long to find an empty block or a container without records. A sweep tries every kind within the first few
 hundred frames, one anomaly to a frame, so that what kills is small and named from the start. Kinds take turns: cuts at
 every octet of every record come when the first of all others have been sent.
 """

@@ -10,9 +10,9 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.reception import Instruction
 from dcp_conformance.test_system.session import FLOOR
-from dcp_conformance.test_system.stations import Peer
 
 from .conflicts import held
 

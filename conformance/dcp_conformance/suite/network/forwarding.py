@@ -17,8 +17,8 @@ _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELE
 
 def _check_unchanged(bench: Bench, found: list[Instruction], wanted: VardisRecord, *requirements: str) -> None:
     """Check that records were forwarded unchanged, octet by octet."""
-    octets = bench.forge.container(wanted)
-    wrong = [each for each in found if bench.forge.container(each.record) != octets]
+    octets = bench.builder.container(wanted)
+    wrong = [each for each in found if bench.builder.container(each.record) != octets]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, f"the octets of {wanted}", text, *requirements, frames=wrong[:4], shown=True)
 

@@ -11,9 +11,9 @@ from dcp_codec.values import VarCreate, VarUpdate
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import produced, settled
-from dcp_conformance.test_system.stations import Peer
 
 _CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
 _ASK_UPDATE, _ASK_CREATE = ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
@@ -178,7 +178,7 @@ class _Joiner:
         self.names = set(names)
         self.values: dict[int, tuple[int, bytes]] = {}
 
-    def react(self, heard: Heard) -> None:
+    def react(self, heard: ReceivedBeacon) -> None:
         """Store the records of a beacon, and request what is missing."""
         for each in heard.instructions(_CREATE):
             if each.var_id in self.names:
@@ -213,7 +213,7 @@ def converges(bench: Bench) -> None:
     truth = dict.fromkeys(names, (0, b"0"))
     joiner = _Joiner(bench.peer(), names)
 
-    def caught_up(heard: Heard) -> bool:
+    def caught_up(heard: ReceivedBeacon) -> bool:
         joiner.react(heard)
         return joiner.values == truth
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import safety_data, srp_blocks
 
 #: Rounds of the case, each with records of different neighbours.
@@ -39,7 +39,7 @@ def never_forwarded(bench: Bench) -> None:
             peer = bench.peer()
             # One record at a time; otherwise each would overwrite the one before.
             report = bench.report(peer.node_id if number < _ROUNDS - 2 else bench.node_id(), number)
-            foreign.append(bench.forge.srp(report).octets)
+            foreign.append(bench.builder.srp(report).octets)
             peer.send(report)
             # If the implementation has nothing to send, there are no beacons to inspect.
             bench.beacons(2, 3)
@@ -52,7 +52,7 @@ def never_forwarded(bench: Bench) -> None:
     bench.check(True, f"no received record in {len(bench.heard) - mark} beacons")
 
 
-def _check(bench: Bench, frames: Sequence[Heard], foreign: Sequence[bytes]) -> None:
+def _check(bench: Bench, frames: Sequence[ReceivedBeacon], foreign: Sequence[bytes]) -> None:
     for heard in frames:
         if any(octets in heard.octets for octets in foreign):
             bench.fail("no beacon with a received record", "a beacon contains one", frames=[heard], shown=True)
@@ -65,4 +65,4 @@ def _check(bench: Bench, frames: Sequence[Heard], foreign: Sequence[bytes]) -> N
 
 
 def _whole(bench: Bench, block: bytes) -> bool:
-    return len(block) == len(bench.forge.srp(bench.report(bench.sut_id, 0)).octets)
+    return len(block) == len(bench.builder.srp(bench.report(bench.sut_id, 0)).octets)

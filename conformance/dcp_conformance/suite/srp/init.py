@@ -92,7 +92,7 @@ def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None =
     peer = bench.peer()
     peer.send(bench.report(peer.node_id, 1))
     for _ in (1, 2):
-        reporter.hand_down()
+        reporter.submit()
     until_report(bench)
     start = bench.mark()
     if restart:

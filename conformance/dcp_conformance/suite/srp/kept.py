@@ -11,9 +11,9 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import neighbours, safety_data, until_neighbour
 from dcp_conformance.test_system.state_reports import Reporter
-from dcp_conformance.test_system.stations import Peer
 
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 _UPDATE = "SRP-UpdateSafetyData"
@@ -121,8 +121,8 @@ def numbers_across_activation(bench: Bench) -> None:
         # A beacon sent before the deactivation may still be in transit to the tester.
         bench.wait(0.2)
         start = bench.mark()
-        reporter.hand_down()
-        values = reporter.hand_down()
+        reporter.submit()
+        values = reporter.submit()
     last = reporter.awaited(values, "SRP-SRV-03")
     reporter.check_grown(first, last, "SRP-SEQ-01")
     old = [

@@ -14,7 +14,7 @@ from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import (
     Moment,
     nanoseconds,
@@ -30,7 +30,7 @@ _ATTEMPTS = 12
 _UPDATE = Needs(ut=("SRP-UpdateSafetyData",), entities=("srp",))
 
 
-def _reports(bench: Bench, since: int = 0) -> list[Heard]:
+def _reports(bench: Bench, since: int = 0) -> list[ReceivedBeacon]:
     return [heard for heard in bench.heard[since:] if heard.report is not None]
 
 
@@ -49,7 +49,7 @@ def one_record(bench: Bench) -> None:
     if bench.session.upper is not None and "SRP-UpdateSafetyData" in bench.session.upper.methods:
         reporter = Reporter(bench)
         for _ in (1, 2):
-            reporter.hand_down()
+            reporter.submit()
             bench.until(lambda heard: srp_blocks(heard))
     elif not bench.until(lambda heard: srp_blocks(heard), 12):
         bench.info(
@@ -179,7 +179,7 @@ def time_stamp_of_late_record(bench: Bench) -> None:
     def measure() -> Stamps:
         first = reporter.sent("SRP-TYP-05")
         with bench.deactivated("BP"):
-            values = reporter.hand_down()
+            values = reporter.submit()
             bench.wait(8)
         what = "the record is sent after BP was activated"
         return _stamps(bench, first, reporter.awaited(values, "SRP-TYP-05", what=what, insist=False))
@@ -202,20 +202,20 @@ def newest_only(bench: Bench) -> None:
     before = bench.mark()
     handed: list[dict[str, Any]] = []
 
-    def has_one(heard: Heard) -> bool:
+    def has_one(heard: ReceivedBeacon) -> bool:
         return heard.report is not None and told(bench, heard.report) in handed[-4:]
 
-    def hand_down() -> None:
+    def submit() -> None:
         # Different data in each attempt: some versions repeat the last record.
         for _ in range(4):
             handed.append(reporter.next_values())
-            reporter.hand_down()
+            reporter.submit()
 
-    def newest() -> list[Heard]:
+    def newest() -> list[ReceivedBeacon]:
         return [heard for heard in _reports(bench, before) if told(bench, heard.report) == handed[-1]]
 
     for attempt in range(_ATTEMPTS):
-        between_beacons(bench, "four submissions of safety data", hand_down, has_one)
+        between_beacons(bench, "four submissions of safety data", submit, has_one)
         if newest() or until_report(bench, handed[-1]) is not None:
             break
         if not any(not reporter.is_own(heard) for heard in _reports(bench, before)):

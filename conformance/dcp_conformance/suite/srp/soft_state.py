@@ -10,8 +10,8 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import neighbour, neighbours, parameters_set, until_neighbour
-from dcp_conformance.test_system.stations import Peer
 
 _TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))

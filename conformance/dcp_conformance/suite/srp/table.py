@@ -13,8 +13,8 @@ from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.frame_builder import Block
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import neighbour, neighbours, rows, safety_data, until_neighbour
-from dcp_conformance.test_system.stations import Peer
 
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
@@ -186,7 +186,7 @@ def wide_numbers(bench: Bench) -> None:
 
 def _block(bench: Bench, peer: Peer, name: str) -> Block:
     """Return a block with the record of the peer, made invalid as ``name`` says."""
-    octets = bench.forge.srp(bench.report(peer.node_id, 1)).octets
+    octets = bench.builder.srp(bench.report(peer.node_id, 1)).octets
     spoilt = {
         "one-short": octets[:-1],
         "one-long": octets + b"\0",
@@ -236,7 +236,7 @@ def wrong_length(bench: Bench, name: str) -> None:
 def wrong_protocol(bench: Bench) -> None:
     _require_reception(bench)
     peer = bench.peer()
-    peer.send(Block(3, bench.forge.srp(bench.report(peer.node_id, 1)).octets))
+    peer.send(Block(3, bench.builder.srp(bench.report(peer.node_id, 1)).octets))
     _require_working(bench, "a record in a block of another protocol")
     bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "an entry", shown=True)
 

@@ -27,7 +27,7 @@ from dcp_conformance.test_steps.bp_clients import (
     talking,
 )
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import rows
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
@@ -38,7 +38,7 @@ _MAY_BE_PADDED = 46
 class Wire(NamedTuple):
     """The headers and blocks of a beacon, read from its octets."""
 
-    heard: Heard
+    heard: ReceivedBeacon
     fields: dict[str, object]
     """The fields of the header, by their names in the specification."""
     counted: Sequence[tuple[int, bytes]]
@@ -49,7 +49,7 @@ class Wire(NamedTuple):
     """Whether all blocks are present."""
 
 
-def read(bench: Bench, heard: Heard) -> Wire:
+def read(bench: Bench, heard: ReceivedBeacon) -> Wire:
     """Read the headers of a beacon.
 
     Where length, numPayloads and the block lengths agree, or a single one of them differs, the blocks are those that

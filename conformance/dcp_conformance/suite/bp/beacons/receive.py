@@ -14,8 +14,8 @@ from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets, unused_protocol_id
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.frame_builder import Block, Lies
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import until_neighbour
-from dcp_conformance.test_system.stations import Peer
 
 Send = Callable[[Peer, VarSumm], object]
 
@@ -82,7 +82,7 @@ def missing(bench: Bench, var_ids: Sequence[int], since: int) -> list[int]:
 
 def summary_block(bench: Bench, peer: Peer, var_id: int) -> Block:
     """Return a VarDis block with the summary of a variable."""
-    return bench.forge.vardis(peer.summary(var_id, 1))
+    return bench.builder.vardis(peer.summary(var_id, 1))
 
 
 def length_is_of_blocks(bench: Bench) -> str | None:
@@ -243,7 +243,7 @@ def two_protocols(bench: Bench, report_first: bool) -> None:
     # If an SRP record alone in a beacon is not stored either, the fault is not one of BP.
     stores = asks and until_neighbour(bench, control.node_id) is not None
     peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
-    blocks = [bench.forge.srp(bench.report(peer.node_id, 1)), summary_block(bench, peer, var_id)]
+    blocks = [bench.builder.srp(bench.report(peer.node_id, 1)), summary_block(bench, peer, var_id)]
     peer.send(*(blocks if report_first else blocks[::-1]))
     # Query the neighbour table first: the entry may time out before the beacon with the request is sent.
     found = until_neighbour(bench, peer.node_id) if stores else None
@@ -299,7 +299,7 @@ def unregistered_blocks(bench: Bench, layout: Sequence[tuple[int] | None]) -> No
 )
 def other_protocol_ids(bench: Bench, prot_id: int) -> None:
     def send(peer: Peer, summary: VarSumm) -> None:
-        peer.send(Block(prot_id, bench.forge.vardis(summary).octets))
+        peer.send(Block(prot_id, bench.builder.vardis(summary).octets))
 
     check_dropped(bench, send, f"a block of protocol {prot_id:#06x}", "BP-HDR-11", "BP-RX-08")
 
@@ -353,7 +353,7 @@ def block_past_the_end(bench: Bench, claimed: Callable[[int], int]) -> None:
 def only_block_past_the_end(bench: Bench, more: int) -> None:
     def send(peer: Peer, summary: VarSumm) -> None:
         # Long enough not to need padding by the bearer.
-        block = bench.forge.vardis(*[summary] * 25)
+        block = bench.builder.vardis(*[summary] * 25)
         peer.send(block, lies={"payloads[0].length": len(block.octets) + more})
 
     check_dropped(bench, send, "a block that extends past the end of its beacon")
@@ -376,7 +376,7 @@ def cut_payload_header(bench: Bench, count: int) -> None:
     block = summary_block(bench, peer, var_id)
     # The header of a VarDis block, encoded according to the profile.
     header = block_header_octets(bench)
-    tail = bench.forge.beacon(peer.node_id, 0, [block])[header_octets(bench) :]
+    tail = bench.builder.beacon(peer.node_id, 0, [block])[header_octets(bench) :]
     size = header + len(block.octets) + count
     peer.send(block, lies={"bp.length": size, "bp.numPayloads": 2}, padding=tail[:count])
     _processed_or_discarded(bench, [var_id], start, "the block before an incomplete payload header")

@@ -18,7 +18,7 @@ from dcp_codec import Codec
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets, unused_protocol_id
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.frame_builder import Block, Forge
+from dcp_conformance.test_system.frame_builder import Block, FrameBuilder
 
 #: The header layouts of the versions of the specification.
 _LAYOUTS = {"1.0": "dcp-1.0", "1.1": "dcp-1.1", "1.2-and-1.3": "dcp-1.3", "2.0": "dcp-2.0"}
@@ -77,13 +77,13 @@ def foreign_layout(bench: Bench, name: str) -> None:
     """Send a short and a long beacon in another version's layout; each must be dropped if its header breaks a rule."""
     types = bench.profile.types
     codec, peer = _layout_of(name, types.node_id, types.var_id), bench.peer()
-    forge = Forge(codec)
+    builder = FrameBuilder(codec)
     sent = []
     for number, filler in enumerate((0, 300)):
         var_id = bench.unknown_id()
-        blocks = [Block(0x7777, bytes(filler))] * (filler > 0) + [forge.vardis(peer.summary(var_id, 1))]
+        blocks = [Block(0x7777, bytes(filler))] * (filler > 0) + [builder.vardis(peer.summary(var_id, 1))]
         network = bench.parameter("BPPAR_NETWORK_ID") if codec.profile.has_header_field("networkId") else None
-        octets = forge.beacon(peer.node_id, 258 + number, blocks, network_id=network)
+        octets = builder.beacon(peer.node_id, 258 + number, blocks, network_id=network)
         peer.send_octets(octets)
         sent.append((var_id, octets, f"a beacon of {len(octets)} octets in the layout of {codec.profile.spec_version}"))
     bench.require_alive("beacons in the layout of another version")
@@ -181,7 +181,7 @@ def cut_headers(bench: Bench) -> None:
 )
 def cut_blocks(bench: Bench) -> None:
     peer, (first, second) = bench.peer(), bench.unknown_ids(2)
-    blocks = [bench.forge.vardis(peer.summary(each, 1)) for each in (first, second)]
+    blocks = [bench.builder.vardis(peer.summary(each, 1)) for each in (first, second)]
     whole = peer.beacon(*blocks)
     begin, area = header_octets(bench), bench.profile.bp.payload_area
     # In blocks of fixed size most octets carry no meaning.
@@ -250,7 +250,7 @@ def arbitrary_blocks(bench: Bench, seed: int) -> None:
 )
 def block_lengths(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
-    block = bench.forge.vardis(peer.summary(var_id, 1), peer.update(var_id, 2))
+    block = bench.builder.vardis(peer.summary(var_id, 1), peer.update(var_id, 2))
     for length in range(len(block.octets) + 9):
         peer.send(block, lies={"payloads[0].length": length})
     bench.require_alive("beacons with wrong block lengths")

@@ -13,7 +13,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import needed, some_beacons, talking
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 
 @case(
@@ -37,7 +37,7 @@ def consecutive(bench: Bench) -> None:
     bench.check(True, "consecutive sequence numbers")
 
 
-def first_number(bench: Bench, old: Sequence[Heard], new: Sequence[Heard]) -> Heard:
+def first_number(bench: Bench, old: Sequence[ReceivedBeacon], new: Sequence[ReceivedBeacon]) -> ReceivedBeacon:
     """Return the first beacon sent after a restart.
 
     Frames sent before the restart may be heard after it: if the sequence numbers decrease, the first beacon is the one
@@ -51,7 +51,7 @@ def first_number(bench: Bench, old: Sequence[Heard], new: Sequence[Heard]) -> He
     return new[0]
 
 
-def check_first_number(bench: Bench, heard: Heard) -> None:
+def check_first_number(bench: Bench, heard: ReceivedBeacon) -> None:
     """Check the sequence number of the first beacon; from 1.1 on, whether it is 0 or 1 is a reading (X03)."""
     first = heard.seqno
     if first is None:

@@ -31,7 +31,7 @@ from dcp_conformance.test_steps.bp_clients import (
 )
 from dcp_conformance.test_steps.jitter import SHIFT, Intervals, compare, intervals
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import parameters_set
 
 PERIOD = "BPPAR_BEACON_PERIOD"
@@ -57,7 +57,7 @@ class Estimate(NamedTuple):
         return f"a mean of {mean:.2f} ms \u00b1 {margin:.2f} ms ({size} intervals, {CONFIDENCE} confidence)"
 
 
-def estimate(frames: Sequence[Heard]) -> Estimate:
+def estimate(frames: Sequence[ReceivedBeacon]) -> Estimate:
     """Estimate the mean interval between beacons (at least three).
 
     Sequence numbers count the beacons between two that were heard, so that beacons missed by the tester do not increase
@@ -281,7 +281,7 @@ def beyond_an_octet(bench: Bench) -> None:
     _check_beyond_an_octet(bench, frames)
 
 
-def _check_beyond_an_octet(bench: Bench, frames: Sequence[Heard]) -> None:
+def _check_beyond_an_octet(bench: Bench, frames: Sequence[ReceivedBeacon]) -> None:
     numbers = [each.seqno for each in frames if each.seqno is not None]
     if len(numbers) < 258:
         bench.inconclusive("258 decodable beacons", f"{len(numbers)}")

@@ -27,7 +27,7 @@ from dcp_conformance.test_steps.bp_clients import (
     room,
 )
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 _SENDER = Needs(entities=(), ut=CLIENT)
 
@@ -247,7 +247,7 @@ def most_blocks(bench: Bench) -> None:
         client.transmit(b"x")
     ids = {client.prot_id for client in clients}
 
-    def ours(heard: Heard) -> set[int]:
+    def ours(heard: ReceivedBeacon) -> set[int]:
         return ids.intersection(prot_id for prot_id, _ in heard.blocks)
 
     # One block in each beacon is also allowed (BP-TX-03).

@@ -32,7 +32,7 @@ from dcp_conformance.test_steps.bp_clients import (
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.checks import part_of
 from dcp_conformance.test_system.frame_builder import Block, Lies
-from dcp_conformance.test_system.stations import Peer
+from dcp_conformance.test_system.peers import Peer
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))

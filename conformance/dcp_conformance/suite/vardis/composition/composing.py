@@ -11,7 +11,7 @@ from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard, Instruction
+from dcp_conformance.test_system.reception import Instruction, ReceivedBeacon
 from dcp_conformance.test_system.services import produced
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
@@ -308,7 +308,7 @@ def update_waits(bench: Bench) -> None:
     mark = bench.mark()
     peer.send(peer.request_update(waiting.spec.var_id, 8), *(peer.request_create(each.spec.var_id) for each in creates))
 
-    def busy(heard: Heard) -> bool:
+    def busy(heard: ReceivedBeacon) -> bool:
         return bool(heard.instructions(_CREATE) or heard.instructions(_UPDATE))
 
     frames = bench.until_quiet(busy, since=mark)

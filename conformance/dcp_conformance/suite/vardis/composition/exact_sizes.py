@@ -14,9 +14,9 @@ from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import OK, create_request, produced, settled
-from dcp_conformance.test_system.stations import Peer
 
 from .summaries import SUMMARIES, summarises
 
@@ -38,7 +38,7 @@ def _fillable(bench: Bench) -> str | None:
 def largest_create(bench: Bench) -> int:
     """Return the size in octets of a container with one VarCreate of the longest value and description."""
     value, description = longest(bench)
-    return bench.forge.container_header_size + bench.forge.record_size(bench.sample(value=value, descr=description))
+    return bench.builder.container_header_size + bench.builder.record_size(bench.sample(value=value, descr=description))
 
 
 @case(
@@ -88,7 +88,7 @@ def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[Va
     bench.learn(peer, *creates)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     records = creates if kind is _CREATE else [each.upd for each in creates]
-    limit = bench.forge.container_header_size + sum(map(bench.forge.record_size, records)) - less
+    limit = bench.builder.container_header_size + sum(map(bench.builder.record_size, records)) - less
     # The limits of other parameters depend on the size of a payload.
     bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
     bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
@@ -109,7 +109,7 @@ def _learnt(bench: Bench, peer: Peer, kind: ICType, octets: Callable[[int], int]
     ``octets`` returns this size in octets; its argument is the size of the container headers and earlier containers in
     the payload.
     """
-    header = bench.forge.container_header_size
+    header = bench.builder.container_header_size
     before = header
     if kind is _UPDATE and bench.features.container_order.index(_SUMMARY) < bench.features.container_order.index(kind):
         before += _summaries(bench, peer)
@@ -130,7 +130,7 @@ def _summaries(bench: Bench, peer: Peer) -> int:
     if not most:
         return 0
     bench.learn(peer, *(peer.create(each, value=b"v", descr=b"d") for each in bench.var_ids(most)))
-    return len(bench.forge.container(*[peer.summary(0, 0)] * most))
+    return len(bench.builder.container(*[peer.summary(0, 0)] * most))
 
 
 @case(
@@ -147,14 +147,14 @@ def _summaries(bench: Bench, peer: Peer) -> int:
     variants={"room": 0, "no-room": 1},
 )
 def room_for_a_summary(bench: Bench, less: int) -> None:
-    forge, peer = bench.forge, bench.peer()
-    summary = forge.container_header_size + forge.record_size(peer.summary(0, 0))
+    builder, peer = bench.builder, bench.peer()
+    summary = builder.container_header_size + builder.record_size(peer.summary(0, 0))
     if settable(bench):
         value, description = longest(bench)
         creates = [peer.create(bench.var_id(), value=value, descr=description)]
         other = peer.create(bench.var_id(), value=b"v", descr=b"d")
         bench.learn(peer, *creates, other)
-        limit = forge.container_header_size + forge.record_size(creates[0]) + summary - less
+        limit = builder.container_header_size + builder.record_size(creates[0]) + summary - less
         bench.must("VD-SetParameter", name=SUMMARIES, value=1)
         bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
         bench.wait(3)
@@ -164,7 +164,7 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
     wanted = {each.spec.var_id for each in creates}
     peer.send(*(peer.request_create(each) for each in wanted))
 
-    def has_all(heard: Heard) -> Heard | None:
+    def has_all(heard: ReceivedBeacon) -> ReceivedBeacon | None:
         return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
 
     heard = bench.until(has_all)
@@ -205,7 +205,7 @@ def head_does_not_fit(bench: Bench) -> None:
     peer, (value, description) = bench.peer(), longest(bench)
     large, unknown = bench.var_id(), bench.unknown_id()
     create = peer.create(large, value=value, descr=description)
-    limit = bench.forge.container_header_size + bench.forge.record_size(create) - 1
+    limit = bench.builder.container_header_size + bench.builder.record_size(create) - 1
     if settable(bench):
         bench.learn(peer, create)
         for name, least in (
@@ -257,12 +257,12 @@ def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     create = peer.create(bench.var_id(), value=value, descr=description, seqno=9)
     bench.learn(peer, create)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, bench.forge.record_size(create if kind is _CREATE else create.upd))
+    _lower(bench, bench.builder.record_size(create if kind is _CREATE else create.upd))
     mark = request(bench, peer, kind, [create])
     found = bench.until_instruction(kind, create.spec.var_id)
     bench.check(found, "the record, which exactly fills a payload", "none in time")
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
-    others = [named for each in frames for named in each.containers if named.ic_type != bench.forge.ic_type(kind)]
+    others = [named for each in frames for named in each.containers if named.ic_type != bench.builder.ic_type(kind)]
     bench.check(
         not others, "no other container in its payload", f"{len(others)} more containers", frames=frames, shown=True
     )
@@ -272,7 +272,7 @@ def _lower(bench: Bench, octets: int) -> None:
     """Set the payload size to that of a container with one record of ``octets`` octets."""
     # The limits of other parameters depend on the size of a payload.
     bench.must("VD-SetParameter", name="VARDISPAR_MAX_DESCRIPTION_LENGTH", value=2)
-    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=bench.forge.container_header_size + octets)
+    bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=bench.builder.container_header_size + octets)
     bench.wait(3)
 
 
@@ -312,7 +312,7 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
     elif kind is _ASK_UPDATE:
         sample = peer.request_update(names[0], 5)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, number * bench.forge.record_size(sample) - less)
+    _lower(bench, number * bench.builder.record_size(sample) - less)
     mark = bench.mark()
     peer.send(*stimuli)
     frames = bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
@@ -339,7 +339,7 @@ def created_to_the_last_octet(bench: Bench, length: int) -> None:
     value, var_id = longest_value[: length or len(longest_value)], bench.var_id()
     sample = bench.sample(value=value, descr=b"d")
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, bench.forge.record_size(sample))
+    _lower(bench, bench.builder.record_size(sample))
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
     found = bench.until_instruction(_CREATE, var_id)
     bench.check(found, "its VarCreate, which exactly fills a payload", "none in time", "VD-PAY-02")
@@ -362,7 +362,7 @@ def updated_to_the_last_octet(bench: Bench) -> None:
     var_id = produced(bench)
     settled(bench, var_id)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, bench.forge.record_size(bench.sample(value=value).upd))
+    _lower(bench, bench.builder.record_size(bench.sample(value=value).upd))
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=value.hex())
     found = bench.until_instruction(_UPDATE, var_id)
     bench.check(

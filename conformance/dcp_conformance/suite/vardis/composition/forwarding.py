@@ -14,8 +14,8 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import max_repetitions, taught
-from dcp_conformance.test_system.stations import Peer
 
 CREATES, UPDATES, DELETES = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 

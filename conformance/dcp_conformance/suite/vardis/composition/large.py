@@ -9,8 +9,8 @@ from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import areas_of_fixed_size, block_header_octets, header_octets
 from dcp_conformance.test_steps.variable_queries import ask
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import taught
-from dcp_conformance.test_system.stations import Peer
 
 #: Octets of a bearer payload that Ethernet and UDP carry in one frame.
 _LARGEST = 1450
@@ -53,7 +53,7 @@ def larger_than_own(bench: Bench, limit: str) -> None:
     known = taught(bench, peer, value=b"stays")
     first, last = bench.unknown_ids(2)
     since = bench.mark()
-    peer.send(bench.forge.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
+    peer.send(bench.builder.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
     bench.require_alive("a payload larger than its own maximum", "VD-ROB-01")
     bench.beacons(1, 1.5)
     asked = [bool(bench.instructions(ICType.REQUEST_VARCREATES, each, since)) for each in (first, last)]
@@ -67,7 +67,7 @@ def larger_than_own(bench: Bench, limit: str) -> None:
 
 def _filled(bench: Bench, peer: Peer, first: int, last: int, known: int, octets: int) -> list[bytes]:
     """Return containers with ``octets`` octets in total, or a few more."""
-    container = bench.forge.container
+    container = bench.builder.container
     ends = [container(peer.summary(first, 1)), container(peer.summary(last, 1))]
     left = octets - sum(map(len, ends))
     one, two = (len(container(*[peer.summary(known, 0)] * count)) for count in (1, 2))

@@ -10,6 +10,7 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.variable_queries import named, stepped, traces
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import (
     entry_of,
     max_repetitions,
@@ -18,7 +19,6 @@ from dcp_conformance.test_system.services import (
     several_repetitions,
     taught,
 )
-from dcp_conformance.test_system.stations import Peer
 
 _DELETE = ICType.DELETE_VARIABLES
 _OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)

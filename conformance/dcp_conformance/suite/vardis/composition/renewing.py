@@ -14,8 +14,8 @@ from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_steps.variable_queries import stepped
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import created_again, described, produced, settled, taught
-from dcp_conformance.test_system.stations import Peer
 
 _DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))
 _V2 = Needs(since=SpecVersion.V2_0, ut=("RTDB-DescribeVariable",))

@@ -16,8 +16,8 @@ from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, long
 from dcp_conformance.test_steps.timeouts import hurry, lasting, latest, learn
 from dcp_conformance.test_steps.variable_queries import taught_all
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
-from dcp_conformance.test_system.stations import Peer
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .exact_sizes import largest_create
 from .summaries import SUMMARIES, summarises
@@ -32,7 +32,7 @@ def _fillable(bench: Bench) -> str | None:
     """Return why VarCreates cannot fill a payload to the last octet, or None; for ``Needs.when``."""
     if bench.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
         value, description = longest(bench)
-        if len(value) + len(description) > bench.forge.record_size(bench.sample(value=b"v", descr=b"d")):
+        if len(value) + len(description) > bench.builder.record_size(bench.sample(value=b"v", descr=b"d")):
             return None
         # With only a few different lengths, some sizes cannot be reached.
         return "values and descriptions are too short for VarCreates to fill a payload to the last octet"
@@ -48,7 +48,7 @@ def _fillable_without_summaries(bench: Bench) -> str | None:
 
 def _fillers(bench: Bench, peer: Peer, left: int) -> list[VarCreate]:
     """Teach variables whose VarCreates leave ``left`` octets of a payload, and return the VarCreates."""
-    octets = bench.bound(PAYLOAD_SIZE) - bench.forge.container_header_size - left
+    octets = bench.bound(PAYLOAD_SIZE) - bench.builder.container_header_size - left
     creates = filling(bench, peer, _CREATE, octets)
     if creates is None:
         bench.inconclusive("VarCreates that fill a payload", f"no combination has {octets} octets")
@@ -113,7 +113,7 @@ def _await_end(bench: Bench, creates: Sequence[VarCreate]) -> None:
     bench.until_quiet(lambda heard: any(each.var_id in names for each in heard.instructions(_CREATE)))
 
 
-def _full(bench: Bench, fillers: Sequence[VarCreate]) -> Heard:
+def _full(bench: Bench, fillers: Sequence[VarCreate]) -> ReceivedBeacon:
     """Return the beacon that has all fillers; inconclusive if there is none."""
     found = _has_all(bench, fillers)
     if found is None:
@@ -121,10 +121,10 @@ def _full(bench: Bench, fillers: Sequence[VarCreate]) -> Heard:
     return found
 
 
-def _has_all(bench: Bench, fillers: Sequence[VarCreate]) -> Heard | None:
+def _has_all(bench: Bench, fillers: Sequence[VarCreate]) -> ReceivedBeacon | None:
     wanted = {each.spec.var_id for each in fillers}
 
-    def has_all(heard: Heard) -> Heard | None:
+    def has_all(heard: ReceivedBeacon) -> ReceivedBeacon | None:
         return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
 
     return bench.until(has_all)
@@ -178,7 +178,7 @@ def stays_queued(bench: Bench, kind: ICType) -> None:
     },
 )
 def rest_stays_queued(bench: Bench, kind: ICType) -> None:
-    peer, size = bench.peer(), bench.forge.record_size
+    peer, size = bench.peer(), bench.builder.record_size
     samples: dict[ICType, VardisRecord] = {
         _UPDATE: peer.update(0, 6),
         _DELETE: peer.delete(0),
@@ -187,7 +187,7 @@ def rest_stays_queued(bench: Bench, kind: ICType) -> None:
     }
     if settable(bench):
         bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    fillers = _fillers(bench, peer, bench.forge.container_header_size + size(samples[kind]))
+    fillers = _fillers(bench, peer, bench.builder.container_header_size + size(samples[kind]))
     pending = _overflow(bench, peer, fillers, kind, 2)
     for name in pending.names:
         bench.check_repeated(kind, name, pending.count, pending.since)

@@ -7,7 +7,7 @@ from dcp_spec.constants import ICType
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import produced
 
 SUMMARIES = "VARDISPAR_MAX_SUMMARIES"
@@ -38,7 +38,7 @@ def _know(bench: Bench, count: int) -> list[int]:
     return names
 
 
-def _named(heard: Heard) -> list[int]:
+def _named(heard: ReceivedBeacon) -> list[int]:
     return [each.var_id for each in heard.instructions(_SUMMARY)]
 
 
@@ -161,7 +161,7 @@ def nothing_to_summarise(bench: Bench) -> None:
     mark = bench.mark()
     bench.require_alive("a reset")
     bench.wait(2)
-    number = bench.forge.ic_type(_SUMMARY)
+    number = bench.builder.ic_type(_SUMMARY)
     found = [each for each in bench.heard[mark:] if any(one.ic_type == number for one in each.containers)]
     if any(bench.is_applications(name) for each in found for name in _named(each)):
         bench.inconclusive(

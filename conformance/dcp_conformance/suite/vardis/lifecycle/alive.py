@@ -27,8 +27,8 @@ from dcp_conformance.test_steps.timeouts import (
 )
 from dcp_conformance.test_steps.variable_queries import ask
 from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import created_again, described, several_repetitions
-from dcp_conformance.test_system.stations import Peer
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SUMMARY = ICType.SUMMARIES

@@ -24,8 +24,8 @@ from dcp_conformance.test_steps.timeouts import (
     updated_in_time,
 )
 from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.reception import Instruction
-from dcp_conformance.test_system.stations import Peer
 from dcp_conformance.upper_tester import Answer
 
 _DELETE = ICType.DELETE_VARIABLES

@@ -10,8 +10,8 @@ from dcp_codec.values import VarCreate
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.variable_queries import ask, modulus, named, own_id, stepped, traces
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import longest_description, max_repetitions, taught
-from dcp_conformance.test_system.stations import Peer
 
 CREATES = ICType.CREATE_VARIABLES
 _V2_0 = Needs(since=SpecVersion.V2_0)
@@ -75,7 +75,7 @@ def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
 def unchanged(bench: Bench, make: _Make) -> None:
     peer, var_id = bench.peer(), bench.var_id()
     record = make(bench, peer, var_id)
-    octets = bench.forge.container(record)[bench.forge.container_header_size :]
+    octets = bench.builder.container(record)[bench.builder.container_header_size :]
     peer.send(record)
     came = bench.until(lambda heard: heard.instructions(CREATES, var_id)) or []
     bench.require(came, "the VarCreate is forwarded", "not forwarded in time")
@@ -295,7 +295,7 @@ def own_producer(bench: Bench) -> None:
 def two_identifiers(bench: Bench) -> None:
     peer, (spec, upd) = bench.peer(), bench.unknown_ids(2)
     bench.created.add(spec)
-    record = bench.forge.container(peer.create(spec), lies={"records[0].upd.varId": upd})
+    record = bench.builder.container(peer.create(spec), lies={"records[0].upd.varId": upd})
     since = bench.mark()
     peer.send(record)
     bench.require_alive("a VarCreate with two identifiers")

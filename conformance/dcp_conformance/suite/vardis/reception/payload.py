@@ -15,8 +15,8 @@ from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.checks import part_of
-from dcp_conformance.test_system.reception import Heard
-from dcp_conformance.test_system.stations import Peer
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.reception import ReceivedBeacon
 
 #: Attempts to get one payload with all kinds of containers; in the second half each container is sent in a separate
 #: beacon.
@@ -46,20 +46,20 @@ def stock(
             rep_cnt=rep_cnt,
             seqno=seqno,
         )
-        octets += bench.forge.record_size(create if kind is ICType.CREATE_VARIABLES else create.upd)
+        octets += bench.builder.record_size(create if kind is ICType.CREATE_VARIABLES else create.upd)
         creates.append(create)
     bench.learn(peer, *creates)
     return creates
 
 
-def octets_up_to(bench: Bench, heard: Heard, kind: ICType) -> int:
+def octets_up_to(bench: Bench, heard: ReceivedBeacon, kind: ICType) -> int:
     """Return the size in octets of a VarDis payload up to the end of its last container of a kind."""
-    number = bench.forge.ic_type(kind)
+    number = bench.builder.ic_type(kind)
     last = max((index for index, each in enumerate(heard.containers) if each.ic_type == number), default=-1)
     return len(bench.codec.encode_containers(heard.containers[: last + 1]))
 
 
-def check_filled(bench: Bench, kind: ICType, frames: Sequence[Heard], *requirements: str) -> None:
+def check_filled(bench: Bench, kind: ICType, frames: Sequence[ReceivedBeacon], *requirements: str) -> None:
     """Check that the next record would not have fitted into any of the payloads but the last."""
     limit = bench.parameter(PAYLOAD_SIZE)
     if PAYLOAD_SIZE not in bench.session.parameters and bench.pixit.max_payload_size is None:
@@ -70,7 +70,7 @@ def check_filled(bench: Bench, kind: ICType, frames: Sequence[Heard], *requireme
             continue
         used = octets_up_to(bench, heard, kind)
         record = following.instructions(kind)[0].record
-        size = bench.forge.record_size(record)
+        size = bench.builder.record_size(record)
         bench.check(
             used + size > limit,
             f"a payload filled until the next {kind.label} record does not fit into {limit} octets",
@@ -104,9 +104,9 @@ def _room_for_all_kinds(bench: Bench) -> str | None:
     summaries = bench.bound("VARDISPAR_MAX_SUMMARIES")
     if not summaries:
         return "the implementation sends no summaries"
-    create, size = bench.sample(), bench.forge.record_size
+    create, size = bench.sample(), bench.builder.record_size
     octets = size(create) + size(create.upd) + (3 + min(summaries, 16)) * size(VarSumm(0, 0))
-    octets += 6 * bench.forge.container_header_size
+    octets += 6 * bench.builder.container_header_size
     limit = bench.parameter(PAYLOAD_SIZE)
     return None if octets <= limit else f"{PAYLOAD_SIZE} is {limit}, and all kinds together may need {octets} octets"
 
@@ -128,7 +128,7 @@ def order_of_containers(bench: Bench) -> None:
     deleted, updated, outdated = bench.var_ids(3)
     bench.learn(peer, *(peer.create(each, seqno=3) for each in (deleted, updated, outdated)))
     order = bench.features.container_order
-    full: Heard | None = None
+    full: ReceivedBeacon | None = None
     # From here on there is always something to summarise, and much more room than this case needs.
     known = bench.mark()
     for attempt in range(_ATTEMPTS):
@@ -185,7 +185,7 @@ def order_of_containers(bench: Bench) -> None:
 
 
 def _kind(bench: Bench, number: int) -> ICType:
-    return next(kind for kind in ICType if bench.forge.ic_type(kind) == number)
+    return next(kind for kind in ICType if bench.builder.ic_type(kind) == number)
 
 
 @case(
@@ -204,7 +204,10 @@ def filled(bench: Bench, kind: ICType) -> None:
     _, frames = all_of(bench, kind, creates, mark)
     if len(frames) < 2:
         octets = sum(
-            map(bench.forge.record_size, creates if kind is ICType.CREATE_VARIABLES else [each.upd for each in creates])
+            map(
+                bench.builder.record_size,
+                creates if kind is ICType.CREATE_VARIABLES else [each.upd for each in creates],
+            )
         )
         if len(creates) == _MOST and octets < bench.bound(PAYLOAD_SIZE):
             bench.not_applicable(f"values are so short that {len(creates)} records have only {octets} octets")
@@ -223,7 +226,7 @@ def filled(bench: Bench, kind: ICType) -> None:
     )
 
 
-def size_of(bench: Bench, heard: Heard) -> int:
+def size_of(bench: Bench, heard: ReceivedBeacon) -> int:
     return len(bench.codec.encode_containers(heard.containers))
 
 
@@ -239,11 +242,13 @@ def request(bench: Bench, peer: Peer, kind: ICType, creates: Sequence[VarCreate]
     return mark
 
 
-def all_of(bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int) -> tuple[set[int], list[Heard]]:
+def all_of(
+    bench: Bench, kind: ICType, creates: Sequence[VarCreate], mark: int
+) -> tuple[set[int], list[ReceivedBeacon]]:
     """Wait for records about all the variables; return the variables with records, and the frames with them."""
     wanted = {each.spec.var_id for each in creates}
 
-    def present(heard: Heard) -> bool:
+    def present(heard: ReceivedBeacon) -> bool:
         return any(each.var_id in wanted for each in heard.instructions(kind))
 
     frames = bench.until_quiet(present, since=mark)
@@ -331,7 +336,7 @@ def nothing_to_say(bench: Bench) -> None:
 
 def _room_for_256(bench: Bench) -> str | None:
     width = bench.profile.types.var_id.width
-    needed = 2 * bench.forge.container_header_size + (IC_MAX_RECORDS + 1) * width
+    needed = 2 * bench.builder.container_header_size + (IC_MAX_RECORDS + 1) * width
     if bench.parameter(PAYLOAD_SIZE) < needed:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
     if bench.session.identifiers.size <= IC_MAX_RECORDS:
@@ -430,6 +435,6 @@ def several_containers(bench: Bench) -> None:
         bench.info("Does a payload have several containers of the same type?", does)
 
 
-def _repeats_a_type(heard: Heard) -> bool:
+def _repeats_a_type(heard: ReceivedBeacon) -> bool:
     types = [each.ic_type for each in heard.containers]
     return len(types) != len(set(types))

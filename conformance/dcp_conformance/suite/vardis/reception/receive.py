@@ -11,8 +11,8 @@ from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.variable_queries import ask, modulus, named, stepped, taught_all, traces
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import entry_of, max_repetitions, settled, taught
-from dcp_conformance.test_system.stations import Peer
 
 _SEVERAL = Needs(since=SpecVersion.V1_1)
 _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -78,9 +78,9 @@ def permutations(bench: Bench) -> None:
     created, unknown, since = bench.var_ids(len(orders)), bench.unknown_ids(len(orders)), bench.mark()
     for order, var_id, other in zip(orders, created, unknown, strict=True):
         containers = [
-            bench.forge.container(peer.create(var_id, value=b"first")),
-            bench.forge.container(peer.update(var_id, 1, b"newer")),
-            bench.forge.container(peer.summary(var_id, 1), peer.summary(other, 1)),
+            bench.builder.container(peer.create(var_id, value=b"first")),
+            bench.builder.container(peer.update(var_id, 1, b"newer")),
+            bench.builder.container(peer.summary(var_id, 1), peer.summary(other, 1)),
         ]
         peer.send(*(containers[index] for index in order))
     names = ("CREATE-VARIABLES", "UPDATES", "SUMMARIES")
@@ -127,12 +127,12 @@ def all_types(bench: Bench, turn: int) -> None:
     doomed, updated, behind, asked, lagging = (create.spec.var_id for create in known)
     fresh, unknown = bench.var_id(), bench.unknown_id()
     containers = [
-        bench.forge.container(peer.create(fresh)),
-        bench.forge.container(peer.delete(doomed)),
-        bench.forge.container(peer.update(updated, 6)),
-        bench.forge.container(peer.summary(unknown, 1), peer.summary(lagging, 6)),
-        bench.forge.container(peer.request_update(behind, 4)),
-        bench.forge.container(peer.request_create(asked)),
+        bench.builder.container(peer.create(fresh)),
+        bench.builder.container(peer.delete(doomed)),
+        bench.builder.container(peer.update(updated, 6)),
+        bench.builder.container(peer.summary(unknown, 1), peer.summary(lagging, 6)),
+        bench.builder.container(peer.request_update(behind, 4)),
+        bench.builder.container(peer.request_create(asked)),
     ]
     containers = containers[turn % 6 :] + containers[: turn % 6]
     since = bench.mark()
@@ -183,7 +183,7 @@ def same_type_twice(bench: Bench, what: tuple[ICType, _Stimulus, ICType]) -> Non
         taught_all(bench, peer, [peer.create(var_id, seqno=5) for var_id in ids])
     one, two, three = (make(peer, var_id) for var_id in ids)
     since = bench.mark()
-    peer.send(bench.forge.container(one, two), bench.forge.container(three))
+    peer.send(bench.builder.container(one, two), bench.builder.container(three))
     bench.until(lambda _: all(bench.instructions(answer, var_id, since) for var_id in ids), bench.sending(6))
     missing = [number for number, var_id in enumerate(ids, 1) if not bench.instructions(answer, var_id, since)]
     names = ", ".join(_PLACES[number - 1] for number in missing)
@@ -197,7 +197,7 @@ _ORDERS = {"in-order": False, "reversed": True}
 
 def _send(bench: Bench, peer: Peer, records: tuple[VardisRecord, ...], reverse: bool) -> int:
     since = bench.mark()
-    containers = [bench.forge.container(each) for each in records]
+    containers = [bench.builder.container(each) for each in records]
     peer.send(*(reversed(containers) if reverse else containers))
     return since
 

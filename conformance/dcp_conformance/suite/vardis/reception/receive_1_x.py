@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.stations import Peer
+from dcp_conformance.test_system.peers import Peer
 
 _REQUEST = ICType.REQUEST_VARCREATES
 _V1_0, _V1_1 = SpecVersion.V1_0, SpecVersion.V1_1
@@ -16,17 +16,19 @@ _Bad = Callable[[Bench, Peer, int], bytes]
 
 
 def _unknown_type(bench: Bench, peer: Peer, var_id: int) -> bytes:
-    taken = {bench.forge.ic_type(kind) for kind in ICType}
+    taken = {bench.builder.ic_type(kind) for kind in ICType}
     free = next(each for each in range(255, -1, -1) if each not in taken)
-    return bench.forge.container(peer.summary(var_id, 1), lies={"icType": free})
+    return bench.builder.container(peer.summary(var_id, 1), lies={"icType": free})
 
 
 def _cut_off(bench: Bench, peer: Peer, var_id: int) -> bytes:
-    return bench.forge.container(peer.create(var_id))[:-1]
+    return bench.builder.container(peer.create(var_id))[:-1]
 
 
 def _no_records(bench: Bench, peer: Peer, var_id: int) -> bytes:
-    return bench.forge.container(peer.summary(var_id, 1), lies={"icNumRecords": 0})[: bench.forge.container_header_size]
+    return bench.builder.container(peer.summary(var_id, 1), lies={"icNumRecords": 0})[
+        : bench.builder.container_header_size
+    ]
 
 
 _IN_1_0 = Needs(until=_V1_0)
@@ -51,7 +53,7 @@ _IN_1_0 = Needs(until=_V1_0)
 def before_the_error(bench: Bench, bad: _Bad) -> None:
     peer, (wanted, spoilt) = bench.peer(), bench.unknown_ids(2)
     bench.created.add(spoilt)
-    peer.send(bench.forge.container(peer.summary(wanted, 1)), bad(bench, peer, spoilt))
+    peer.send(bench.builder.container(peer.summary(wanted, 1)), bad(bench, peer, spoilt))
     found = bench.until_instruction(_REQUEST, wanted)
     bench.check(found, "a request for the variable in the container before the invalid one", "none in time")
 
@@ -69,7 +71,7 @@ def before_the_error(bench: Bench, bad: _Bad) -> None:
 def after_the_error(bench: Bench, bad: _Bad) -> None:
     peer, (wanted, spoilt) = bench.peer(), bench.unknown_ids(2)
     since = bench.mark()
-    peer.send(bad(bench, peer, spoilt), bench.forge.container(peer.summary(wanted, 1)))
+    peer.send(bad(bench, peer, spoilt), bench.builder.container(peer.summary(wanted, 1)))
     bench.require_alive("the payload")
     bench.beacons(1, 1.5)
     found = bench.instructions(_REQUEST, wanted, since)

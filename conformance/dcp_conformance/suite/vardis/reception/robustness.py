@@ -15,14 +15,14 @@ from dcp_conformance.model.case import Variant, case
 from dcp_conformance.test_steps.variable_queries import ask, own_id
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.frame_builder import Block
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import taught
-from dcp_conformance.test_system.stations import Peer
 
 _Bad = Callable[[Bench, Peer, int], bytes]
 
 
 def _of_type(number: int) -> _Bad:
-    return lambda bench, peer, var_id: bench.forge.container(peer.summary(var_id, 1), ic_type=number)
+    return lambda bench, peer, var_id: bench.builder.container(peer.summary(var_id, 1), ic_type=number)
 
 
 def _with_count(kind: Callable[[Peer, int], object], count: int) -> _Bad:
@@ -30,30 +30,30 @@ def _with_count(kind: Callable[[Peer, int], object], count: int) -> _Bad:
 
     def build(bench: Bench, peer: Peer, var_id: int) -> bytes:
         records = (kind(peer, var_id), kind(peer, var_id))
-        return bench.forge.container(*records, count=count)  # type: ignore[arg-type]
+        return bench.builder.container(*records, count=count)  # type: ignore[arg-type]
 
     return build
 
 
 def _empty(number: int) -> _Bad:
-    return lambda bench, peer, var_id: bench.forge.empty_container(number)  # noqa: ARG005
+    return lambda bench, peer, var_id: bench.builder.empty_container(number)  # noqa: ARG005
 
 
 def _long_value(bench: Bench, peer: Peer, var_id: int) -> bytes:
-    return bench.forge.container(peer.update(var_id, 1, b"v"), lies={"records[0].value.length": 255})
+    return bench.builder.container(peer.update(var_id, 1, b"v"), lies={"records[0].value.length": 255})
 
 
 def _long_value_in_create(bench: Bench, peer: Peer, var_id: int) -> bytes:
-    return bench.forge.container(peer.create(var_id), lies={"records[0].upd.value.length": 255})
+    return bench.builder.container(peer.create(var_id), lies={"records[0].upd.value.length": 255})
 
 
 def _long_description(bench: Bench, peer: Peer, var_id: int) -> bytes:
     record = peer.create(var_id)
     if bench.features.string_format == "nul-terminated":
         # Without its NUL the description has no end.
-        octets = bench.forge.container(record)
+        octets = bench.builder.container(record)
         return octets.replace(record.spec.descr + b"\0", record.spec.descr + b"\x01")
-    return bench.forge.container(record, lies={"records[0].spec.descr.length": 255})
+    return bench.builder.container(record, lies={"records[0].spec.descr.length": 255})
 
 
 def _summary(peer: Peer, var_id: int) -> object:
@@ -80,7 +80,7 @@ _BAD: dict[str, tuple[str, _Bad]] = {
     "value-too-long": ("VD-RX-07", _long_value),
     "created-value-too-long": ("VD-RX-07", _long_value_in_create),
     "description-too-long": ("VD-RX-07", _long_description),
-    "header-only": ("VD-RX-07", lambda bench, peer, var_id: bench.forge.empty_container(1, 1)),  # noqa: ARG005
+    "header-only": ("VD-RX-07", lambda bench, peer, var_id: bench.builder.empty_container(1, 1)),  # noqa: ARG005
 }
 
 #: Errors that turn octets of other containers into records: records about these do not show a policy.
@@ -107,7 +107,7 @@ def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     bench.created.update(spoilt)
 
     def good(var_id: int) -> bytes:
-        return bench.forge.container(peer.summary(var_id, 1))
+        return bench.builder.container(peer.summary(var_id, 1))
 
     since = bench.mark()
     peer.send(bad(bench, peer, spoilt[0]))
@@ -181,12 +181,12 @@ def cut_off(bench: Bench) -> None:
     first, created, *others = bench.unknown_ids(6)
     bench.created.add(created)
     containers = [
-        bench.forge.container(peer.summary(first, 1)),
-        bench.forge.container(peer.request_update(others[0], 1)),
-        bench.forge.container(peer.request_create(others[1])),
-        bench.forge.container(peer.delete(others[2])),
-        bench.forge.container(peer.update(others[3], 1, b"value")),
-        bench.forge.container(peer.create(created, value=b"value", descr=b"cut")),
+        bench.builder.container(peer.summary(first, 1)),
+        bench.builder.container(peer.request_update(others[0], 1)),
+        bench.builder.container(peer.request_create(others[1])),
+        bench.builder.container(peer.delete(others[2])),
+        bench.builder.container(peer.update(others[3], 1, b"value")),
+        bench.builder.container(peer.create(created, value=b"value", descr=b"cut")),
     ]
     whole = b"".join(containers)
     # Truncated between two containers, the payload is valid.
@@ -262,12 +262,12 @@ def random_errors(bench: Bench, seed: int) -> None:
     for count in range(160):
         var_id = rng.choice((known, *unknown))
         records = [
-            bench.forge.container(peer.summary(var_id, rng.randrange(256))),
-            bench.forge.container(*(peer.update(each, 1, rng.randbytes(rng.randint(1, 20))) for each in unknown)),
-            bench.forge.container(peer.request_update(var_id, rng.randrange(256))),
-            bench.forge.container(peer.request_create(var_id)),
-            bench.forge.container(peer.create(var_id, value=rng.randbytes(5), rep_cnt=1)),
-            bench.forge.container(peer.delete(unknown[0])),
+            bench.builder.container(peer.summary(var_id, rng.randrange(256))),
+            bench.builder.container(*(peer.update(each, 1, rng.randbytes(rng.randint(1, 20))) for each in unknown)),
+            bench.builder.container(peer.request_update(var_id, rng.randrange(256))),
+            bench.builder.container(peer.request_create(var_id)),
+            bench.builder.container(peer.create(var_id, value=rng.randbytes(5), rep_cnt=1)),
+            bench.builder.container(peer.delete(unknown[0])),
         ]
         payload = b"".join(rng.sample(records, rng.randint(1, 4)))
         peer.send(Block(BP_PROTID_VARDIS, _mutated(rng, payload)))

@@ -15,8 +15,8 @@ from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, modulus, named, stepped, taught_all, traces
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import holds_two_octets, produced
-from dcp_conformance.test_system.stations import Peer
 
 #: A distance as a number of halves of the number space, plus a number of steps.
 Distance = tuple[int, int]

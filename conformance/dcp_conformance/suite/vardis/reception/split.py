@@ -16,7 +16,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.stations import Peer
+from dcp_conformance.test_system.peers import Peer
 
 _SEVERAL = Needs(since=SpecVersion.V1_1)
 #: Number of payloads sent before the tester waits for the reactions to their first containers.
@@ -87,7 +87,7 @@ def _bursts(splits: Sequence[Split]) -> Iterable[Sequence[Split]]:
 
 
 def _update(bench: Bench, peer: Peer, var_id: int, length: int) -> bytes:
-    return bench.forge.container(peer.update(var_id, 1, b"v" * length))
+    return bench.builder.container(peer.update(var_id, 1, b"v" * length))
 
 
 @case(
@@ -167,7 +167,7 @@ def every_record(bench: Bench, pair: tuple[ICType, ICType]) -> None:
         numbers = [count, total - count]
         made = [_ids(bench, kind, number) for kind, number in zip(pair, numbers, strict=True)]
         containers = [
-            bench.forge.container(*(_MAKE[kind](peer, var_id, place) for place, var_id in enumerate(ids)))
+            bench.builder.container(*(_MAKE[kind](peer, var_id, place) for place, var_id in enumerate(ids)))
             for kind, ids in zip(pair, made, strict=True)
         ]
         where = f"{numbers[0]} + {numbers[1]} records"
@@ -184,14 +184,14 @@ def _ids(bench: Bench, kind: ICType, count: int) -> list[int]:
 
 def _filled(bench: Bench, peer: Peer, octets: int, filler: int, last: int) -> bytes:
     """Return an UPDATES container of exactly ``octets`` octets, with one variable in all records but the last."""
-    forge = bench.forge
-    least = forge.record_size(peer.update(last, 1, b"v"))
+    builder = bench.builder
+    least = builder.record_size(peer.update(last, 1, b"v"))
     most = least - 1 + max(1, min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200))
-    rest = octets - forge.container_header_size
+    rest = octets - builder.container_header_size
     count = max(1, -(-rest // most))
     sizes = [rest // count + (index < rest % count) for index in range(count)]
     ids = [filler] * (count - 1) + [last]
-    return forge.container(
+    return builder.container(
         *(peer.update(var_id, 1, b"v" * (size - least + 1)) for var_id, size in zip(ids, sizes, strict=True))
     )
 
@@ -235,7 +235,7 @@ def largest_payload(bench: Bench, peer: Peer) -> int:
     """Return the size in octets of the largest VarDis payload that the implementation could send and that fits into a
     frame of the tester.
     """
-    empty = len(peer.beacon(bench.forge.vardis(peer.request_create(0))))
+    empty = len(peer.beacon(bench.builder.vardis(peer.request_create(0))))
     room = min(bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") or 1000, 1400) - empty
     return min(bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000, room)
 
@@ -255,14 +255,17 @@ def largest_payload(bench: Bench, peer: Peer) -> int:
 def many_containers(bench: Bench) -> None:
     peer = bench.peer()
     filler, one, two, *ids = bench.unknown_ids(43)
-    short = bench.forge.container(peer.summary(two, 1))
+    short = bench.builder.container(peer.summary(two, 1))
     long = _filled(bench, peer, largest_payload(bench, peer) - len(short), filler, one)
     split = Split(f"{len(long)} + {len(short)} octets", (long, short), (one,), (two,))
     play(bench, peer, [split], (ICType.REQUEST_VARCREATES,), "VD-RX-04")
     kinds = [each for each in _MAKE if each is not ICType.CREATE_VARIABLES]
     since = bench.mark()
     peer.send(
-        *(bench.forge.container(_MAKE[kinds[index % len(kinds)]](peer, each, index)) for index, each in enumerate(ids))
+        *(
+            bench.builder.container(_MAKE[kinds[index % len(kinds)]](peer, each, index))
+            for index, each in enumerate(ids)
+        )
     )
     missing = set(ids)
 
@@ -286,7 +289,7 @@ def many_containers(bench: Bench) -> None:
 def many_records(bench: Bench, count: int) -> None:
     peer = bench.peer()
     filler, first, last = bench.unknown_ids(3)
-    container = bench.forge.container(*(peer.summary(each, 1) for each in (first, *[filler] * (count - 2), last)))
+    container = bench.builder.container(*(peer.summary(each, 1) for each in (first, *[filler] * (count - 2), last)))
     if len(container) > largest_payload(bench, peer):
         bench.info("Can a container have many records?", f"unknown: {count} summaries do not fit into a payload")
         return

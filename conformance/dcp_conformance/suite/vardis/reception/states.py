@@ -16,7 +16,7 @@ from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.variable_queries import own_id
 from dcp_conformance.test_steps.variable_states import (
-    Situation,
+    VariableState,
     deletes,
     foreign,
     ignored,
@@ -36,15 +36,15 @@ _V2_0, _V1_3, _V1_1 = SpecVersion.V2_0, SpecVersion.V1_3, SpecVersion.V1_1
 
 # -- the events --------------------------------------------------------------------------------------------------------
 
-Outcome = Callable[[Situation, int, VardisRecord], None]
-Event = Callable[[Situation], VardisRecord]
+Outcome = Callable[[VariableState, int, VardisRecord], None]
+Event = Callable[[VariableState], VardisRecord]
 
 
 @dataclass(frozen=True)
 class Cell:
     """An event in a state, with its expected outcome."""
 
-    situation: Callable[[Bench, str], Situation]
+    situation: Callable[[Bench, str], VariableState]
     state: str
     event: Event
     outcome: Outcome | None

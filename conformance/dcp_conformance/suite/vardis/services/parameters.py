@@ -106,14 +106,14 @@ def _tried(bench: Bench, name: str) -> str | int:
 
 
 def _ic_header(bench: Bench) -> int:
-    return len(bench.forge.empty_container(bench.forge.ic_type(ICType.SUMMARIES)))
+    return len(bench.builder.empty_container(bench.builder.ic_type(ICType.SUMMARIES)))
 
 
 def _bare_create(bench: Bench) -> int:
     """Return the size in octets of a container with a VarCreate without description and value, up to their length
     fields.
     """
-    bare = len(bench.forge.container(bench.sample(descr=b"", value=b"")))
+    bare = len(bench.builder.container(bench.sample(descr=b"", value=b"")))
     return bare - (1 if bench.profile.types.string.terminated else 0)
 
 
@@ -282,7 +282,7 @@ def payload_size(bench: Bench) -> None:
 )
 def summaries(bench: Bench) -> None:
     peer = bench.peer()
-    one, two = (len(bench.forge.container(*[peer.summary(0, 0)] * count)) for count in (1, 2))
+    one, two = (len(bench.builder.container(*[peer.summary(0, 0)] * count)) for count in (1, 2))
     bound = (bench.parameter(_PAYLOAD) - _ic_header(bench)) // (two - one)
     with _kept(bench, _SUMMARIES):
         _check_taken(bench, _SUMMARIES, 0)

@@ -12,9 +12,9 @@ from dcp_codec.values import VarCreate
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.variable_queries import ask, taught_all
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import create_request, entry_of, listed, longest_description, produced, taught
-from dcp_conformance.test_system.stations import Peer
 
 _DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))
 _SINCE_1_1 = SpecVersion.V1_1
@@ -53,17 +53,17 @@ def _everything(bench: Bench, peer: Peer) -> int:
     return since
 
 
-def _blocks(heard: Heard) -> list[bytes]:
+def _blocks(heard: ReceivedBeacon) -> list[bytes]:
     """Return the VarDis payloads of a beacon as octets."""
     return heard.data(BP_PROTID_VARDIS)
 
 
-def _faults(heard: Heard) -> list[Problem]:
+def _faults(heard: ReceivedBeacon) -> list[Problem]:
     """Return the problems in the VarDis payloads of a beacon, other than containers without a record."""
     return [each for each in heard.vardis_problems if each.reason != "zero-count"]
 
 
-def _has_empty_container(heard: Heard) -> bool:
+def _has_empty_container(heard: ReceivedBeacon) -> bool:
     return any(each.reason == "zero-count" for each in heard.vardis_problems)
 
 
@@ -97,7 +97,7 @@ def layout(bench: Bench) -> None:
         not empty, "a record in every container", "an empty container", "VD-IC-03", frames=empty[:5], shown=True
     )
     types = {each.ic_type for heard in frames for each in heard.containers}
-    strange = types - {bench.forge.ic_type(kind) for kind in ICType}
+    strange = types - {bench.builder.ic_type(kind) for kind in ICType}
     bench.check(not strange, "one of the six types as icType", f"{sorted(strange)}", "VD-IC-02", shown=True)
 
 
@@ -165,7 +165,7 @@ def payload_size(bench: Bench) -> None:
     peer, limit = bench.peer(), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
     value = b"v" * min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
     descr = b"d" * min(longest_description(bench), 200)
-    size = bench.forge.record_size(bench.sample(value=value, descr=descr))
+    size = bench.builder.record_size(bench.sample(value=value, descr=descr))
     count = min(64, 5 * limit // (2 * size) + 1)
     since = bench.mark()
     creates = taught_all(bench, peer, (peer.create(each, value=value, descr=descr) for each in bench.var_ids(count)))

@@ -11,7 +11,7 @@ from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import in_a_gap, pace, pausable
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Heard
+from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import (
     NOT_EXPRESSIBLE,
     NOT_PRODUCER,
@@ -75,7 +75,7 @@ def updates(bench: Bench) -> None:
 def _until_value(bench: Bench, var_id: int, value: bytes) -> Any | None:
     """Wait for a VarUpdate with this value and return it; None if there is none in time."""
 
-    def wanted(heard: Heard) -> Any | None:
+    def wanted(heard: ReceivedBeacon) -> Any | None:
         record = heard.about(_U, var_id)
         return record if record is not None and record.value == value else None
 
@@ -240,7 +240,7 @@ def quick(bench: Bench) -> None:
             for value in (bench.value(b"first"), bench.value(b"second")):
                 bench.must("RTDB-Update", varId=var_id, value=value.hex())
 
-        def updated(heard: Heard, var_id: int = var_id) -> bool:
+        def updated(heard: ReceivedBeacon, var_id: int = var_id) -> bool:
             return bool(heard.instructions(_U, var_id))
 
         bench.beacons(1, 1.5)

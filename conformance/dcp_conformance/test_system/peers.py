@@ -46,7 +46,7 @@ class Peer:
 
         ``what`` becomes blocks: VarDis records and containers (octets) that follow each other share one, a state report
         is one, a :class:`Block` is taken as it is. ``lies``: see
-        :class:`~dcp_conformance.test_system.frame_builder.Forge`. ``padding``
+        :class:`~dcp_conformance.test_system.frame_builder.FrameBuilder`. ``padding``
         follows the beacon, ``cut`` keeps so many octets of it all, ``sender`` is another identifier in the header.
         """
         octets = self.beacon(*what, lies=lies, sender=sender, network_id=network_id) + padding
@@ -55,18 +55,18 @@ class Peer:
 
     def send_all(self, records: Iterable[VardisRecord]) -> None:
         """Send records in as many beacons as they need: no payload is larger than the implementation's own may be."""
-        forge = self._bench.forge
+        builder = self._bench.builder
         limit = self._bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000
         group: list[VardisRecord] = []
         used = 0
         for record in records:
-            size = forge.record_size(record)
+            size = builder.record_size(record)
             if not group or type(group[-1]) is not type(record):
-                size += forge.container_header_size
+                size += builder.container_header_size
             if group and (used + size > limit or len(group) == IC_MAX_RECORDS):
                 self.send(*group)
                 group, used = [], 0
-                size = forge.record_size(record) + forge.container_header_size
+                size = builder.record_size(record) + builder.container_header_size
             group.append(record)
             used += size
         if group:
@@ -82,7 +82,7 @@ class Peer:
         """The octets that :meth:`send` would send; counts the beacon."""
         bench = self._bench
         network = bench.parameter("BPPAR_NETWORK_ID") if network_id is None else network_id
-        octets = bench.forge.beacon(
+        octets = bench.builder.beacon(
             self.node_id if sender is None else sender,
             self.seqno,
             self._blocks(what),
@@ -97,18 +97,18 @@ class Peer:
         return self._bench.transmit(octets, self.address)
 
     def _blocks(self, what: tuple[Block | VardisRecord | ExtendedSafetyData | bytes, ...]) -> list[Block]:
-        forge, blocks = self._bench.forge, []
+        builder, blocks = self._bench.builder, []
         run: list[bytes | VardisRecord] = []
         for each in what:
             if isinstance(each, Block | ExtendedSafetyData):
                 if run:
-                    blocks.append(forge.vardis(*run))
+                    blocks.append(builder.vardis(*run))
                     run = []
-                blocks.append(each if isinstance(each, Block) else forge.srp(each))
+                blocks.append(each if isinstance(each, Block) else builder.srp(each))
             else:
                 run.append(each)
         if run:
-            blocks.append(forge.vardis(*run))
+            blocks.append(builder.vardis(*run))
         return blocks
 
     # -- records, for short ------------------------------------------------------------------------------------
