@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz.campaign import read_state
 from dcp_conformance.fuzz.execute.live import LiveTarget
 from dcp_conformance.fuzz.execute.model_monitor import Observer
@@ -40,7 +41,6 @@ from dcp_conformance.fuzz.steps import Frame
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
-from dcp_conformance.sut.target import Target
 from dcp_conformance.test_system.bench import Session
 
 from dcp_codec.codec import Codec

@@ -18,7 +18,7 @@ from dcp_codec.plan.measures import least_size, record
 from dcp_codec.plan.tree import Scalar
 
 from .positions.fields import SafetyFields
-from .vardis.sizes import RecordSizes
+from .record_sizes import RecordSizes
 
 MS = 1_000_000
 """ns in a millisecond."""

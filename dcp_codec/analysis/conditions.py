@@ -20,8 +20,8 @@ from typing import Any
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.framing.frames import DissectedFrame
+from dcp_codec.jsonform import scalar_json
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
-from dcp_codec.views.jsonform import scalar_json
 
 #: Names besides those of the profile: what the capture and the dissector say of a frame.
 FRAME_FIELDS = (

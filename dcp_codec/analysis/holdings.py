@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
+from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, VarCreate, VarDelete, VarReqCreate
-from dcp_codec.views.jsonform import node_id_text
 
 DELETED: Final = -1
 """In place of a number: the node has deleted the variable."""

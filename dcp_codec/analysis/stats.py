@@ -17,8 +17,8 @@ from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.framing.locate import Framing, OtherTraffic, mac
+from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload
-from dcp_codec.views.jsonform import node_id_text
 
 #: Senders and variables beyond this many are counted together, not one by one.
 MAX_KEYS = 65_536

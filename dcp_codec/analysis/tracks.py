@@ -18,7 +18,7 @@ from dcp_spec.profile.definition import Profile
 
 from dcp_codec.common.spreadsheet import safe_cell
 from dcp_codec.framing.frames import DissectedFrame
-from dcp_codec.views.jsonform import node_id_text
+from dcp_codec.jsonform import node_id_text
 
 _AXES = ("position.x", "position.y", "position.z")
 #: WGS 84: semi-major axis in m, flattening.

@@ -14,7 +14,7 @@ from dcp_codec.capture import CaptureError, Frame, create_capture
 from dcp_codec.codec import Codec
 from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 from dcp_codec.errors import EncodeError
-from dcp_codec.views.jsonform import beacon_from_json
+from dcp_codec.jsonform import beacon_from_json
 
 from .common import MALFORMED, link_of, load_codec, note
 from .common import ether_type as parse_ether_type

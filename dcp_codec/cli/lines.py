@@ -15,8 +15,8 @@ from dcp_codec.common.spreadsheet import safe_cell
 from dcp_codec.errors import Problem
 from dcp_codec.framing.frames import DissectedFrame
 from dcp_codec.framing.locate import mac
-from dcp_codec.views.jsonform import beacon_json
-from dcp_codec.views.texts import payload_line, utc
+from dcp_codec.jsonform import beacon_json
+from dcp_codec.texts import payload_line, utc
 
 
 class ListRenderer:

@@ -47,7 +47,8 @@ def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: 
     """
     check_input(files, profile)
     with extras():
-        from dcp_codec.table.archive import TableError, find_recordings
+        from dcp_codec.table.archive import find_recordings
+        from dcp_codec.table.job import TableError
 
         try:
             recordings = find_recordings(files)

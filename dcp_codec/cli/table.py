@@ -107,7 +107,8 @@ def command(
     if form == "duckdb":
         need_duckdb()
     with extras():
-        from dcp_codec.table.archive import Order, TableError, find_recordings
+        from dcp_codec.table.archive import Order, find_recordings
+        from dcp_codec.table.job import TableError
 
         try:
             recordings = tuple(find_recordings(files))

@@ -13,8 +13,8 @@ from dcp_codec.errors import Problem
 from dcp_codec.framing.frames import DissectedFrame
 from dcp_codec.framing.locate import mac
 from dcp_codec.plan.tree import Group, Many, Text
+from dcp_codec.texts import payload_name, utc, value_text
 from dcp_codec.views.fields import Dissection, Field
-from dcp_codec.views.texts import payload_name, utc, value_text
 
 _NARROW = 60
 _VALUE_COLUMN = 34

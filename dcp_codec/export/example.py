@@ -8,6 +8,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from dcp_codec.codec import Codec
+from dcp_codec.jsonform import scalar_json
 from dcp_codec.plan.tree import Exact, Fill, Group, Node, Rest, Scalar
 from dcp_codec.values import (
     Beacon,
@@ -18,7 +19,6 @@ from dcp_codec.values import (
 )
 from dcp_codec.views.encode_diagnosis import zero
 from dcp_codec.views.fields import Field
-from dcp_codec.views.jsonform import scalar_json
 
 #: 2023-11-14T22:13:20Z
 _NOW_S = 1_700_000_000

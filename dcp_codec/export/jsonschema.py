@@ -163,7 +163,7 @@ def _findings() -> dict[str, JSONSchema]:
 
 
 def _problem() -> JSONSchema:
-    """The object of :func:`dcp_codec.views.jsonform.problem_json`."""
+    """The object of :func:`dcp_codec.jsonform.problem_json`."""
     return {
         "title": "Problem",
         "description": "One thing that is wrong with the octets.",

@@ -43,9 +43,9 @@ from dcp_codec.export.jsonschema import (
 from dcp_codec.export.tomltext import profile_toml
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.framing.locate import OtherTraffic
+from dcp_codec.jsonform import problem_json
 from dcp_codec.plan.layout import walk
 from dcp_codec.plan.tree import Group, Scalar
-from dcp_codec.views.jsonform import problem_json
 
 #: The frame of reference that poses are in: the one that the nodes themselves use.
 FRAME_ID = "dcp"

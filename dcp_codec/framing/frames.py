@@ -10,8 +10,8 @@ from dcp_spec.profile.definition import Link
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
+from dcp_codec.jsonform import beacon_json, problem_json
 from dcp_codec.views.fields import Dissection, Field
-from dcp_codec.views.jsonform import beacon_json, problem_json
 
 from .locate import Framing, OtherTraffic, bare, locate, mac
 

@@ -13,8 +13,8 @@ from dcp_codec.analysis.cartesian import cartesian_axes
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import Framing, locate, mac
+from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, ExtendedSafetyData, VarCreate, VarDelete, VarUpdate
-from dcp_codec.views.jsonform import node_id_text
 
 from .definitions import NEIGHBOURS, POSE, VARIABLE
 

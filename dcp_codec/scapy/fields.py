@@ -13,9 +13,9 @@ from typing import Any
 from scapy.fields import ConditionalField, Field, PacketField, PacketListField, RawVal
 from scapy.volatile import RandBin, RandFloat, RandNum, VolatileValue
 
+from dcp_codec.jsonform import node_id_octets, node_id_text
 from dcp_codec.plan.tree import Fill, Node, Rest, Scalar, Text
 from dcp_codec.views.fields import Field as Found
-from dcp_codec.views.jsonform import node_id_octets, node_id_text
 
 #: Fuzzing draws strings of up to so many octets; more would only make frames too long for the link.
 _LONGEST_RANDOM = 64

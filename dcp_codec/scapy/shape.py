@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 from scapy.packet import Packet
 
+from dcp_codec.jsonform import node_id_text
 from dcp_codec.plan.layout import read_scalar
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
-from dcp_codec.views.jsonform import node_id_text
 
 from .fields import (
     ChosenField,

@@ -12,7 +12,7 @@ from dcp_spec.profile.definition import Link
 
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import mac
-from dcp_codec.views.jsonform import node_id_text
+from dcp_codec.jsonform import node_id_text
 
 from .columns import IDENTIFIER, TIME, Memory, Storage, arrow_arrays, schema_of
 from .input.damaged import DamagedFrames, merged

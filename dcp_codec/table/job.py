@@ -25,6 +25,10 @@ _LOOKED_AT = 10_000
 Advance = Callable[[int], object]
 
 
+class TableError(Exception):
+    """Tables cannot be made or written; the message is for the user."""
+
+
 class Job(msgspec.Struct, frozen=True):
     """What to do with one recording; it can be sent to another process.
 

@@ -183,7 +183,7 @@ def _among_others(vardis: VardisSettings, profile: Profile) -> VardisSettings:
 
 def parse_node_id(text: str, profile: Profile) -> bytes:
     """A node identifier as people write it in this profile. Raises SettingsError."""
-    from dcp_codec.views.jsonform import node_id_octets
+    from dcp_codec.jsonform import node_id_octets
 
     layout = profile.types.node_id
     try:

@@ -12,8 +12,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, Problem
 from dcp_codec.values import Container
 from dcp_stack.config import NodeConfig
-
-from .sizes import RecordSizes
+from dcp_stack.record_sizes import RecordSizes
 
 
 class Extracted(msgspec.Struct, frozen=True):

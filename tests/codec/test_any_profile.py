@@ -31,8 +31,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_codec import Codec, DecodeError
+from dcp_codec.jsonform import beacon_from_json, value_json
 from dcp_codec.testing import strategies
-from dcp_codec.views.jsonform import beacon_from_json, value_json
 
 from ..chance import examples
 

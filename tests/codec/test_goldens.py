@@ -29,7 +29,7 @@ from dcp_codec import (
     VarUpdate,
     get_codec,
 )
-from dcp_codec.views.jsonform import beacon_from_json, beacon_json, value_json
+from dcp_codec.jsonform import beacon_from_json, beacon_json, value_json
 
 SENDER = bytes.fromhex("0200000000bb")
 PRODUCER = bytes.fromhex("020000000001")

@@ -26,8 +26,7 @@ from dcp_codec import (
     VarUpdate,
     get_codec,
 )
-from dcp_codec.testing import strategies
-from dcp_codec.views.jsonform import (
+from dcp_codec.jsonform import (
     beacon_from_json,
     beacon_json,
     node_id_octets,
@@ -35,6 +34,7 @@ from dcp_codec.views.jsonform import (
     problem_json,
     value_json,
 )
+from dcp_codec.testing import strategies
 
 from ..chance import examples
 

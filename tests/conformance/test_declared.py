@@ -11,9 +11,9 @@ from click.testing import CliRunner, Result
 from dcp_conformance.check.judge import Judge
 from dcp_conformance.cli.compare import command as compare_cli
 from dcp_conformance.cli.display import print_summary
+from dcp_conformance.execution.expected import ExpectedResults
 from dcp_conformance.model.case import DECLARED, DENIED, SANITY
 from dcp_conformance.model.declared import declared_by, denied_by
-from dcp_conformance.model.expected import ExpectedResults
 from dcp_conformance.model.outcome import AS_EXPECTED, INCONCLUSIVE, assemble, exit_status
 from dcp_conformance.model.pics import Capabilities, Pics
 from dcp_conformance.model.results import Check

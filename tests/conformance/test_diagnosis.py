@@ -6,10 +6,10 @@ import msgspec
 import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
-from dcp_conformance.diagnosis.measuring import draw, outcome
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.results import CaseResult, Check, Mark
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
 from hypothesis import given

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from dcp_codec import Beacon, BPHeader, Codec, Payload
 

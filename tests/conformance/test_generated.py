@@ -15,11 +15,11 @@ from dcp_conformance.model.case import DECLARED, SANITY
 from dcp_conformance.selftest.generated import campaign
 from dcp_conformance.selftest.generated.campaign import GeneratedResult, Trial, draw, run
 from dcp_conformance.selftest.generated.ledger import CLASSES, entries, ledger
-from dcp_conformance.selftest.generated.reach import Reach, measure
+from dcp_conformance.selftest.generated.reach import Reach
 from dcp_conformance.selftest.generated.reports import _SHOWING, reports_of
 from dcp_conformance.selftest.generated.sites import Site, _candidates, _changes, cited, mutated, sites
 from dcp_conformance.selftest.generated.table import section
-from dcp_conformance.selftest.generated.trial import NODES, Outcome, Step, _in_order, cases, steps, try_site
+from dcp_conformance.selftest.generated.trial import NODES, Outcome, Step, _in_order, cases, measure, steps, try_site
 
 from .command import Command
 
@@ -97,7 +97,7 @@ def test_what_only_reports_or_shows_is_not_changed():
 def test_the_same_seed_draws_the_same():
     assert draw(50, 3) == draw(50, 3)
     assert draw(50, 3) != draw(50, 4)
-    assert {each.module for each in draw(40, 1, patterns=["vardis_receive.py"])} == {"vardis_receive"}
+    assert {each.module for each in draw(40, 1, patterns=["vardis/receive.py"])} == {"vardis.receive"}
 
 
 def test_the_ledger_is_well_formed_and_about_code_that_is_there():

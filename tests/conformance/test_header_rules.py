@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
-from dcp_conformance.interconnection.header_rules import Violation, judge
+from dcp_conformance.frames.header_rules import Violation, judge
 from dcp_spec.catalogue.requirements import requirements
 from hypothesis import given
 from hypothesis import strategies as st

@@ -6,8 +6,8 @@ import itertools
 import random
 
 import pytest
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_steps.jitter import SHIFT, compare, intervals
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from dcp_codec.values import VarSumm
 

@@ -14,12 +14,12 @@ from dcp_conformance.execution.parallel import WorkerEnd, messages
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
+from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult, Mark
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.sut.target import TargetOptions
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.oracle import Complaint, Limits, Oracle, Owed
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_spec.constants import ICType, features
 
 from dcp_codec.values import (

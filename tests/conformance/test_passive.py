@@ -15,6 +15,8 @@ from dcp_conformance.execution.parallel import WorkerEnd
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult
@@ -24,10 +26,8 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting.merge import compare
 from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.sut.target import TargetOptions
 from dcp_conformance.test_steps.bp_clients import ONCE, BPClient
 from dcp_conformance.test_system.bench import Bench, Session
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from dcp_codec.values import VarSumm
 

@@ -86,7 +86,7 @@ def test_a_payload_that_nothing_keeps_back_and_is_never_sent_fails():
     assert failed == {"BP-TX-04"}
 
 
-_SRP = "srp_forwarding srp_init srp_record srp_soft_state srp_table"
+_SRP = "srp.forwarding srp.init srp.record srp.soft_state srp.table"
 _APPLICATIONS = ["V-APP-initial-report", "V-APP-reports-1Hz", "V-APP-reports-10Hz", "V-APP-reports-50Hz"]
 
 
@@ -126,7 +126,10 @@ def test_an_empty_payload_is_judged_without_a_confirm_too():
     ],
 )
 def test_freedoms_of_bp_do_not_fail(variant: str, profile: str):
-    modules = "bp_fitting bp_header bp_parameters bp_queueing bp_registration bp_services bp_timing"
+    modules = (
+        "bp.queues.fitting bp.beacons.header bp.services.parameters bp.queues.queueing "
+        "bp.services.registration bp.services.services bp.beacons.timing"
+    )
     assert not judged(variant, profile, *modules.split())
 
 

@@ -37,7 +37,7 @@ class Pytest:
         self.shown = ""
 
     def __call__(self, *options: str, target: tuple[str, ...] = ("--dcp-in-process",)) -> int:
-        plugin = ("-p", "dcp_conformance.execution.pytest_plugin", "--pyargs", "dcp_conformance.suite")
+        plugin = ("-p", "dcp_conformance.pytest_plugin", "--pyargs", "dcp_conformance.suite")
         done = started(
             self.folder,
             (sys.executable, "-m", "pytest", *plugin, *target, "--rootdir", ".", "--junitxml", "out.xml", *options),

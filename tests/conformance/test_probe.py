@@ -11,6 +11,8 @@ import pytest
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
+from dcp_conformance.execution.target import TargetOptions, describe
+from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.interconnection.probe import Period, draft, measured_period, rounded, write_pics
 from dcp_conformance.interconnection.profile_ranking import doubtful, ranked_with
 from dcp_conformance.lower_tester import Arrival
@@ -22,9 +24,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.runner import PROFILES
-from dcp_conformance.sut.target import TargetOptions, describe
 from dcp_conformance.test_system.bench import Session
-from dcp_conformance.test_system.frame_builder import Block, FrameBuilder
 from dcp_conformance.upper_tester import Answer
 from dcp_spec.profile.loading import BUILTIN_PROFILES
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import UsageError
+from dcp_conformance.execution.expected import ExpectedResults
 from dcp_conformance.execution.parallel import run_in_workers, workers_for
-from dcp_conformance.execution.pytest_plugin import run_with_pytest
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.selection import Selection, select
+from dcp_conformance.execution.target import TargetOptions, open_target
 from dcp_conformance.model.case import SANITY, all_cases
-from dcp_conformance.model.expected import ExpectedResults
 from dcp_conformance.model.outcome import (
     AS_EXPECTED,
     INCONCLUSIVE,
@@ -30,9 +30,9 @@ from dcp_conformance.model.outcome import (
 )
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.pytest_plugin import run_with_pytest
 from dcp_conformance.reporting import load_results
 from dcp_conformance.sut.process import started_at
-from dcp_conformance.sut.target import TargetOptions, open_target
 
 from ..ports import own_port
 from ..waiting import PATIENCE, eventually
@@ -123,7 +123,7 @@ class TestExitStatus:
         self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
         """Its last words tell why nobody listens at the upper tester's address."""
-        monkeypatch.setattr("dcp_conformance.sut.target.UPPER_PATIENCE", 1.5)
+        monkeypatch.setattr("dcp_conformance.execution.target.UPPER_PATIENCE", 1.5)
         script = tmp_path / "start.sh"
         script.write_text("sleep 0.7; echo config file missing >&2; exit 3\n")
         done = dcp_conformance(
@@ -362,7 +362,7 @@ class TestList:
 class TestPytest:
     def test_cases_are_pytest_items_anywhere(self, tmp_path: Path):
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "dcp_conformance.execution.pytest_plugin",
+            [sys.executable, "-m", "pytest", "-p", "dcp_conformance.pytest_plugin",
              "--pyargs", "dcp_conformance.suite",
              "--dcp-in-process", "-k", "TC_VD_UPD_BV", "-q", "-p", "no:cacheprovider"],
             cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=False,

@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import pytest
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.interconnection.contact import Contact
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.pics import Capabilities, Pics, Testing
 from dcp_conformance.model.results import CaseResult, Check
@@ -17,6 +16,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import Session
+from dcp_conformance.test_system.contact import Contact
 
 from dcp_stack.node import Node
 

@@ -16,6 +16,7 @@ from dcp_conformance.execution.concurrent.shared import SharedLink, SharedUpper
 from dcp_conformance.execution.concurrent.sharing import _MEASURES, ALONE
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.selection import Selection
+from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import SANITY, all_cases
 from dcp_conformance.model.verdict import Verdict
@@ -23,7 +24,6 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.runner import cases
 from dcp_conformance.selftest.side_by_side import compare
-from dcp_conformance.sut.target import TargetOptions
 from dcp_conformance.upper_tester import Answer
 
 from dcp_codec.codec import Codec

@@ -7,15 +7,15 @@ import socket
 from pathlib import Path
 
 import pytest
+from dcp_conformance.execution.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
 from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.sut.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
 from dcp_conformance.sut.process import has_link_socket
-from dcp_conformance.sut.target import TargetOptions
 from dcp_conformance.test_system.bench import Session
 
 from .rig import codec_of, known_cases

@@ -52,7 +52,7 @@ def still_reporting(profile: str, result: CaseResult) -> bool:
     """
     return (
         codec_of(profile).profile.spec_version < SpecVersion.V1_3
-        and result.id == "TC_BP_HDR_BV_09"
+        and result.id in ("TC_BP_HDR_BV_09", "TC_BP_HDR_BV_12")
         and result.verdict is Verdict.INCONCLUSIVE
         and result.reason.startswith("no beacon during the pause: ")
     )

@@ -20,6 +20,7 @@ from dcp_codec.capture import Frame, open_capture
 from dcp_codec.export.example import example_beacon
 from dcp_codec.export.jsonschema import beacon_schema, container_schema, frame_schema, report_schema, schema_octets
 from dcp_codec.framing.frames import FrameDissector
+from dcp_codec.jsonform import value_json
 from dcp_codec.values import (
     Beacon,
     Container,
@@ -33,7 +34,6 @@ from dcp_codec.values import (
     VarSumm,
     VarUpdate,
 )
-from dcp_codec.views.jsonform import value_json
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 RECORDINGS = tomllib.loads((CAPTURES / "manifest.toml").read_text())["capture"]

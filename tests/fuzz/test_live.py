@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
 from dcp_conformance.fuzz.execute.live import LiveTarget, UnhealthyError
 from dcp_conformance.fuzz.execute.liveness import ailing
@@ -19,7 +20,6 @@ from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.sut.target import Target
 from dcp_conformance.test_system.bench import Bench, Session
 
 from dcp_codec import Codec

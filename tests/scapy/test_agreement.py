@@ -18,12 +18,12 @@ from scapy.packet import Padding, Raw
 from dcp_codec import Codec
 from dcp_codec.capture import open_capture
 from dcp_codec.framing.locate import Framing, locate
+from dcp_codec.jsonform import node_id_octets, node_id_text
 from dcp_codec.plan.tree import Scalar, Text
 from dcp_codec.scapy.layers import DCPBeacon, DCPPayload, Octets, use_profile
 from dcp_codec.testing import strategies
 from dcp_codec.views.dissect import Dissection
 from dcp_codec.views.dissect import Field as Found
-from dcp_codec.views.jsonform import node_id_octets, node_id_text
 
 from ..chance import examples
 

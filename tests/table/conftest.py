@@ -18,7 +18,7 @@ from dcp_codec import Codec, Field, Payload, get_codec
 from dcp_codec.capture import Frame, open_capture
 from dcp_codec.framing.frames import FrameDissector
 from dcp_codec.framing.locate import OtherTraffic, locate, mac
-from dcp_codec.views.jsonform import beacon_json
+from dcp_codec.jsonform import beacon_json
 
 from ..odd_profiles import NAMES, codec_of
 

@@ -224,7 +224,8 @@ def test_what_was_compiled_is_kept(tmp_path):
 _SEVERAL = """
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
-from dcp_codec.table import jit, messages, walkers
+from dcp_codec.table.input import mcap_messages as messages, walkers
+from dcp_codec.table.kernel import jit
 for function in (messages.walk_messages, walkers.walk_pcap, walkers.walk_pcapng):
     compiled = jit.machine(function)
     assert isinstance(compiled, Dispatcher) and not isinstance(compiled._cache, NullCache)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dcp_conformance.test_system.frame_builder import FrameBuilder
+from dcp_conformance.frames.builder import FrameBuilder
 from dcp_spec.constants import ICType
 
 from dcp_codec import Codec

@@ -10,10 +10,10 @@ from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
 from dcp_codec.views.dissect import Dissection
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_system.reception import Instruction, ReceivedBeacon
 
 from .lifetimes import Lifetimes
 from .senders import Senders

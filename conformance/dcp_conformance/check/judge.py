@@ -14,6 +14,7 @@ from dcp_codec.analysis.holdings import History
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.declared import declarations
 from dcp_conformance.model.moment import timestamp
@@ -29,7 +30,6 @@ from dcp_conformance.model.results import (
     Sut,
 )
 from dcp_conformance.model.verdict import Verdict, worst
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed

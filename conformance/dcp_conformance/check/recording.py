@@ -20,9 +20,9 @@ from dcp_codec.framing.ethertype import parse_ether_type
 from dcp_codec.framing.frames import with_ether_type
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_conformance.errors import UsageError
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .judge import Judge
 from .versions import Versions, undecided, weakness

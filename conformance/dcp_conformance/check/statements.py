@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 from dcp_spec.constants import ICType
 
-from dcp_conformance.test_system.reception import KIND_OF, ReceivedBeacon
+from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon
 
 
 class Statement(msgspec.Struct, frozen=True, gc=False):

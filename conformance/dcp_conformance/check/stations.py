@@ -12,7 +12,7 @@ from enum import Enum, auto
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_conformance.test_system.reception import ReceivedBeacon
+from dcp_conformance.frames.received import ReceivedBeacon
 
 from .statements import speaker
 

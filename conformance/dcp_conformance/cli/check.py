@@ -51,11 +51,11 @@ def command(
     an occasion for.
     """
     from dcp_conformance.check.recording import judge_versions
-    from dcp_conformance.model.expected import ExpectedResults
+    from dcp_conformance.execution.expected import ExpectedResults
+    from dcp_conformance.execution.target import exact
     from dcp_conformance.model.outcome import exit_status
     from dcp_conformance.model.pics import Pics, load_pics
     from dcp_conformance.reporting import write_report
-    from dcp_conformance.sut.target import exact
 
     from .display import console, print_summary
 

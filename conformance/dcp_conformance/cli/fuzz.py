@@ -20,9 +20,9 @@ from .campaigns import campaign_options, jobs_option, material, no_jobs, profile
 from .options import target_of, target_options
 
 if TYPE_CHECKING:
+    from dcp_conformance.execution.target import TargetOptions
     from dcp_conformance.fuzz import Artefact, Campaign
     from dcp_conformance.fuzz.steps import Target
-    from dcp_conformance.sut.target import TargetOptions
 
 EXIT_STATUS = (
     "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy to begin with, or "
@@ -163,6 +163,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
 
 def _live(options: dict[str, Any], *, differential: bool) -> int:
     """A campaign against an implementation that was opened as 'run' opens it."""
+    from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, UnhealthyError
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
@@ -171,7 +172,6 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     from dcp_conformance.fuzz.generate.sequence_batches import Batches
     from dcp_conformance.fuzz.generate.sequences import Sequences
     from dcp_conformance.fuzz.generate.sweep import Swept
-    from dcp_conformance.sut.target import describe, open_target
 
     where = target_of(options)
     if not (where.foreign or where.in_process or options["own_node"]):
@@ -299,9 +299,9 @@ def _live_target(options: dict[str, Any], stack: Any) -> Callable[[Artefact], Ta
     target = target_of(options)
     if not (target.foreign or target.in_process or options["own_node"]):
         return None
+    from dcp_conformance.execution.target import open_target
     from dcp_conformance.fuzz.execute.live import LiveTarget
     from dcp_conformance.fuzz.findings.replaying import target_in_process
-    from dcp_conformance.sut.target import open_target
 
     opened = stack.enter_context(open_target(target))
     opened.runner.prepare()

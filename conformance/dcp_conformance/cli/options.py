@@ -14,7 +14,7 @@ import click
 from dcp_conformance.execution.selection import PLANS, Selection
 
 if TYPE_CHECKING:
-    from dcp_conformance.sut.target import TargetOptions
+    from dcp_conformance.execution.target import TargetOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -126,7 +126,7 @@ def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str
 def target_of(options: dict[str, Any]) -> TargetOptions:
     """The target that options of :func:`target_options` mean."""
     # What opens targets is not needed to say which options there are.
-    from dcp_conformance.sut.target import TargetOptions
+    from dcp_conformance.execution.target import TargetOptions
 
     return TargetOptions(
         profile=options["profile"],

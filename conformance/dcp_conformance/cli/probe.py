@@ -34,10 +34,10 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
     from dcp_spec.profile.loading import BUILTIN_PROFILES
 
     from dcp_codec.codec import Codec
+    from dcp_conformance.execution.target import describe, open_lower
     from dcp_conformance.interconnection.probe import draft
     from dcp_conformance.model.pics import UNKNOWN_PROFILE
     from dcp_conformance.model.pics_file import write_pics
-    from dcp_conformance.sut.target import describe, open_lower
     from dcp_conformance.upper_tester.opening import open_upper
 
     target = target_of(options)

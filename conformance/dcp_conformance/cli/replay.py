@@ -35,10 +35,10 @@ def command(capture: Path, **options: Any) -> int:
     specification asks, and the outcome is compared with that of the recorded node.
     """
     from dcp_conformance.execution.replay import Replay, ReplayOptions, cast_of, choose_node, decided
+    from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.model.moment import timestamp
     from dcp_conformance.model.outcome import assemble, exit_status
     from dcp_conformance.reporting import make_folder, write_report
-    from dcp_conformance.sut.target import describe, open_target
 
     from .display import print_summary
 

@@ -85,7 +85,7 @@ def command(**options: Any) -> int:
         make_folder(report)
     with ending_like_interrupts():
         if extra:
-            from dcp_conformance.execution.pytest_plugin import run_with_pytest
+            from dcp_conformance.pytest_plugin import run_with_pytest
 
             run_with_pytest(run, extra)
         else:

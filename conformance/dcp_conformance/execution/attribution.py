@@ -18,10 +18,10 @@ from dcp_codec.errors import DecodeError
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.results import Check, Table
 from dcp_conformance.model.verdict import Verdict, worst
-from dcp_conformance.sut.life import Loss
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.traffic import Event, Traffic
 
+from .life import Loss
 from .service_requirements import concerns, violated_by_death
 
 #: Requirements that ask for survival, by what they are about. A case that names one of them is about survival.

@@ -20,11 +20,11 @@ import msgspec
 
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.results import CaseResult, Sut
-from dcp_conformance.sut.target import TargetOptions
 
 from .run import ConformanceRun
 from .selection import Selection
 from .signals import deferred
+from .target import TargetOptions
 
 
 class WorkerEnd(NamedTuple):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.reference import process
 
-from . import pytest_plugin as plugin
+from . import run
 
-__all__ = ["plugin", "process"]
+__all__ = ["process", "run"]
 
 all_cases()

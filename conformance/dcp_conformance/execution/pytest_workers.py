@@ -15,7 +15,7 @@ from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import CaseResult
 
 from .parallel import WorkerEnd
-from .pytest_plugin import Driver
+from .pytest_items import Driver
 from .run import ConformanceRun
 
 #: The key of ``workeroutput`` under which a worker puts its :class:`End`, as JSON.

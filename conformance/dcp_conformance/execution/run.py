@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import importlib
 import time
 import traceback
 from collections import Counter
@@ -18,19 +19,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
-from dcp_conformance.model.case import SANITY, Case, all_cases
-from dcp_conformance.model.expected import ExpectedResults
+from dcp_conformance.model.case import ARTEFACT_CASES, SANITY, Case, all_cases
 from dcp_conformance.model.moment import timestamp
 from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR, USAGE, assemble, exit_status
 from dcp_conformance.model.results import CaseResult, Check, Diagnosis, RunResult, Sut
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import cases as invariants
 from dcp_conformance.passive import joined
-from dcp_conformance.sut.target import TargetOptions, describe, open_target
 
+from .expected import ExpectedResults
 from .runner import Runner
 from .selection import Selection, left_out, matches, select
 from .signals import deferred
+from .target import TargetOptions, describe, open_target
 
 if TYPE_CHECKING:
     from .parallel import WorkerEnd
@@ -70,8 +71,8 @@ class ConformanceRun:
         self.artefacts = artefacts
         self.found_by_fuzzer: dict[str, Case] = {}
         if artefacts is not None:
-            from dcp_conformance.fuzz.findings.cases import artefact_cases
-
+            # By name, as cases of the suite are: the fuzzer is built on this package.
+            artefact_cases: Callable[[Path], Iterable[Case]] = importlib.import_module(ARTEFACT_CASES).artefact_cases
             self.found_by_fuzzer = {case.id: case for case in artefact_cases(artefacts)}
             self.cases |= self.found_by_fuzzer
         self.codec, self.pics = describe(target)

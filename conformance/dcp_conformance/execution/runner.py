@@ -18,7 +18,6 @@ from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.model.results import CaseResult, Check, Sut
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.sut.control import SutControl
-from dcp_conformance.sut.life import Life
 from dcp_conformance.sut.link import link_switch
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.test_system.session import FLOOR
@@ -26,6 +25,7 @@ from dcp_conformance.test_system.session import FLOOR
 from .attribution import Trial, attribute, blamed, came_back, with_failures_of
 from .body import delete_variables, recorded, run_body
 from .case_results import result_of
+from .life import Life
 from .remarks import deaths_alike, executed_again, left_changed
 
 #: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
@@ -75,7 +75,7 @@ class Runner:
         self.deaths_side_by_side = 0
         """How often the implementation stopped taking part while cases were executed side by side."""
         self._deaths: dict[str, list[str]] = {}
-        """Cases in which the implementation ended, by :attr:`dcp_conformance.sut.life.Loss.group`."""
+        """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.life.Loss.group`."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases in this life of the implementation."""
         self._revised: list[CaseResult] = []

@@ -14,16 +14,16 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, Queueing
 
 from dcp_codec.errors import DecodeError
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.frames.builder import Block
+from dcp_conformance.frames.header_rules import Violation, judge
+from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
 from dcp_conformance.model.results import Mark
 from dcp_conformance.test_steps.bp_clients import ACTIVATE, CLIENT, DEREGISTER, RECEIVED, BPClient, indications, until
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.frame_builder import Block
-from dcp_conformance.test_system.reception import ReceivedBeacon, var_id_of
+from dcp_conformance.test_system.contact import BrokenRule, Contact, Question, Stimulus, stimuli
+from dcp_conformance.test_system.misreading import stores_reports
 
-from .contact import BrokenRule, Contact, Question, Stimulus, stimuli
-from .header_rules import Violation, judge
 from .misconfiguration import PERIODS, look_elsewhere, misnamed, suspect
-from .misreading import stores_reports
 
 #: Attempts with the first question, and with each further kind of stimulus: frames get lost.
 _ATTEMPTS: Final = 3

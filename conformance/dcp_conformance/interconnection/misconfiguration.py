@@ -10,9 +10,9 @@ from dcp_spec.profile.loading import BUILTIN_PROFILES
 
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.errors import DecodeError
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import HearsEveryType
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.traffic import Event
 
 from .probe import question

@@ -12,13 +12,12 @@ from typing import Final
 
 from dcp_spec.constants import ICType
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
+from dcp_conformance.test_system.extraction import lost_container
+from dcp_conformance.test_system.misreading import misread_fields
 from dcp_conformance.test_system.session import FLOOR, Reaction, Session
-
-from .extraction import lost_container
-from .misreading import misread_fields
 
 #: Number of questions asked one by one, and number of questions asked at once.
 _SINGLE, _BURST = 5, 10

@@ -8,6 +8,7 @@ for them; an entry in a file of expected results accepts either.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
@@ -69,16 +70,14 @@ def declarations(capabilities: Capabilities, profile: Profile, rerun: str) -> li
 
     ``rerun``: the command that judges the recording again.
     """
-    from dcp_conformance.suite import profile_declarations
-
-    from .case import DECLARED, DENIED, cases_of
+    from .case import CASES, DECLARED, DENIED, cases_of
 
     found = []
     told = {
         identifier: {name: f"declared by the profile {profile.name}: {text}" for name, text in declared.items()}
         for identifier, declared in ((DECLARED, declared_by(profile)),)
     } | {DENIED: denied_by(capabilities, profile, recorded=True)}
-    for case in cases_of(profile_declarations):
+    for case in cases_of(importlib.import_module(f"{CASES}.profile_declarations")):
         checks = tuple(
             Check(Verdict.FAIL, (name,), requirement(name).statement, text, shown=True)
             for name, text in told[case.id].items()

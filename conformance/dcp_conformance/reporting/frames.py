@@ -12,8 +12,8 @@ from dcp_codec.codec import Codec
 from dcp_codec.framing.frames import DissectedFrame
 from dcp_codec.framing.locate import Framing
 from dcp_codec.plan.tree import Group
+from dcp_codec.texts import payload_line, value_text
 from dcp_codec.views.dissect import Field
-from dcp_codec.views.texts import payload_line, value_text
 from dcp_conformance.model.results import EventRecord, Mark
 
 ARROWS = {

@@ -19,13 +19,13 @@ from dcp_spec.constants import (
 )
 from dcp_spec.profile.definition import own_fields
 
-from dcp_conformance.interconnection.header_rules import judge
+from dcp_conformance.frames.builder import Block
+from dcp_conformance.frames.header_rules import judge
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.frame_builder import Block
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import (
     Moment,
     create_request,

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.interconnection.basic_test import make_contact
-from dcp_conformance.interconnection.contact import Contact
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.contact import Contact
 
 
 @case(

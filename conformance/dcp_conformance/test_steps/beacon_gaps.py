@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import Final, TypeVar
 
 from dcp_conformance.errors import StopCase, UpperTesterError
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 T = TypeVar("T")
 

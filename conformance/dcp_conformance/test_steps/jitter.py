@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_conformance.test_system.reception import ReceivedBeacon
+from dcp_conformance.frames.received import ReceivedBeacon
 
 #: The first beacon that is heard may be this many later in the sequence after one start than after the other.
 SHIFT: Final = 12

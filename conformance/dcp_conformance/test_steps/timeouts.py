@@ -11,9 +11,9 @@ from typing import NamedTuple
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import Instruction
 from dcp_conformance.test_system.services import create_request
 
 _DELETE = ICType.DELETE_VARIABLES

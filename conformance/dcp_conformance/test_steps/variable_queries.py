@@ -12,9 +12,9 @@ from typing import Literal, NamedTuple
 from dcp_spec.constants import ICType, seqno_modulus
 
 from dcp_codec.values import VarCreate
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import Instruction
 
 State = Literal["unknown", "alive", "deleted"]
 #: All records about a single variable except summaries, which are sent repeatedly.

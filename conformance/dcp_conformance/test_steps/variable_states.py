@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord, VarUpdate
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import create_request
 
 from .variable_queries import INSTRUCTIONS, ask, named, stepped, traces

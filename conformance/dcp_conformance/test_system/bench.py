@@ -21,16 +21,16 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.errors import ConformanceError, UpperTesterError
-from dcp_conformance.interconnection.contact import Question
+from dcp_conformance.frames.builder import FrameBuilder
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case
 from dcp_conformance.upper_tester import Answer, UpperTester
 
 from .allocation import address_of
 from .changes import Changes
 from .checks import MS
-from .frame_builder import FrameBuilder
+from .contact import Question
 from .peers import Peer
-from .reception import ReceivedBeacon
 from .session import Session
 from .waiting import Waiting
 

@@ -24,22 +24,22 @@ from dcp_spec.profile.definition import Profile
 
 from dcp_codec.views.fields import Field
 from dcp_conformance.errors import StopCase
-from dcp_conformance.interconnection.extraction import OWNERS as EXTRACTION
-from dcp_conformance.interconnection.extraction import sent_several
-from dcp_conformance.interconnection.misreading import (
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.model.case import Case
+from dcp_conformance.model.results import Check, Mark, Table
+from dcp_conformance.model.verdict import Verdict, worst
+
+from .extraction import OWNERS as EXTRACTION
+from .extraction import sent_several
+from .misreading import (
     CREATION_OWNERS,
     backwards,
     disordered,
     sent_creation,
     sent_report,
 )
-from dcp_conformance.interconnection.misreading import OWNERS as LAYOUTS
-from dcp_conformance.interconnection.misreading import Field as Misread
-from dcp_conformance.model.case import Case
-from dcp_conformance.model.results import Check, Mark, Table
-from dcp_conformance.model.verdict import Verdict, worst
-
-from .reception import Instruction, ReceivedBeacon
+from .misreading import OWNERS as LAYOUTS
+from .misreading import Field as Misread
 from .session import Session
 from .traffic import Traffic
 

@@ -17,8 +17,7 @@ from dcp_codec.values import (
     VarSumm,
     VarUpdate,
 )
-
-from .frame_builder import Block, Lies
+from dcp_conformance.frames.builder import Block, Lies
 
 if TYPE_CHECKING:
     from .bench import Bench
@@ -46,7 +45,7 @@ class Peer:
 
         ``what`` becomes blocks: VarDis records and containers (octets) that follow each other share one, a state report
         is one, a :class:`Block` is taken as it is. ``lies``: see
-        :class:`~dcp_conformance.test_system.frame_builder.FrameBuilder`. ``padding``
+        :class:`~dcp_conformance.frames.builder.FrameBuilder`. ``padding``
         follows the beacon, ``cut`` keeps so many octets of it all, ``sender`` is another identifier in the header.
         """
         octets = self.beacon(*what, lies=lies, sender=sender, network_id=network_id) + padding

@@ -15,12 +15,12 @@ from dcp_spec.constants import BP_PROTID_SRP, ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VarDelete
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
 from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.upper_tester import Answer
 
 from .bench import Bench
 from .peers import Peer
-from .reception import ReceivedBeacon, var_id_of
 
 OK = "VARDIS-STATUS-OK"
 INACTIVE = "VARDIS-STATUS-INACTIVE"

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from dcp_spec.constants import BP_SEQNO_MODULUS, ICType, features
 
 from dcp_codec.codec import Codec
-from dcp_conformance.interconnection.contact import Contact
-from dcp_conformance.interconnection.misreading import Field
 from dcp_conformance.lower_tester import Arrival, LowerTester, OnThisMachine
 from dcp_conformance.model.pics import REACTION_FLOOR, Pics
 from dcp_conformance.passive import PassiveTester
 from dcp_conformance.upper_tester import UpperTester
 
+from .contact import Contact
 from .identifiers import Identifiers
+from .misreading import Field
 
 if TYPE_CHECKING:
-    from .reception import ReceivedBeacon
+    from dcp_conformance.frames.received import ReceivedBeacon
+
     from .waiting import Waiting
 
 FLOOR: Final = REACTION_FLOOR
@@ -129,7 +130,7 @@ class Session:
         """ns that the last calls of the upper tester took which the implementation carried out."""
         self.lost_container = ""
         """Which of the two containers of a payload the implementation was found to lose, "first" or "second"; empty if
-        none (see :mod:`dcp_conformance.interconnection.extraction`)."""
+        none (see :mod:`dcp_conformance.test_system.extraction`)."""
         self.misread: dict[Field, str] = {}
         """The fields that the implementation was found to misread (``interconnection/misreading.py``)."""
         self.pausing_fails = False

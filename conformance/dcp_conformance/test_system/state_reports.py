@@ -13,9 +13,9 @@ from typing import Any, Final, NamedTuple, NoReturn
 from dcp_spec.constants import SRP_SEQNO_MODULUS
 
 from dcp_codec.values import ExtendedSafetyData
+from dcp_conformance.frames.received import ReceivedBeacon
 
 from .bench import Bench
-from .reception import ReceivedBeacon
 from .services import Moment, safety_data, timed, told, until_report
 
 _UPDATE: Final = "SRP-UpdateSafetyData"

@@ -7,12 +7,12 @@ from typing import Any, TypeVar
 
 from dcp_spec.constants import ICType
 
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Case
 from dcp_conformance.upper_tester import Notification
 
 from .allocation import Allocation
 from .checks import MS
-from .reception import Instruction, ReceivedBeacon
 from .session import Session
 
 T = TypeVar("T")

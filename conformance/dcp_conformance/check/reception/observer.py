@@ -19,7 +19,7 @@ from dcp_spec.constants import ICType
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
 from dcp_conformance.check.statements import Statement
 from dcp_conformance.check.stations import Origin
-from dcp_conformance.test_steps.circular import Circle
+from dcp_conformance.model.circular import Circle
 
 from .records import RecordSizes
 

@@ -10,7 +10,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 from dcp_codec.values import VarCreate, VarUpdate
 from dcp_conformance.check.base import MOST_SENDERS, Context, Evidence, Invariant, Seen, Trace, name
 from dcp_conformance.check.stations import Origin
-from dcp_conformance.interconnection.header_rules import judge
+from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.model.broken_rules import broken_by
 from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict

@@ -15,8 +15,8 @@ from dcp_spec.constants import ICType
 from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, name
 from dcp_conformance.check.reception import reception_of
 from dcp_conformance.check.statements import Statement
+from dcp_conformance.model.circular import Circle
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_steps.circular import Circle
 
 from .vardis import SENT, seqno_of
 

@@ -22,9 +22,9 @@ from dcp_conformance.check.statements import (
     Statement,
     statements_in,
 )
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.circular import Circle
 from dcp_conformance.model.results import Mark
-from dcp_conformance.test_steps.circular import Circle
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .dialogue import Counter
 

@@ -10,8 +10,8 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import Container, VarCreate, VarDelete, VarSumm, VarUpdate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
 from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_system.reception import Instruction
 
 #: Sequences of containers that are remembered as sound.
 _SEQUENCES = 1024

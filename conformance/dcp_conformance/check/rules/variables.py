@@ -13,7 +13,7 @@ from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
 from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
 from dcp_conformance.check.wording import differences, spec_text
-from dcp_conformance.test_steps.circular import Circle
+from dcp_conformance.model.circular import Circle
 
 #: Values of a variable that are remembered: fewer than the circle of its numbers has.
 _VALUES = 64

@@ -10,6 +10,7 @@ from dcp_conformance.execution.attribution import Trial
 from dcp_conformance.execution.body import delete_variables, recorded, run_body
 from dcp_conformance.execution.case_results import result_of
 from dcp_conformance.execution.runner import SLOW_DEATH, Runner
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival
 from dcp_conformance.model.applicability import why_not
 from dcp_conformance.model.case import Case
@@ -17,7 +18,6 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import SIDE_BY_SIDE
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .scheduler import Scheduler, Task
 from .shared import SharedLink, SharedSession, SharedUpper

@@ -15,7 +15,7 @@ from .scheduler import Scheduler, Task
 from .sharing import ALONE, forbidden
 
 if TYPE_CHECKING:
-    from dcp_conformance.test_system.reception import ReceivedBeacon
+    from dcp_conformance.frames.received import ReceivedBeacon
     from dcp_conformance.test_system.waiting import Waiting
 
 

@@ -11,14 +11,14 @@ from typing import Final
 
 from dcp_codec.errors import DecodeError
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
+from dcp_conformance.execution.life import DEATH_PATIENCE
+from dcp_conformance.execution.target import Target as Opened
+from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.fuzz.steps import ROBUSTNESS, Call, Effect, Frame, Step, Wait
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.oracle import Limits
 from dcp_conformance.sut.control import SutControl
-from dcp_conformance.sut.life import DEATH_PATIENCE
-from dcp_conformance.sut.target import Target as Opened
 from dcp_conformance.test_system.bench import Bench, Session
-from dcp_conformance.test_system.reception import var_id_of
 
 from .differential import Comparison
 from .liveness import PROBES, ailing, begun_again, dead, last_number
@@ -44,7 +44,7 @@ class UnhealthyError(ConformanceError):
 
 
 class LiveTarget:
-    """Carries steps out on an implementation that was opened with :func:`dcp_conformance.sut.target.open_target`."""
+    """Carries out steps on an implementation that was opened with ``open_target``."""
 
     def __init__(
         self,

@@ -23,12 +23,12 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_codec.views.dissect import dissect
+from dcp_conformance.frames.header_rules import judge
+from dcp_conformance.frames.received import KIND_OF
 from dcp_conformance.fuzz.steps import Effect
-from dcp_conformance.interconnection.header_rules import judge
+from dcp_conformance.model.circular import Circle
 from dcp_conformance.oracle import Limits, Oracle, Version, Waiting
 from dcp_conformance.oracle.knowledge import NEVER, NO_CREATION
-from dcp_conformance.test_steps.circular import Circle
-from dcp_conformance.test_system.reception import KIND_OF
 
 #: How old a payload may be when it is seen on the air, and how long a reaction may take, in beacon periods.
 LATENCY, WINDOW = 1.6, 8.0

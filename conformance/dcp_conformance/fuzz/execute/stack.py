@@ -13,10 +13,10 @@ from typing import Any
 from dcp_codec.codec import Codec
 from dcp_codec.values import VarSumm
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.fuzz.steps import Call, Effect, Frame, Step, Wait
 from dcp_conformance.oracle import Version
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
-from dcp_conformance.test_system.frame_builder import FrameBuilder
 
 from .model_monitor import Observer
 from .time_limit import TIME_LIMIT, Overtime, TimeLimit

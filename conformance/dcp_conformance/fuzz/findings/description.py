@@ -9,7 +9,7 @@ import msgspec
 from dcp_spec.catalogue.requirements import requirement
 
 from dcp_codec.codec import Codec
-from dcp_codec.views.texts import payload_line
+from dcp_codec.texts import payload_line
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.reduce.causes import Cause
 from dcp_conformance.fuzz.steps import Frame, Step, Wait

@@ -22,8 +22,8 @@ from dcp_codec.values import (
     VarSpec,
     VarUpdate,
 )
+from dcp_conformance.frames.received import KIND_OF
 from dcp_conformance.fuzz.steps import Frame, Step, Wait
-from dcp_conformance.test_system.reception import KIND_OF
 
 #: Ticks of a profile's clock that creation times are drawn around; anything later than 0 and far from the end.
 CREATION: Final = 1_000_000

@@ -17,8 +17,8 @@ from dcp_codec.codec import Codec
 from dcp_codec.errors import Problem
 from dcp_codec.plan.tree import Many
 from dcp_codec.testing.mutation import generic
+from dcp_codec.texts import PROTOCOLS
 from dcp_codec.views.fields import Field
-from dcp_codec.views.texts import PROTOCOLS
 
 from .anatomy import Anatomy
 

@@ -15,9 +15,9 @@ from dcp_spec.constants import ICType
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, EncodeError
 from dcp_codec.values import Container, Payload, VarCreate, VardisRecord, VarSpec, VarUpdate
+from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.fuzz.execute.model_monitor import Observer
 from dcp_conformance.fuzz.steps import Call, Effect, Frame, Step, Wait
-from dcp_conformance.test_system.reception import var_id_of
 
 from .anomalies import anomalies
 from .causes import GENERAL, decided_by

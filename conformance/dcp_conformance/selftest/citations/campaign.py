@@ -82,10 +82,11 @@ def chosen(patterns: Sequence[str]) -> list[Citation]:
     """
     found: dict[Citation, None] = {}
     for pattern in patterns:
+        # A file is named by its path, or by the end of it: ``dcp_stack/bp/queue.py``, ``bp/queue.py``, ``queue.py``.
         meant = [
             each
             for each in citations()
-            if any(fnmatchcase(name, pattern) for name in (each.requirement, each.path, each.path.rpartition("/")[2]))
+            if fnmatchcase(each.requirement, pattern) or fnmatchcase(f"/{each.path}", f"*/{pattern}")
         ]
         if not meant:
             raise UsageError(f"{pattern!r} is neither a requirement that is cited nor a file that cites one")

@@ -18,9 +18,9 @@ from dcp_conformance.errors import ConformanceError
 
 from .isolation import ask, concurrently, process_context
 from .ledger import Entry, ledger
-from .reach import Reach, measure
+from .reach import Reach
 from .sites import Site, sites
-from .trial import NODES, PROFILES, Outcome, Step, limit, steps, try_site
+from .trial import NODES, PROFILES, Outcome, Step, limit, measure, steps, try_site
 
 SCHEMA: Final = "dcp-conformance-generated/1"
 #: Changes from which on it pays to find out first which cases execute them.

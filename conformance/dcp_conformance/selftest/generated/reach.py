@@ -6,8 +6,7 @@ cases that execute the changed lines and no others.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from types import CodeType, FrameType
 from typing import Any, Final
 
@@ -39,7 +38,7 @@ class Reach(msgspec.Struct, frozen=True):
         return frozenset(number for line in span for number in lines.get(line, ()))
 
 
-class _Tracer:
+class Tracer:
     """Collects executed lines of the modules that are changed."""
 
     def __init__(self) -> None:
@@ -73,37 +72,5 @@ class _Tracer:
         return taken
 
 
-def measure(node: str, numbers: Sequence[int] | None = None) -> Reach:
-    """Run the suite on ``node`` under the tracer, or the cases with these numbers, which must begin with sanity.
-
-    For a process of its own that has not imported the node, since it changes how a node is configured.
-    """
-    from .trial import cases, suite_of
-
-    chosen = cases() if numbers is None else [cases()[number] for number in numbers]
-    place = {case.id: number for number, case in enumerate(cases())}
-    tracer = _Tracer()
-    found: dict[str, dict[int, list[int]]] = {}
-    sys.settrace(tracer)
-    try:
-        # The node is imported under the tracer: some functions are called by modules only.
-        from dcp_stack.config import NodeConfig
-
-        # Otherwise the first case alone would execute what is found out once and kept for all others.
-        setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
-        suite, _ = suite_of(node)
-        always = tracer.take()
-        for result in suite.run(chosen):
-            for module, line in tracer.take():
-                found.setdefault(module, {}).setdefault(line, []).append(place[result.id])
-    finally:
-        sys.settrace(None)
-    return Reach(
-        node,
-        {module: {line: tuple(each) for line, each in lines.items()} for module, lines in found.items()},
-        {module: _of_module(module, always) for module in {module for module, _ in always}},
-    )
-
-
-def _of_module(module: str, lines: Iterable[tuple[str, int]]) -> tuple[int, ...]:
+def of_module(module: str, lines: Iterable[tuple[str, int]]) -> tuple[int, ...]:
     return tuple(sorted(line for name, line in lines if name == module))

@@ -23,7 +23,7 @@ from dcp_conformance.model.case import Case, all_cases
 from dcp_conformance.model.verdict import Verdict
 
 from .isolation import import_changed
-from .reach import Reach
+from .reach import Reach, Tracer, of_module
 from .sites import Site, cited, mutated
 
 if TYPE_CHECKING:
@@ -188,3 +188,33 @@ def _in_order(site: Site | None, numbers: tuple[int, ...] | None) -> list[Case]:
         # What can leave the node dead stays last; variants of one case mostly notice the same.
         ranks[case.id] = case.destructive, nth, near, elsewhere
     return sorted(chosen, key=lambda case: ranks[case.id])
+
+
+def measure(node: str, numbers: Sequence[int] | None = None) -> Reach:
+    """Run the suite on ``node`` under the tracer, or the cases with these numbers, which must begin with sanity.
+
+    For a process of its own that has not imported the node, since it changes how a node is configured.
+    """
+    chosen = cases() if numbers is None else [cases()[number] for number in numbers]
+    place = {case.id: number for number, case in enumerate(cases())}
+    tracer = Tracer()
+    found: dict[str, dict[int, list[int]]] = {}
+    sys.settrace(tracer)
+    try:
+        # The node is imported under the tracer: some functions are called by modules only.
+        from dcp_stack.config import NodeConfig
+
+        # Otherwise the first case alone would execute what is found out once and kept for all others.
+        setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
+        suite, _ = suite_of(node)
+        always = tracer.take()
+        for result in suite.run(chosen):
+            for module, line in tracer.take():
+                found.setdefault(module, {}).setdefault(line, []).append(place[result.id])
+    finally:
+        sys.settrace(None)
+    return Reach(
+        node,
+        {module: {line: tuple(each) for line, each in lines.items()} for module, lines in found.items()},
+        {module: of_module(module, always) for module in {module for module, _ in always}},
+    )

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import Instruction
 from dcp_conformance.test_system.session import FLOOR
 
 from .conflicts import held

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarDelete, VardisRecord, VarUpdate
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Instruction
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VarUpdate
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import produced, settled
 
 _CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import talking
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import safety_data, srp_blocks
 
 #: Rounds of the case, each with records of different neighbours.

@@ -10,11 +10,11 @@ from typing import Any
 
 from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import (
     Moment,
     nanoseconds,

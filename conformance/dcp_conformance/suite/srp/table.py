@@ -9,10 +9,10 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.frame_builder import Block
 from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import neighbour, neighbours, rows, safety_data, until_neighbour
 

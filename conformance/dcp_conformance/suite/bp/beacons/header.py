@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 from dcp_spec.constants import BP_MAGIC_NO, BP_PROTID_SRP, BP_PROTID_VARDIS, BP_VERSION, ICType, SpecVersion
 
-from dcp_conformance.interconnection.header_rules import judge
+from dcp_conformance.frames.header_rules import judge
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
@@ -27,7 +28,6 @@ from dcp_conformance.test_steps.bp_clients import (
     talking,
 )
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import rows
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0

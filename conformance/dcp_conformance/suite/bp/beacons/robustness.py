@@ -15,10 +15,10 @@ from dcp_spec.profile.definition import IntType, NodeIdType
 from dcp_spec.profile.loading import load_profile
 
 from dcp_codec import Codec
+from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets, unused_protocol_id
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.frame_builder import Block, FrameBuilder
 
 #: The header layouts of the versions of the specification.
 _LAYOUTS = {"1.0": "dcp-1.0", "1.1": "dcp-1.1", "1.2-and-1.3": "dcp-1.3", "2.0": "dcp-2.0"}

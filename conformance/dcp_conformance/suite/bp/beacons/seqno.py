@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import needed, some_beacons, talking
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 
 @case(

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import OnThisMachine
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.bp.services.indications import no_indication
@@ -31,7 +32,6 @@ from dcp_conformance.test_steps.bp_clients import (
 )
 from dcp_conformance.test_steps.jitter import SHIFT, Intervals, compare, intervals
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import parameters_set
 
 PERIOD = "BPPAR_BEACON_PERIOD"

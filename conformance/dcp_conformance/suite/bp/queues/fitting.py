@@ -10,6 +10,7 @@ from contextlib import ExitStack
 
 from dcp_spec.constants import BP_MAX_PAYLOADS
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
@@ -27,7 +28,6 @@ from dcp_conformance.test_steps.bp_clients import (
     room,
 )
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 _SENDER = Needs(entities=(), ut=CLIENT)
 

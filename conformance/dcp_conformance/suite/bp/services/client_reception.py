@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
 
+from dcp_conformance.frames.builder import Block, Lies
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import length_is_of_blocks, lengths
 from dcp_conformance.suite.bp.beacons.seqno import check_first_number, first_number
@@ -31,7 +32,6 @@ from dcp_conformance.test_steps.bp_clients import (
 )
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.checks import part_of
-from dcp_conformance.test_system.frame_builder import Block, Lies
 from dcp_conformance.test_system.peers import Peer
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import DENIED, Needs, Variant, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
 from dcp_conformance.test_steps.bp_clients import (
@@ -34,7 +35,6 @@ from dcp_conformance.test_steps.bp_clients import (
 )
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.checks import part_of
-from dcp_conformance.test_system.frame_builder import Block
 
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
 _SMALL = 256

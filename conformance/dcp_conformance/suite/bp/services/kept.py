@@ -10,6 +10,7 @@ from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
@@ -39,7 +40,6 @@ from dcp_conformance.test_steps.bp_clients import (
 )
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.checks import part_of
-from dcp_conformance.test_system.frame_builder import Block
 
 from .indications import no_indication
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, SpecVersion
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import (
     ACTIVATE,
@@ -26,7 +27,6 @@ from dcp_conformance.test_steps.bp_clients import (
     until,
 )
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.frame_builder import Block
 
 V1_2 = SpecVersion.V1_2
 _SWITCHES = Needs(since=V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE))

@@ -11,6 +11,7 @@ from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import (
     ALREADY_REGISTERED,
@@ -34,7 +35,6 @@ from dcp_conformance.test_steps.bp_clients import (
     largest_payload,
 )
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.frame_builder import Block
 from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 
 V1_0, V1_1 = SpecVersion.V1_0, SpecVersion.V1_1

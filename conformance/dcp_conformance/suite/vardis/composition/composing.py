@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Instruction, ReceivedBeacon
 from dcp_conformance.test_system.services import produced
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES

@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import OK, create_request, produced, settled
 
 from .summaries import SUMMARIES, summarises

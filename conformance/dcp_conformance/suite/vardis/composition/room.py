@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
 from dcp_conformance.test_steps.timeouts import hurry, lasting, latest, learn
 from dcp_conformance.test_steps.variable_queries import taught_all
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 from .exact_sizes import largest_create
 from .summaries import SUMMARIES, summarises

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType
 
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import produced
 
 SUMMARIES = "VARDISPAR_MAX_SUMMARIES"

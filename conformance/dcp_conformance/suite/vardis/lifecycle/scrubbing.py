@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
@@ -22,7 +23,6 @@ from dcp_conformance.test_steps.timeouts import (
     sent,
 )
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.reception import Instruction
 
 _DELETE = ICType.DELETE_VARIABLES
 _WIRE = Needs(since=SpecVersion.V2_0)

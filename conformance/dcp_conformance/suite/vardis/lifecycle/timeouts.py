@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
@@ -25,7 +26,6 @@ from dcp_conformance.test_steps.timeouts import (
 )
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import Instruction
 from dcp_conformance.upper_tester import Answer
 
 _DELETE = ICType.DELETE_VARIABLES

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
 from dcp_codec.values import VarCreate, VarSumm
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.checks import part_of
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import ReceivedBeacon
 
 #: Attempts to get one payload with all kinds of containers; in the second half each container is sent in a separate
 #: beacon.

@@ -6,9 +6,9 @@ from typing import Any
 
 from dcp_spec.constants import ICType, SpecVersion
 
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import Instruction
 from dcp_conformance.test_system.services import (
     EXISTS,
     OK,

@@ -11,10 +11,10 @@ from collections.abc import Callable
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Variant, case
 from dcp_conformance.test_steps.variable_queries import ask, own_id
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.frame_builder import Block
 from dcp_conformance.test_system.peers import Peer
 from dcp_conformance.test_system.services import taught
 

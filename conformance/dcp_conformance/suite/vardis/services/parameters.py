@@ -13,9 +13,9 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 from dcp_spec.parameters import parameters
 
+from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.frame_builder import Block
 from dcp_conformance.test_system.services import (
     DESCRIPTION_TOO_LONG,
     ILLEGAL_REPCOUNT,

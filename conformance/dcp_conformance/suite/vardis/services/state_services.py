@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
+from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.reception import Instruction
 from dcp_conformance.test_system.services import (
     EXISTS,
     NOT_PRODUCER,

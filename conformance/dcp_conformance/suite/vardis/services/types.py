@@ -9,11 +9,11 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_codec.errors import Problem
 from dcp_codec.values import VarCreate
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.variable_queries import ask, taught_all
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import create_request, entry_of, listed, longest_description, produced, taught
 
 _DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))

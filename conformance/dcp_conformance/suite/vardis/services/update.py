@@ -7,11 +7,11 @@ from typing import Any
 from dcp_spec.constants import ICType, seqno_modulus
 
 from dcp_conformance.errors import StopCase
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import in_a_gap, pace, pausable
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.reception import ReceivedBeacon
 from dcp_conformance.test_system.services import (
     NOT_EXPRESSIBLE,
     NOT_PRODUCER,

@@ -15,15 +15,15 @@ from dcp_spec.profile.usability import refusal
 from dcp_codec.codec import Codec
 from dcp_codec.framing.frames import with_ether_type
 from dcp_conformance.errors import ConformanceError, UpperTesterError, UsageError
-from dcp_conformance.execution.runner import Runner
 from dcp_conformance.lower_tester import LowerTester
 from dcp_conformance.model.case import cases_of
 from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Pics, load_pics
+from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import UpperTester
 
-from .control import SutControl
+from .runner import Runner
 
 #: Beacon period in ms of our own node as a process: short, since nobody else is on its link, and everything is timed in
 #: periods.
@@ -220,7 +220,7 @@ def _patience(pics: Pics) -> float:
 
 
 def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib.ExitStack) -> _Opened:
-    from .process import ProcessControl
+    from dcp_conformance.sut.process import ProcessControl
 
     control: SutControl | None = None
     process: ProcessControl | None = None

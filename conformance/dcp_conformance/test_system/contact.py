@@ -13,9 +13,10 @@ from typing import Final, Literal
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
+from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon, var_id_of
 from dcp_conformance.model.results import Mark
-from dcp_conformance.test_system.reception import KIND_OF, ReceivedBeacon, var_id_of
-from dcp_conformance.test_system.traffic import Event
+
+from .traffic import Event
 
 Stimulus = Literal["summary", "create", "request", "report", "payload", "transmit", "state", "variable"]
 """What an implementation can be made to react to."""

@@ -16,11 +16,12 @@ from dcp_spec.constants import ICType
 from dcp_codec.codec import Codec
 from dcp_codec.values import Payload, VarCreate
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.test_system.reception import ReceivedBeacon
-from dcp_conformance.test_system.traffic import Event
+from dcp_conformance.frames.received import ReceivedBeacon
+
+from .traffic import Event
 
 if TYPE_CHECKING:
-    from dcp_conformance.test_system.bench import Bench
+    from .bench import Bench
 
 Field = Literal["creationTime", "report", "VarCreate"]
 """What can be misread: the creationTime of a VarSpecT, or a whole state report or VarCreate."""

@@ -25,7 +25,7 @@ from dcp_codec.values import (
 )
 from dcp_codec.views.dissect import Field, dissect
 
-from .reception import KIND_OF
+from .received import KIND_OF
 
 Lies = Mapping[str, int | bytes]
 

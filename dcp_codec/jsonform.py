@@ -12,13 +12,12 @@ import math
 import re
 from typing import Any
 
-from dcp_codec.codec import Codec
-from dcp_codec.errors import EncodeError, Problem
-from dcp_codec.plan.layout import ValueTypes
-from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
-from dcp_codec.values import Beacon
-
-from .fields import Field
+from .codec import Codec
+from .errors import EncodeError, Problem
+from .plan.layout import ValueTypes
+from .plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from .values import Beacon
+from .views.fields import Field
 
 #: What can have a role. (A union would be made anew for each field that is asked about.)
 _ROLES = (Scalar, Text)

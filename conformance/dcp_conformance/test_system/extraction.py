@@ -13,10 +13,11 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.values import VardisRecord
-from dcp_conformance.test_system.traffic import Event
+
+from .traffic import Event
 
 if TYPE_CHECKING:
-    from dcp_conformance.test_system.bench import Bench
+    from .bench import Bench
 
 OWNERS: Final = frozenset({"VD-RX-02", "VD-RX-03", "VD-RX-04"})
 """The requirements of extraction: a lost container never excuses their failures."""

@@ -23,11 +23,11 @@ from pathlib import Path
 import msgspec
 
 from dcp_conformance.errors import UsageError
-from dcp_conformance.execution.selection import matches
+from dcp_conformance.model.case import Case
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 
-from .case import Case
-from .results import CaseResult
-from .verdict import Verdict
+from .selection import matches
 
 
 class Expectation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

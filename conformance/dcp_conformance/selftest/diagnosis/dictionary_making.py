@@ -8,12 +8,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from typing import Final, NamedTuple, NoReturn
 
+from dcp_conformance.diagnosis.dictionary import Dictionary, Fault
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.runner import Suite, cases, process_pool
-
-from .dictionary import Dictionary, Fault
 
 #: Seconds of processor time that a mutant gets. One that dies in every case takes minutes; what failed until then is
 #: its signature.

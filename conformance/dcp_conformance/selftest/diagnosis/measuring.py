@@ -10,13 +10,12 @@ from typing import Final
 
 import msgspec
 
+from dcp_conformance.diagnosis.dictionary import Dictionary, load
+from dcp_conformance.diagnosis.explain import explain
 from dcp_conformance.model.results import Diagnosis
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
 from dcp_conformance.selftest.runner import Suite, cases, process_pool
-
-from .dictionary import Dictionary, load
-from .explain import explain
 
 PROFILE: Final = "dcp-2.0"
 
