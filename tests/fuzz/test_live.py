@@ -19,8 +19,10 @@ from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.selftest.mutants.mutant import all_mutants
+from dcp_conformance.selftest.variants.variant import node_of
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.session import Session
 
 from dcp_codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool
@@ -305,11 +307,8 @@ def test_payloads_beyond_its_own_maximum_may_be_lost(count, kind):
             if len(payload) < 8:
                 super().handle_payload(payload, now=now, wall=wall)
 
-    class Picky(Node):
-        vardis_class = Small
-
     steps = [sequences().frame(*[VarSumm(var_id, 1) for var_id in range(count)])]
-    target = opened(lambda c, r, n, w: Picky(c, rng=r, now=n, wall=w))
+    target = opened(node_of(Small))
     target.runner.session.parameters["VARDISPAR_MAX_PAYLOAD_SIZE"] = 400
     effect = LiveTarget(target, differential=True).run(steps)
     assert (effect and effect.kind) == kind

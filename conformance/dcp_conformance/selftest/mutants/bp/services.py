@@ -13,7 +13,7 @@ from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_conformance.selftest.mutants.unseen import RIGHT_SINCE_1_1
 from dcp_stack.bp.clients import ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
-from dcp_stack.bp.queue import Client
+from dcp_stack.bp.queue import QUEUEING, Client
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.services import ListConfirm, NumberConfirm, RegisterConfirm, Registration, StatusConfirm
 from dcp_stack.bp.wire import Block
@@ -170,7 +170,7 @@ class SizeFirst(Registrations):
 )
 class QueueFirst(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        wrong = registration.max_entries <= 0 and self.queueing[registration.queue_mode].several  # type: ignore[index]
+        wrong = registration.max_entries <= 0 and QUEUEING[registration.queue_mode].several  # type: ignore[index]
         return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if wrong else status
 
 
