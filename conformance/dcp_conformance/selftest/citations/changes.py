@@ -17,7 +17,7 @@ from importlib import resources
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-from dcp_conformance.selftest.generated.sites import Site, mutated, sites
+from dcp_conformance.selftest.generated.sites import MODULES, Site, mutated, sites
 
 from .places import Citation
 
@@ -160,7 +160,7 @@ def _perturbed(tree: ast.Module, place: tuple[int, int], function: str) -> ast.M
 
 def _entries_under(citation: Citation) -> Iterator[CodeChange]:
     module = f"dcp_stack.{citation.module}"
-    if citation.function or "." in citation.module:
+    if citation.function or citation.module not in MODULES:
         return
     for table in _tables(ast.parse(_source(module))):
         for index, key in enumerate(table.keys):
