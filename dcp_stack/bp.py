@@ -12,8 +12,8 @@ not used here: the confirm of BP-TransmitPayload and BP-PayloadTransmitted.indic
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any
 
 import msgspec
 from dcp_spec.constants import BP_MAX_PAYLOADS, BP_SEQNO_MODULUS, QueueingMode, SpecVersion
@@ -22,7 +22,7 @@ from dcp_spec.status import BPStatus
 
 from .bp_clients import ClientList
 from .bp_parameters import PERIOD, BPParameters
-from .bp_queue import QUEUEING, Client, ModeRule
+from .bp_queue import QUEUEING, Client
 from .bp_receive import Receiver
 from .bp_services import (
     ListConfirm,
@@ -65,13 +65,6 @@ _COUNTED = (
 class BeaconingProtocol:
     """The BP entity of one node."""
 
-    wire_class: ClassVar[type[BPWire]] = BPWire
-    parameters_class: ClassVar[type[BPParameters]] = BPParameters
-    clients_class: ClassVar[type[ClientList]] = ClientList
-    receiver_class: ClassVar[type[Receiver]] = Receiver
-    schedule_class: ClassVar[type[BeaconSchedule]] = BeaconSchedule
-    queueing: ClassVar[Mapping[QueueingMode, ModeRule]] = QUEUEING
-
     def __init__(
         self,
         config: NodeConfig,
@@ -86,9 +79,9 @@ class BeaconingProtocol:
         self._config = config
         self._features = config.features
         self._emit = emit
-        self._wire = self.wire_class(config)
-        self._parameters = self.parameters_class(config)
-        self._clients = self.clients_class()
+        self._wire = BPWire(config)
+        self._parameters = BPParameters(config)
+        self._clients = ClientList()
         ##= BP-INI-03
         self._active = True
         ##= BP-INI-02
@@ -102,7 +95,7 @@ class BeaconingProtocol:
         self._largest_protocol = (1 << (8 * config.profile.types.protocol_id.width)) - 1
         self._counters = Counters(*_COUNTED)
         self._losses = LossTable()
-        self._receiver = self.receiver_class(
+        self._receiver = Receiver(
             self._wire,
             self._clients,
             self._parameters,
@@ -113,7 +106,7 @@ class BeaconingProtocol:
             emit=emit,
         )
         period, jitter = self._parameters.period, config.bp.jitter
-        self._schedule = self.schedule_class(rng=rng, period=period, jitter=jitter, now=now)
+        self._schedule = BeaconSchedule(rng=rng, period=period, jitter=jitter, now=now)
 
     # -- registration -----------------------------------------------------------------------------------------
 
@@ -142,7 +135,7 @@ class BeaconingProtocol:
         if not isinstance(allow_multiple_payloads, bool):
             raise TypeError(f"allow_multiple_payloads must be a bool, not {type(allow_multiple_payloads).__name__}")
         mode = _mode(queueing_mode)
-        rule = self.queueing[mode] if isinstance(mode, QueueingMode) and mode in self._features.queueing_modes else None
+        rule = QUEUEING[mode] if isinstance(mode, QueueingMode) and mode in self._features.queueing_modes else None
         several = allow_multiple_payloads and self._features.allow_multiple_payloads
         ##= BP-REG-01
         registration = Registration(prot_id, name, max_payload_size, mode, wall, max_entries, allow_multiple_payloads)

@@ -8,7 +8,7 @@ Order of calls: :meth:`StateReporting.start` once BP is there, then :meth:`~Stat
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, Protocol
+from typing import Any, Final, Protocol
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
@@ -85,8 +85,6 @@ class NotInitializedError(RuntimeError):
 class StateReporting:
     """The SRP entity of one node."""
 
-    table_class: ClassVar[type[NeighbourTable]] = NeighbourTable
-
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
         """``emit`` takes the effects in order. ``wall`` is the epoch of stamps where the profile's is no date.
 
@@ -103,7 +101,7 @@ class StateReporting:
         self._stamps = StampClock(profile.types.timestamp, origin=wall)
         self._fields = config.safety_fields
         room = self._settings.max_neighbours
-        self._table = self.table_class(
+        self._table = NeighbourTable(
             profile,
             capacity=room if room is not None else profile.limits.max_neighbours or MAX_NEIGHBOURS,
             stamps=self._stamps,

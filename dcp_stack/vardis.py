@@ -8,7 +8,7 @@ raise; what an application gets wrong beyond what a status can say raises ValueE
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.parameters import Violation
@@ -34,11 +34,6 @@ __all__ = ["BPPort", "Vardis"]
 class Vardis(VariableServices):
     """One VarDis entity. ``emit`` takes ``VariableChanged`` and ``Dropped``, at the moment they happen."""
 
-    core_class: ClassVar[type[Core]] = Core
-    composer_class: ClassVar[type[Composer]] = Composer
-    extractor_class: ClassVar[type[Extractor]] = Extractor
-    receiver_class: ClassVar[type[Receiver]] = Receiver
-
     def __init__(
         self,
         config: NodeConfig,
@@ -49,13 +44,13 @@ class Vardis(VariableServices):
         wall: int,
     ) -> None:
         """Raises ValueError if ``config`` has no VarDis, or parameters that are out of bounds."""
-        core = self.core_class(config, emit)
+        core = Core(config, emit)
         super().__init__(core, bp)
         self._parameters = core.parameters
         self._database = core.database
-        self._composer = self.composer_class(core)
-        self._extractor = self.extractor_class(config, core.sizes)
-        self._receiver = self.receiver_class(core)
+        self._composer = Composer(core)
+        self._extractor = Extractor(config, core.sizes)
+        self._receiver = Receiver(core)
         self._has_scrubbing = core.features.creation_time
         self._timed_out_at_timeout = config.reading("X27") == "at-least"
         self._scrubbing_pauses = config.reading("X36") == "pauses-while-inactive"

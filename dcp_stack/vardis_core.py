@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
 
 from .config import MAX_VARIABLES, NodeConfig
 from .effects import Effect, VariableChanged
@@ -44,21 +43,17 @@ class Sequence:
 class Core:
     """The state of one VarDis entity; services, receiver and composer work on it."""
 
-    parameters_class: ClassVar[type[VardisParameters]] = VardisParameters
-    sequence_class: ClassVar[type[Sequence]] = Sequence
-    database_class: ClassVar[type[Database]] = Database
-
     def __init__(self, config: NodeConfig, emit: Callable[[Effect], None]) -> None:
         """Raises ValueError if the node has no VarDis, or parameters in ``config.vardis`` are out of bounds."""
         self.config = config
         self.features = config.features
         self.emit = emit
-        self.parameters = self.parameters_class(config)
+        self.parameters = VardisParameters(config)
         self.sizes = config.record_sizes
-        self.sequence = self.sequence_class(self.sizes.seqno_modulus, _half_range(config))
+        self.sequence = Sequence(self.sizes.seqno_modulus, _half_range(config))
         self.delivery = Delivery(self.sequence)
         """Whether what this node says gets through."""
-        self.database = self.database_class(remove_deleted=self.features.removed_after_deletion)
+        self.database = Database(remove_deleted=self.features.removed_after_deletion)
         # The wall clock counts from 1970 in every profile: a start of the node must not make creations look earlier.
         self.clock = StampClock(config.profile.types.timestamp)
         self.own_id = config.node_id

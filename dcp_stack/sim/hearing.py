@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import functools
 import random
-from typing import Any, Final, cast
+from collections.abc import Callable
+from typing import Any, Final
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
@@ -26,12 +27,14 @@ from dcp_codec.errors import DecodeError
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.bp import BeaconingProtocol, NeighbourLoss
 from dcp_stack.bp_wire import BPWire
+from dcp_stack.client_port import ClientPort
 from dcp_stack.config import NodeConfig
+from dcp_stack.effects import Effect, VariableChanged
 from dcp_stack.neighbours import NeighbourTable, NeighbourTableEntry
 from dcp_stack.node import Node
 from dcp_stack.srp import StateReporting
-from dcp_stack.vardis import Vardis
-from dcp_stack.vardis_core import Core, Sequence
+from dcp_stack.vardis import BPPort, Vardis
+from dcp_stack.vardis_core import Sequence
 from dcp_stack.vardis_db import DBEntry
 from dcp_stack.vardis_delivery import Delivery
 from dcp_stack.vardis_receive import Receiver
@@ -197,16 +200,12 @@ class HearingTable(NeighbourTable):
 class HearingSRP(StateReporting):
     """SRP with such a table."""
 
-    table_class = HearingTable
-
-    def attach(self, node: HearingNode) -> None:
-        """Let the table ask ``node`` for what waits."""
-        self.hearing_table.node = node
-
-    @property
-    def hearing_table(self) -> HearingTable:
-        """The table, also while SRP is not initialized."""
-        return cast("HearingTable", self._table)
+    def __init__(self, config: NodeConfig, *args: Any, **more: Any) -> None:
+        super().__init__(config, *args, **more)
+        usual = self._table
+        self._table = self.hearing_table = HearingTable(
+            config.profile, capacity=usual.capacity, stamps=usual.stamps, fields=usual.fields
+        )
 
 
 class HearingDelivery(Delivery):
@@ -238,98 +237,79 @@ class HearingDelivery(Delivery):
         self.askers = set()
 
 
-class HearingCore(Core):
-    """Notes whether a payload is worth looking at again."""
-
-    def __init__(self, config: NodeConfig, emit: Any) -> None:
-        super().__init__(config, emit)
-        self.delivery: HearingDelivery = HearingDelivery(self.sequence)
-        self.known: set[bytes | None] = {None}
-        """Payloads that change nothing as the database is; None stands for a beacon without one."""
-        self.quiet = True
-        """Whether all records of the payload in work were ignored so far."""
-
-    def changed(self, event: str, entry: DBEntry) -> None:
-        """As :meth:`Core.changed`."""
-        self.forget()
-        super().changed(event, entry)
-
-    def forget(self) -> None:
-        """Something is different: look at all payloads again."""
-        self.quiet = False
-        self.known.clear()
-        self.known.add(None)
-
-
 class HearingReceiver(Receiver):
     """Notes records that set something off."""
 
+    quiet = True
+    """Whether all records of the payload in work were ignored so far."""
+
     def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
         if cell.action is not Action.IGNORE:
-            cast("HearingCore", self._core).quiet = False
+            self.quiet = False
         super()._answer(cell, entry, var_id, offset)
 
 
 class HearingVardis(Vardis):
     """VarDis that remembers the payloads in which nothing is new to it."""
 
-    core_class = HearingCore
-    receiver_class = HearingReceiver
-    _size = 0
+    def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
+        def note(effect: Effect) -> None:
+            if type(effect) is VariableChanged:
+                self.forget()
+            emit(effect)
 
-    @property
-    def known(self) -> set[bytes | None]:
-        """Payloads that change nothing at present, while VarDis is active."""
-        return self._hearing_core.known
+        super().__init__(config, bp, emit=note, now=now, wall=wall)
+        self.known: set[bytes | None] = {None}
+        """Payloads that change nothing while VarDis is active; None stands for a beacon without one."""
+        self._size = 0
+        self._core.delivery = self._delivery = HearingDelivery(self._core.sequence)
+        self._receiver = self._hearing = HearingReceiver(self._core)
 
-    @property
-    def _hearing_core(self) -> HearingCore:
-        return cast("HearingCore", self._core)
+    def forget(self) -> None:
+        """Something is different: look at all payloads again."""
+        self._hearing.quiet = False
+        self.known.clear()
+        self.known.add(None)
 
     def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
         """As :meth:`Vardis.handle_payload`."""
-        core = self._hearing_core
-        core.quiet = core.active
+        self._hearing.quiet = self.active
         super().handle_payload(payload, now=now, wall=wall)
-        if core.quiet:
-            if len(core.known) >= MOST_KNOWN:
-                core.forget()
-            core.known.add(payload)
+        if self._hearing.quiet:
+            if len(self.known) >= MOST_KNOWN:
+                self.forget()
+            self.known.add(payload)
 
     @property
     def askers(self) -> set[bytes]:
         """Neighbours whose payloads are to be looked at, known or not."""
-        return self._hearing_core.delivery.askers
+        return self._delivery.askers
 
     def look(self) -> None:
         """Forget what is known if entries have left the database, which up to 1.3 they do with the last VarDelete."""
         size = len(self._database)
         if size != self._size:
             self._size = size
-            self._hearing_core.forget()
+            self.forget()
 
     def start(self, now: int, wall: int) -> BPStatus:
         """As :meth:`Vardis.start`."""
-        self._hearing_core.forget()
+        self.forget()
         return super().start(now, wall)
 
     def shutdown(self) -> None:
         """As :meth:`Vardis.shutdown`."""
         super().shutdown()
-        self._hearing_core.forget()
+        self.forget()
 
     def set_parameter(self, name: str, value: object) -> Violation | None:
         """As :meth:`Vardis.set_parameter`."""
-        self._hearing_core.forget()
+        self.forget()
         return super().set_parameter(name, value)
 
 
 class HearingNode(Node):
     """A node that can be told of known beacons by :meth:`hear`."""
-
-    bp_class = HearingBP
-    srp_class = HearingSRP
-    vardis_class = HearingVardis
 
     def __init__(self, config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> None:
         self.waiting: dict[bytes, list[Heard]] = {}
@@ -339,29 +319,25 @@ class HearingNode(Node):
         super().__init__(config, rng=rng, now=now, wall=wall)
 
     def _build(self, now: int, wall: int) -> None:
+        config, emit = self.config, self._pending.append
         self.ready = False
         self.waiting.clear()
-        super()._build(now, wall)
-        self._hearing_bp.node = self
-        if self.srp is not None:
-            self._hearing_srp.attach(self)
-        self._table_has = self._hearing_srp.hearing_table.__contains__ if self.srp is not None else None
-        self._vardis = cast("HearingVardis | None", self.vardis)
+        self.bp = self._bp = HearingBP(config, rng=self._rng, emit=emit, now=now, wall=wall)
+        self._srp_port, self._vardis_port = ClientPort(self.bp), ClientPort(self.bp)
+        self.srp = self._srp = self.vardis = self._vardis = None
+        if config.srp:
+            self.srp = self._srp = HearingSRP(config, self._srp_port, emit=emit, now=now, wall=wall)
+            self._srp.hearing_table.node = self
+        if config.vardis:
+            self.vardis = self._vardis = HearingVardis(config, self._vardis_port, emit=emit, now=now, wall=wall)
+        self._bp.node = self
         self._known: set[bytes | None] = {None} if self._vardis is None else self._vardis.known
-
-    @property
-    def _hearing_bp(self) -> HearingBP:
-        return cast("HearingBP", self.bp)
-
-    @property
-    def _hearing_srp(self) -> HearingSRP:
-        return cast("HearingSRP", self.srp)
 
     def handle_timeout(self, now: int, wall: int) -> None:
         """As :meth:`Node.handle_timeout`."""
         super().handle_timeout(now, wall)
-        if self.vardis is not None:
-            cast("HearingVardis", self.vardis).look()
+        if self._vardis is not None:
+            self._vardis.look()
 
     def look(self) -> None:
         """Find out whether known beacons can be taken in the cheap way; call it after services and after the start.
@@ -369,7 +345,7 @@ class HearingNode(Node):
         They cannot where a protocol is not active or has lost its registration with BP, or where a reading was chosen:
         then each beacon is handled as by any node.
         """
-        srp, vardis = self.srp, self.vardis
+        srp, vardis = self._srp, self._vardis
         ready = (
             self.bp.active
             and not self.config.readings
@@ -380,7 +356,7 @@ class HearingNode(Node):
             self.forget_all()
         self.ready = ready
         if vardis is not None:
-            cast("HearingVardis", vardis).look()
+            vardis.look()
         self.network_id = self.bp.parameters().get("BPPAR_NETWORK_ID")
 
     def hear(self, heard: Heard) -> bool:
@@ -401,8 +377,8 @@ class HearingNode(Node):
     def _hear_newcomer(self, heard: Heard) -> bool:
         """As :meth:`hear` for a sender that is new, if it changes no timer and displaces nobody."""
         beacon = heard.beacon
-        if self.srp is not None:
-            table = self._hearing_srp.hearing_table
+        if self._srp is not None:
+            table = self._srp.hearing_table
             if beacon.report is None or not 0 < len(table) < table.capacity:
                 return False
         self.waiting[beacon.sender_id] = [heard]
@@ -411,7 +387,7 @@ class HearingNode(Node):
 
     def handled(self, beacon: Parsed) -> None:
         """A beacon was handled in the ordinary way: the next ones of its sender may be heard."""
-        if self._table_has is None or self._table_has(beacon.sender_id):
+        if self._srp is None or beacon.sender_id in self._srp.hearing_table:
             self.waiting.setdefault(beacon.sender_id, [])
 
     def settle_one(self, sender_id: bytes) -> None:
@@ -419,9 +395,9 @@ class HearingNode(Node):
         waiting = self.waiting.get(sender_id)
         if waiting:
             self.waiting[sender_id] = []
-            self._hearing_bp.settle(sender_id, waiting)
-            if self.srp is not None:
-                self._hearing_srp.hearing_table.settle(sender_id, waiting)
+            self._bp.settle(sender_id, waiting)
+            if self._srp is not None:
+                self._srp.hearing_table.settle(sender_id, waiting)
 
     def settle_all(self) -> None:
         """Bring all statistics up to date."""

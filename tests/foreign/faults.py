@@ -170,16 +170,19 @@ def polling(base: NodeClass, period: int) -> NodeClass:
 def dies_of_clear_buffer(base: NodeClass, victim: Victim) -> NodeClass:
     """Confirms that the buffer of a client with mode REPEAT is cleared; dies when it looks into it for a beacon."""
 
-    class BP(base.bp_class):  # type: ignore[name-defined, misc]
-        def clear_buffer(self, prot_id: int) -> Any:
-            confirm = super().clear_buffer(prot_id)
-            client = self._client(prot_id)
-            if client is not None and client.registration.queue_mode is QueueingMode.REPEAT:
-                victim.die("trying to peek from an empty buffer", self._config.bp.beacon_period_ms / 1000)
-            return confirm
-
     class Dying(base):  # type: ignore[valid-type, misc]
-        bp_class = BP
+        def _build(self, now: int, wall: int) -> None:
+            super()._build(now, wall)
+            clear = self.bp.clear_buffer
+
+            def clear_buffer(prot_id: int) -> Any:
+                confirm = clear(prot_id)
+                client = self.bp.client(prot_id)
+                if client is not None and client.registration.queue_mode is QueueingMode.REPEAT:
+                    victim.die("trying to peek from an empty buffer", self.config.bp.beacon_period_ms / 1000)
+                return confirm
+
+            self.bp.clear_buffer = clear_buffer
 
     return Dying
 

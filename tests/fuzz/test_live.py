@@ -21,6 +21,7 @@ from dcp_conformance.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
 from dcp_conformance.runner import Runner
 from dcp_conformance.target import Target
+from dcp_conformance.variants.variant import node_of
 
 from dcp_codec import Codec
 from dcp_codec.mutation import Mutator, drawn_pool
@@ -305,11 +306,8 @@ def test_payloads_beyond_its_own_maximum_may_be_lost(count, kind):
             if len(payload) < 8:
                 super().handle_payload(payload, now=now, wall=wall)
 
-    class Picky(Node):
-        vardis_class = Small
-
     steps = [sequences().frame(*[VarSumm(var_id, 1) for var_id in range(count)])]
-    target = opened(lambda c, r, n, w: Picky(c, rng=r, now=n, wall=w))
+    target = opened(node_of(Small))
     target.runner.session.parameters["VARDISPAR_MAX_PAYLOAD_SIZE"] = 400
     effect = LiveTarget(target, differential=True).run(steps)
     assert (effect and effect.kind) == kind

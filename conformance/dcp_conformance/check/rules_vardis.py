@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import Container, VarCreate, VarDelete, VarSumm, VarUpdate
+from dcp_codec.values import VarCreate
 from dcp_conformance.heard import Instruction
 from dcp_conformance.verdict import Verdict
 
 from .base import Context, Invariant, Seen, name
-from .said import CREATE, DELETE, SUMMARY, UPDATE, Said
+from .said import CREATE, DELETE, SUMMARY, UPDATE, Part, Said
 
 #: Sequences of containers that are remembered as sound.
 _SEQUENCES = 1024
@@ -90,7 +90,7 @@ class PayloadConsistency(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare the records about each variable."""
-        if _plain(seen.heard.containers):
+        if _plain(seen.parts):
             return
         records: dict[int, Said] = {}
         deleted = {each.var_id: each for each in seen.said if each.kind is DELETE}
@@ -114,23 +114,15 @@ class PayloadConsistency(Invariant):
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
 
 
-def _plain(containers: Sequence[Container]) -> bool:
+def _plain(parts: Sequence[Part]) -> bool:
     """Whether no variable is in two of these records, and none is deleted: then there is nothing to compare."""
     total, found = 0, set[int]()
-    for container in containers:
-        records = container.records
-        if not records:
-            continue
-        kind = type(records[0])
-        if kind is VarDelete:
+    for kind, _, ids in parts:
+        if kind is DELETE:
             return False
-        if kind is VarCreate:
-            found.update([each.spec.var_id for each in records])
-        elif kind is VarUpdate or kind is VarSumm:
-            found.update([each.var_id for each in records])
-        else:
-            continue
-        total += len(records)
+        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            found.update(ids)
+            total += len(ids)
     return len(found) == total
 
 

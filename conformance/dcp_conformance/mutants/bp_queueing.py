@@ -20,7 +20,6 @@ from .unseen import NO_MODE, NO_QUEUE
 
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
-Table = ClassVar[dict[QueueingMode, ModeRule]]
 
 
 def rule(mode: QueueingMode, **changes: object) -> dict[QueueingMode, ModeRule]:
@@ -28,34 +27,47 @@ def rule(mode: QueueingMode, **changes: object) -> dict[QueueingMode, ModeRule]:
     return {**QUEUEING, mode: msgspec.structs.replace(QUEUEING[mode], **changes)}
 
 
+class OtherRules(ClientList):
+    """Keeps the payloads of clients by a changed table of queueing modes."""
+
+    rules: ClassVar[dict[QueueingMode, ModeRule]]
+
+    def insert(self, client: Client) -> None:
+        if client.queue is not None:
+            mode = client.registration.queue_mode
+            assert isinstance(mode, QueueingMode)
+            client.queue = PayloadQueue(self.rules[mode], client.registration.max_entries)
+        super().insert(client)
+
+
 # -- modes -------------------------------------------------------------------------------------------------------------
 
 
 @mutant("drops-head", "BP-QM-01 BP-TXP-04", "drops the oldest payload of a full DROPTAIL queue")
-class TailDropsHead(BeaconingProtocol):
-    queueing = rule(DROPTAIL, when_full="displace-oldest")
+class TailDropsHead(OtherRules):
+    rules = rule(DROPTAIL, when_full="displace-oldest")
 
 
 @mutant("discards-new", "BP-QM-02 BP-TXP-05", "discards a new payload for a full DROPHEAD queue")
-class HeadDiscardsNew(BeaconingProtocol):
-    queueing = rule(DROPHEAD, when_full="discard-new")
+class HeadDiscardsNew(OtherRules):
+    rules = rule(DROPHEAD, when_full="discard-new")
 
 
 @mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue repeatedly", unseen=NO_MODE)
-class QueueRepeats(BeaconingProtocol):
-    queueing = rule(DROPTAIL, when_sent="keep")
+class QueueRepeats(OtherRules):
+    rules = rule(DROPTAIL, when_sent="keep")
 
 
 @mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly", unseen=NO_MODE)
-class HeadQueueRepeats(BeaconingProtocol):
-    queueing = rule(DROPHEAD, when_sent="keep")
+class HeadQueueRepeats(OtherRules):
+    rules = rule(DROPHEAD, when_sent="keep")
 
 
 @mutant(
     "bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE", until=SpecVersion.V1_0, unseen=NO_QUEUE
 )
-class QueueBounded(BeaconingProtocol):
-    queueing = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
+class QueueBounded(OtherRules):
+    rules = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
 
 
 @mutant(
@@ -65,8 +77,8 @@ class QueueBounded(BeaconingProtocol):
     until=SpecVersion.V1_0,
     unseen=NO_QUEUE,
 )
-class OldQueueRepeats(BeaconingProtocol):
-    queueing = rule(QueueingMode.QUEUE, when_sent="keep")
+class OldQueueRepeats(OtherRules):
+    rules = rule(QueueingMode.QUEUE, when_sent="keep")
 
 
 @mutant(
@@ -76,28 +88,28 @@ class OldQueueRepeats(BeaconingProtocol):
     until=SpecVersion.V1_0,
     unseen=NO_QUEUE,
 )
-class QueueBoundedByEntries(BeaconingProtocol):
-    queueing = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
+class QueueBoundedByEntries(OtherRules):
+    rules = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
 
 
 @mutant("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent")
-class OnceKeepsOldest(BeaconingProtocol):
-    queueing = rule(ONCE, when_full="discard-new")
+class OnceKeepsOldest(OtherRules):
+    rules = rule(ONCE, when_full="discard-new")
 
 
 @mutant("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent")
-class OnceRepeats(BeaconingProtocol):
-    queueing = rule(ONCE, when_sent="keep")
+class OnceRepeats(OtherRules):
+    rules = rule(ONCE, when_sent="keep")
 
 
 @mutant("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "clears a REPEAT buffer after its payload was sent")
-class RepeatForgets(BeaconingProtocol):
-    queueing = rule(REPEAT, when_sent="remove")
+class RepeatForgets(OtherRules):
+    rules = rule(REPEAT, when_sent="remove")
 
 
 @mutant("keeps-oldest", "BP-QM-05 BP-TXP-06", "never replaces the payload of a REPEAT buffer")
-class RepeatKeepsOldest(BeaconingProtocol):
-    queueing = rule(REPEAT, when_full="discard-new")
+class RepeatKeepsOldest(OtherRules):
+    rules = rule(REPEAT, when_full="discard-new")
 
 
 class OwnQueue(ClientList):
@@ -195,7 +207,7 @@ class EntriesForBuffers(BeaconingProtocol):
 class AnyMode(BeaconingProtocol):
     def register(self, prot_id: int, *rest: object, now: int, wall: int) -> RegisterConfirm:
         name, size, mode, entries, several = rest
-        known = mode if mode in set(self.queueing) else ONCE
+        known = mode if mode in set(QUEUEING) else ONCE
         return super().register(prot_id, name, size, known, entries, several, now=now, wall=wall)  # type: ignore[arg-type]
 
 

@@ -11,7 +11,7 @@ from dcp_spec.status import BPStatus
 
 from dcp_stack.bp import BeaconingProtocol
 from dcp_stack.bp_clients import ClientList
-from dcp_stack.bp_queue import Client
+from dcp_stack.bp_queue import QUEUEING, Client
 from dcp_stack.bp_receive import Receiver
 from dcp_stack.bp_services import ListConfirm, NumberConfirm, RegisterConfirm, Registration, StatusConfirm
 from dcp_stack.bp_wire import Block
@@ -171,7 +171,7 @@ class SizeFirst(Registrations):
 )
 class QueueFirst(Registrations):
     def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        wrong = registration.max_entries <= 0 and self.queueing[registration.queue_mode].several  # type: ignore[index]
+        wrong = registration.max_entries <= 0 and QUEUEING[registration.queue_mode].several  # type: ignore[index]
         return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if wrong else status
 
 

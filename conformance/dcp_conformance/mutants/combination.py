@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dcp_conformance.reference.inprocess import MakeNode
-from dcp_stack.node import Node
 
-from .mutant import _PLACES, Mutant, maker
+from .mutant import Mutant, maker, node_with, part_of
 
 
 def combined(mutants: Sequence[Mutant]) -> MakeNode:
@@ -16,10 +15,7 @@ def combined(mutants: Sequence[Mutant]) -> MakeNode:
     for mutant in mutants:
         if mutant.part is None:
             raise ValueError(f"{mutant.id} cannot be combined with others")
-        base = next((base for base, _, _ in _PLACES if issubclass(mutant.part, base)), Node)
-        before = changed.get(base)
-        changed[base] = mutant.part if before is None else type(base.__name__, (mutant.part, before), {})
-    for base, owner, name in _PLACES:
-        if base in changed:
-            changed[owner] = type(owner.__name__, (changed.get(owner, owner),), {name: changed[base]})
-    return maker(changed[Node])
+        part = part_of(mutant.part)
+        before = changed.get(part)
+        changed[part] = mutant.part if before is None else type(part.__name__, (mutant.part, before), {})
+    return maker(node_with(*changed.values()))

@@ -1,7 +1,7 @@
 """Mutants: our node with one small fault each, which a case that names the violated requirement must detect.
 
-A mutant replaces one part of the node (an entity, its queue, its receiver, the node itself) with a subclass. The node
-itself is not changed, and mutants do not depend on each other.
+A mutant replaces one part of the node (an entity, its queue, its receiver, the node itself) with a subclass, while
+the node is made (:func:`replaced`). Mutants do not depend on each other.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import random
+import sys
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, Final, TypeVar
@@ -39,25 +41,25 @@ from dcp_stack.vardis_wire import Extractor
 MUTANTS: Final = "dcp_conformance.mutants"
 _ATTRIBUTE: Final = "__dcp_mutant__"
 
-#: Parts of the node: class, class of the owner, and the owner's attribute.
-_PLACES: Final[tuple[tuple[type, type, str], ...]] = (
-    (BPWire, BeaconingProtocol, "wire_class"),
-    (BPParameters, BeaconingProtocol, "parameters_class"),
-    (ClientList, BeaconingProtocol, "clients_class"),
-    (BPReceiver, BeaconingProtocol, "receiver_class"),
-    (BeaconSchedule, BeaconingProtocol, "schedule_class"),
-    (BeaconingProtocol, Node, "bp_class"),
-    (NeighbourTable, StateReporting, "table_class"),
-    (StateReporting, Node, "srp_class"),
-    (Database, Core, "database_class"),
-    (Sequence, Core, "sequence_class"),
-    (VardisParameters, Core, "parameters_class"),
-    (Core, Vardis, "core_class"),
-    (Composer, Vardis, "composer_class"),
-    (Extractor, Vardis, "extractor_class"),
-    (VardisReceiver, Vardis, "receiver_class"),
-    (Vardis, Node, "vardis_class"),
-)
+#: Parts of the node, and the class in whose module each is made.
+_MADE_BY: Final[Mapping[type, type]] = {
+    BPWire: BeaconingProtocol,
+    BPParameters: BeaconingProtocol,
+    ClientList: BeaconingProtocol,
+    BPReceiver: BeaconingProtocol,
+    BeaconSchedule: BeaconingProtocol,
+    BeaconingProtocol: Node,
+    NeighbourTable: StateReporting,
+    StateReporting: Node,
+    Database: Core,
+    Sequence: Core,
+    VardisParameters: Core,
+    Core: Vardis,
+    Composer: Vardis,
+    Extractor: Vardis,
+    VardisReceiver: Vardis,
+    Vardis: Node,
+}
 
 Part = TypeVar("Part", bound=type)
 
@@ -143,14 +145,45 @@ def mutant(
     return decorate
 
 
-def node_with(part: type) -> type[Node]:
-    """Return the class of a node with ``part`` instead of the class that ``part`` derives from."""
-    if issubclass(part, Node):
-        return part
-    for base, owner, name in _PLACES:
-        if issubclass(part, base):
-            return node_with(type(owner.__name__, (owner,), {name: part}))
-    raise TypeError(f"{part.__name__} does not derive from a part of the node")
+def part_of(changed: type) -> type:
+    """Return the part of the node that a class derives from. Raises ``TypeError`` if there is none."""
+    for part in (Node, *_MADE_BY):
+        if issubclass(changed, part):
+            return part
+    raise TypeError(f"{changed.__name__} does not derive from a part of the node")
+
+
+@contextmanager
+def replaced(changed: Mapping[type, type]) -> Iterator[None]:
+    """Make nodes with other parts (part -> subclass of it) inside the block.
+
+    The modules of the node find the subclasses under the names of the parts, so that the node needs no hooks. Nodes
+    that exist already keep their parts. Other threads must not make nodes while the block runs.
+    """
+    with ExitStack() as restoring:
+        for part, other in changed.items():
+            module = sys.modules[_MADE_BY[part].__module__]
+            restoring.callback(setattr, module, part.__name__, getattr(module, part.__name__))
+            setattr(module, part.__name__, other)
+        yield
+
+
+def node_with(*changed: type) -> type[Node]:
+    """Return the class of a node that has ``changed`` instead of the parts that they derive from, also after a reset.
+
+    Raises ``TypeError`` for a class that derives from no part of the node.
+    """
+    parts = {part_of(each): each for each in changed}
+    base = parts.pop(Node, Node)
+    if not parts:
+        return base
+
+    class Changed(base):  # type: ignore[misc, valid-type]
+        def _build(self, now: int, wall: int) -> None:
+            with replaced(parts):
+                super()._build(now, wall)
+
+    return Changed
 
 
 def maker(made_of: type[Node]) -> MakeNode:
@@ -183,4 +216,4 @@ def all_mutants() -> dict[str, Mutant]:
     return found
 
 
-__all__ = ["Mutant", "all_mutants", "maker", "mutant", "mutants_of", "node_with"]
+__all__ = ["Mutant", "all_mutants", "maker", "mutant", "mutants_of", "node_with", "part_of", "replaced"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections import deque
 from collections.abc import Iterator
 from typing import Any
@@ -11,13 +10,12 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.pics import Testing
 from dcp_conformance.reference.inprocess import MakeNode
-from dcp_stack.config import MS, BPConfig, NodeConfig, VardisConfig
-from dcp_stack.node import Node
+from dcp_stack.config import MS, BPConfig, VardisConfig
 from dcp_stack.vardis import Vardis
 
 from .services import TOO_SLOW_FOR_A_GAP
 from .surroundings import slow
-from .variant import Setup, Variant, setup
+from .variant import Setup, Variant, node_of, setup
 
 _V = SpecVersion
 
@@ -62,13 +60,7 @@ def polling(interval_ms: int, room: int | None = None) -> MakeNode:
             due = super().poll_timeout()
             return self._due() if due is None else min(due, self._due())
 
-    class PollingNode(Node):
-        vardis_class = Polling
-
-    def make(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Any:
-        return PollingNode(config, rng=rng, now=now, wall=wall)
-
-    return make
+    return node_of(Polling)
 
 
 def _variants() -> Iterator[Variant]:
