@@ -11,7 +11,7 @@ the variable.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 from dcp_codec.jsonform import node_id_text
@@ -54,6 +54,13 @@ class Change(NamedTuple):
     now: Held
 
 
+def records_of(beacon: Beacon) -> Iterator[Any]:
+    """All VarDis records of a beacon, in their order."""
+    for payload in beacon.payloads:
+        for container in payload.vardis or ():
+            yield from container.records
+
+
 class Holdings:
     """Follows the beacons of a recording, in their order."""
 
@@ -67,14 +74,16 @@ class Holdings:
 
     def feed(self, frame: int, time_ns: int, node: bytes, beacon: Beacon) -> list[Change]:
         """What the next beacon changes. ``node`` is its sender."""
+        return self.feed_records(frame, time_ns, node, records_of(beacon))
+
+    def feed_records(self, frame: int, time_ns: int, node: bytes, records: Iterable[Any]) -> list[Change]:
+        """As :meth:`feed`, by the VarDis records of the beacon; those that say the same again may be left out."""
         changes: list[Change] = []
         held = self._held.get(node)
         if held is None:
             held = self._held[node] = {}
-        for payload in beacon.payloads:
-            for container in payload.vardis or ():
-                for record in container.records:
-                    self._record(record, held, frame, time_ns, node, changes)
+        for record in records:
+            self._record(record, held, frame, time_ns, node, changes)
         return changes
 
     def _record(
@@ -149,10 +158,14 @@ class History:
 
     def feed(self, frame: int, time_ns: int, node: bytes, beacon: Beacon) -> list[Change]:
         """Take the next beacon; also what it changes. Times that go back count as no time."""
+        return self.feed_records(frame, time_ns, node, records_of(beacon))
+
+    def feed_records(self, frame: int, time_ns: int, node: bytes, records: Iterable[Any]) -> list[Change]:
+        """As :meth:`feed`, by the VarDis records of the beacon; those that say the same again may be left out."""
         if self._begin is None:
             self._begin = self._end = time_ns
         self._end = max(self._end, time_ns)
-        changes = self._holdings.feed(frame, time_ns, node, beacon)
+        changes = self._holdings.feed_records(frame, time_ns, node, records)
         if changes:
             place = (self._end - self._begin) // self.interval
             sender = self._nodes.setdefault(node, len(self._nodes))

@@ -144,7 +144,7 @@ def test_live_cases_never_share_an_identifier(monkeypatch) -> None:
         clashes.append({each for each, count in used.items() if count > 1})
 
     monkeypatch.setattr(SideBySide, "_account", checked)
-    run(WIDTH, "TC_VD_STATE_*", "TC_VD_SEQ_*")
+    run(WIDTH, "TC_VD_STATE_*", "TC_VD_SEQ_*", "TC_VD_UPD_*", "TC_VD_FWD_*")
     assert len(clashes) > 50
     assert not set().union(*clashes)
 

@@ -14,6 +14,7 @@ from dcp_codec.analysis.holdings import History
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_codec.values import Beacon
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.declared import declarations
@@ -43,6 +44,7 @@ from .rules import repetition as rules_repetition
 from .rules import srp as rules_srp
 from .rules import vardis as rules_vardis
 from .rules import variables as rules_variables
+from .statements import ASK_CREATE, ASK_UPDATE
 from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (
@@ -128,6 +130,8 @@ class Judge:
         self._started = timestamp()
         self.frames = self.other = self.cut = 0
         self._senders: dict[bytes, int] = {}
+        self._odd: dict[bytes, set[int]] = {}
+        """By node: variables that it has and has asked for, until it states their numbers again."""
 
     def feed(self, frame: Frame) -> None:
         """The next frame of the recording."""
@@ -152,10 +156,30 @@ class Judge:
             self._recent.popitem(last=False)
         self._context.feed(seen)
         if seen.news and heard.beacon is not None:
-            self._history.feed(frame.number, frame.time_ns, seen.sender, heard.beacon)
+            self._hold(seen, heard.beacon)
         for rule in self._active:
             rule.feed(seen)
         self._cite()
+
+    def _hold(self, seen: Seen, beacon: Beacon) -> None:
+        """Follow what the sender holds. Only a node that asks for what it has does so by more than what is new."""
+        node, odd = seen.sender, self._odd.get(seen.sender)
+        asked = {
+            each.var_id
+            for each, before in seen.news
+            if before is not None
+            and (each.kind is ASK_CREATE or (each.kind is ASK_UPDATE and each.number != before.number))
+        }
+        if not odd and not asked:
+            records = [each.record for each, _ in seen.news]
+            self._history.feed_records(seen.number, seen.time, node, records)
+            return
+        self._history.feed(seen.number, seen.time, node, beacon)
+        odd = {*(odd or ()), *asked}
+        for kind, _, ids in seen.parts:
+            if kind is not ASK_CREATE and kind is not ASK_UPDATE:
+                odd.difference_update(set(ids) - asked)
+        self._odd[node] = odd
 
     def _cite(self) -> None:
         """Keep the frames of new findings while they are there."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from dcp_spec.constants import ICType
@@ -25,6 +25,14 @@ class Statement(msgspec.Struct, frozen=True, gc=False):
     """The sequence number that it carries, -1 for a record without."""
 
 
+class Part(NamedTuple):
+    """The records of a container, and the variables that they are about."""
+
+    kind: ICType
+    records: tuple[Any, ...]
+    ids: list[int]
+
+
 def speaker(heard: ReceivedBeacon) -> bytes:
     """The node that a frame is from; for one without sender the station."""
     return heard.sender or heard.source
@@ -35,19 +43,26 @@ DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDA
 """Members of the enumeration by names of the module: looking them up there takes longer than most rules."""
 
 
-def statements_in(heard: ReceivedBeacon, sender: bytes) -> tuple[Statement, ...]:
-    """What a frame of ``sender`` says of variables."""
-    found: list[Statement] = []
-    frame, time = heard.number, heard.wall
+def parts_of(heard: ReceivedBeacon) -> list[Part]:
+    """What a frame says of variables, by container; empty containers are left out."""
+    parts: list[Part] = []
     for container in heard.containers:
         records = container.records
-        if not records:
-            continue
-        kind = KIND_OF[type(records[0])]
-        if kind is CREATE:
-            found += [Statement(kind, each, frame, time, sender, each.spec.var_id, each.upd.seqno) for each in records]
-        elif kind is DELETE or kind is ASK_CREATE:
-            found += [Statement(kind, each, frame, time, sender, each.var_id, -1) for each in records]
-        else:
-            found += [Statement(kind, each, frame, time, sender, each.var_id, each.seqno) for each in records]
-    return tuple(found)
+        if records:
+            kind = KIND_OF[type(records[0])]
+            ids = [each.spec.var_id for each in records] if kind is CREATE else [each.var_id for each in records]
+            parts.append(Part(kind, records, ids))
+    return parts
+
+
+def said_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes) -> Statement:
+    """A record of a frame of ``sender``."""
+    if kind is CREATE:
+        return Statement(kind, record, heard.number, heard.wall, sender, record.spec.var_id, record.upd.seqno)
+    number = -1 if kind is DELETE or kind is ASK_CREATE else record.seqno
+    return Statement(kind, record, heard.number, heard.wall, sender, record.var_id, number)
+
+
+def statements_in(heard: ReceivedBeacon, sender: bytes) -> tuple[Statement, ...]:
+    """What a frame of ``sender`` says of variables."""
+    return tuple([said_of(kind, record, heard, sender) for kind, records, _ in parts_of(heard) for record in records])

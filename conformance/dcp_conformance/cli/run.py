@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     "--side-by-side",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="The most cases at a time against one implementation; 1: one after the other.  [default: 12, in real time]",
+    help="The most cases at a time against one implementation; 1: one after the other.  [default: 16, in real time]",
 )
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")

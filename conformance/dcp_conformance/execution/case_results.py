@@ -59,6 +59,7 @@ def result_of(
         attempt=attempt,
         executions=executions,
         side_by_side=side_by_side,
+        short_period=0.0 if bench.session.short_period is None else bench.session.short_period.milliseconds,
         error_detail=trial.detail,
     )
 

@@ -192,20 +192,26 @@ class ConformanceRun:
         rest = list(planned)
         if rest and rest[0].id == SANITY:
             self.run_case(rest.pop(0))
-        passed: set[str] = set()
+        passed: dict[str, CaseResult] = {}
 
         def on_result(case: Case, result: CaseResult) -> None:
             self._attempts[case.id] = 1
-            passed.add(case.id)
+            passed[case.id] = result
             self.take(case, result)
 
         self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
         if passed:
             repeated = len(self.repeated_alone.keys() - passed)
+            beside = sum(result.side_by_side for result in passed.values())
             self._notes.append(
-                f"{len(passed)} cases passed while others were executed beside them, at most {self.side_by_side} at a "
+                f"{beside} cases passed while others were executed beside them, at most {self.side_by_side} at a "
                 f"time; {repeated} that did not were repeated alone, and decided by that"
             )
+            if short := [result.short_period for result in passed.values() if result.short_period]:
+                self._notes.append(
+                    f"{len(short)} cases passed while the tester had set a beacon period of {short[0]:g} ms, which "
+                    "saves time; their verdicts do not depend on it. --side-by-side 1 leaves it as configured"
+                )
         return [case for case in rest if case.id not in passed]
 
     def _faulty(self, error: Exception) -> None:

@@ -373,6 +373,27 @@ class Runner:
             return f"UT-Reset failed: {error}"
         return ""
 
+    def attempt(self, case: Case) -> CaseResult | None:
+        """Execute a case alone. Returns its result if it is a plain pass; otherwise it is to be run once more.
+
+        An implementation that has died is started again where that is possible.
+        """
+        if self.dead or self._unsettled:
+            return None
+        trial = self._trial(case)
+        if trial.loss is not None:
+            self._recent.clear()
+            if self._restartable:
+                self._start_afresh(case)
+            else:
+                self._wait_for(trial)
+            return None
+        if trial.verdict is not Verdict.PASS or trial.bench.spoilt or trial.disturbed or trial.hung_up:
+            return None
+        result = self._result(trial, 1, trial.checks)
+        self.remember(trial, result, self.session.lower.now())
+        return result
+
     def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
         """Note a case that was executed side by side and passed, ``ended`` ns: a death shortly after may be its."""
         self._recent.append(_Done(trial, result, ended))
@@ -426,6 +447,8 @@ class Runner:
         except Exception as error:
             return f"it could not be restarted: {error}"
         self._forget()
+        if self.session.short_period is not None:
+            self.session.short_period.forget()
         self._unsettled = False
         if why := self.life.await_answer(case):
             return f"after a restart it {why}"
@@ -485,6 +508,8 @@ class Runner:
         if mode == "ut" and self.session.upper is not None:
             self.session.upper.call("UT-Reset", {})
             self._forget()
+            if self.session.short_period is not None:
+                self.session.short_period.renew()
         elif mode == "restart" and self.control is not None:
             self.control.restart()
             self._forget()

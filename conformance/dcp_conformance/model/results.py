@@ -97,6 +97,8 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     itself was late, or lost frames, and could not decide the case for that reason alone."""
     side_by_side: bool = False
     """Whether other cases were executed at the same time. Only a pass can be; all else is repeated alone."""
+    short_period: float = 0.0
+    """The beacon period in ms that the tester has set for this case; 0: as configured. Only a pass can have one."""
     error_detail: str = ""
     """For a fault of the tester: where it happened."""
 

@@ -13,6 +13,7 @@ and receiving), and, in this module, sending and service calls.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
@@ -95,7 +96,11 @@ class Bench(Waiting):
         def present(heard: ReceivedBeacon) -> bool:
             return any(each.var_id in wanted for each in heard.instructions(ICType.CREATE_VARIABLES))
 
-        self.until_quiet(present, since=start)
+        def complete() -> bool:
+            seen = Counter(each.var_id for each in self.instructions(ICType.CREATE_VARIABLES, since=start))
+            return all(seen[create.spec.var_id] >= create.spec.rep_cnt for create in creates)
+
+        self.until_quiet(present, since=start, complete=complete)
         if missing := wanted - {each.var_id for each in self.instructions(ICType.CREATE_VARIABLES, since=start)}:
             self.not_learnt(missing)
 

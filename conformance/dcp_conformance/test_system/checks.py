@@ -104,7 +104,9 @@ class Checks:
     @property
     def period(self) -> int:
         """The beacon period in ns; with ``--timing-scale``, longer for every time window."""
-        return round(self.pixit.beacon_period_ms * MS * self.session.timing_scale)
+        short = self.session.short_period
+        milliseconds = self.pixit.beacon_period_ms if short is None else short.milliseconds
+        return round(milliseconds * MS * self.session.timing_scale)
 
     def now(self) -> int:
         """ns of the lower tester's clock."""

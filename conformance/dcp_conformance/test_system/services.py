@@ -159,9 +159,13 @@ def created_again(bench: Bench, var_id: int, **request: Any) -> None:
         bench.inconclusive("RTDB-Create succeeds, which this case needs", str(answer))
 
 
-def settled(bench: Bench, var_id: int) -> None:
-    """Wait for the last repetition of a variable's VarCreate."""
-    bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id))
+def settled(bench: Bench, var_id: int, since: int | None = None) -> None:
+    """Wait for the last repetition of a variable's VarCreate.
+
+    ``since``: a mark before the creation, if beacons were received after it. Without it, only VarCreates
+    that are received from now on count, and if none follows, the wait lasts 60 beacon periods.
+    """
+    bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id), since=since)
 
 
 def taught(bench: Bench, peer: Peer, **record: Any) -> int:

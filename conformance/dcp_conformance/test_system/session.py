@@ -20,6 +20,7 @@ from .identifiers import Identifiers
 from .misreading import Field
 
 if TYPE_CHECKING:
+    from dcp_conformance.execution.concurrent.short_period import ShortPeriod
     from dcp_conformance.frames.received import ReceivedBeacon
 
     from .waiting import Waiting
@@ -124,6 +125,8 @@ class Session:
         self.creation_time = 0
         self.reaction: Reaction | None = None
         """How fast the implementation reacts, once it was measured."""
+        self.short_period: ShortPeriod | None = None
+        """The short beacon period, while it is in force."""
         self.busy_until = 0
         """Time (ns) until which it is busy with what it was sent, if it takes one received payload at a time."""
         self.call_times: deque[int] = deque(maxlen=_CALLS)

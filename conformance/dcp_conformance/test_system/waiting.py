@@ -92,12 +92,17 @@ class Waiting(Allocation):
         return self.heard[before:]
 
     def until_quiet(
-        self, present: Callable[[ReceivedBeacon], object], periods: float = 60, since: int | None = None
+        self,
+        present: Callable[[ReceivedBeacon], object],
+        periods: float = 60,
+        since: int | None = None,
+        complete: Callable[[], bool] = lambda: False,
     ) -> list[ReceivedBeacon]:
         """Wait until frames for which ``present`` is true have stopped; return those since ``since`` (a mark).
 
         They have stopped after ``quiet_beacons`` (PIXIT) consecutive beacons without, or if there are no beacons for
-        the time of :attr:`reaction`. After ``periods`` the wait ends in any case.
+        the time of :attr:`reaction`. After ``periods`` the wait ends in any case. ``complete``: whether all frames have
+        come that should come, so that one beacon without is enough; not for cases that judge how many there are.
         """
         start = len(self.heard) if since is None else since
         # An implementation that processes payloads one at a time may still have some that cause such frames.
@@ -107,7 +112,8 @@ class Waiting(Allocation):
             frames = self.heard[start:]
             having = [index for index, heard in enumerate(frames) if present(heard)]
             behind = len(frames) - 1 - having[-1] if having else 0
-            if behind >= self.pixit.quiet_beacons and self.now() >= busy:
+            quiet = behind >= self.pixit.quiet_beacons or (behind >= 1 and complete())
+            if quiet and self.now() >= busy:
                 break
             if not self.beacons(1, self.reaction):
                 break

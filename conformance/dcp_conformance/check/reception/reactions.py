@@ -10,8 +10,9 @@ from typing import NamedTuple
 from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
+from .following import Kind, Station, Trial
 from .links import Link, bits, chance, infer, lower_bound, reacts
-from .observer import Kind, Observer, Station, Trial
+from .observer import Observer
 
 #: Trials are looked at together that lie within so many ns, or so many of one node.
 _WINDOW, _MOST = 20_000_000_000, 3_000

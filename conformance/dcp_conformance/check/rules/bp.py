@@ -7,8 +7,9 @@ import statistics
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_codec.values import VarCreate, VarUpdate
+from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import MOST_SENDERS, Context, Evidence, Invariant, Seen, Trace, name
+from dcp_conformance.check.statements import CREATE, UPDATE
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.model.broken_rules import broken_by
@@ -92,19 +93,14 @@ def _doubtful(seen: Seen) -> bool:
     for payload in beacon.payloads:
         if not payload.content:
             return True
-        for container in payload.vardis or ():
-            records = container.records
-            kind = type(records[0])
-            if kind is VarCreate:
-                found = {each.spec.var_id for each in records}
-                if not all(map(_flawless, records)):
-                    return True
-            else:
-                found = {each.var_id for each in records}
-                if kind is VarUpdate and not all(each.value for each in records):
-                    return True
-            if len(found) < len(records):
+    for kind, records, ids in seen.parts:
+        if len(set(ids)) < len(ids):
+            return True
+        if kind is CREATE:
+            if not all(map(_flawless, records)):
                 return True
+        elif kind is UPDATE and not all(each.value for each in records):
+            return True
     return False
 
 

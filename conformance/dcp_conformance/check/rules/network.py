@@ -8,17 +8,18 @@ disagree (hazards H1 to H8).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from dcp_spec.constants import ICType
 
-from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, name
+from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, Stamp, name
 from dcp_conformance.check.reception import reception_of
-from dcp_conformance.check.statements import Statement
+from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
 from dcp_conformance.model.circular import Circle
 from dcp_conformance.model.verdict import Verdict
 
-from .vardis import SENT, seqno_of
+from .vardis import seqno_of
 
 SECOND = 1_000_000_000
 #: So many beacons with room for it a node gets to send the value that its summaries speak of.
@@ -66,13 +67,14 @@ class Backed(Invariant):
         self._whole: dict[bytes, tuple[int, int]] = {}
         """Since when a node is heard without a gap; in how many beacons in a row it has summarised all that it has."""
         self._created: set[int] = set()
+        self._unbacked: dict[bytes, set[int]] = {}
+        """By node: variables of whose number it has sent no value, as long as it may still do so."""
         self._pairs = 0
         """Of a node and a variable that are followed: of all nodes together, since anybody can builder more."""
 
     def feed(self, seen: Seen) -> None:
         """Follow the numbers of the sender."""
-        said = seen.said
-        if not said:
+        if not seen.parts:
             return
         known = self._known.get(seen.sender)
         sender = self.context.senders.get(seen.sender)
@@ -82,6 +84,8 @@ class Backed(Invariant):
             if len(self._known) >= MOST_SENDERS:
                 return
             known = self._known[seen.sender] = {}
+            self._unbacked[seen.sender] = set()
+        unbacked = self._unbacked[seen.sender]
         length = len(seen.heard.octets)
         room = length + 60 <= max(_ROOM, self._longest.get(seen.sender, 0) * 0.9)
         self._longest[seen.sender] = max(length, self._longest.get(seen.sender, 0))
@@ -89,17 +93,30 @@ class Backed(Invariant):
         if unbroken != sender.unbroken:
             # It may have come to a variable in a beacon that is missing.
             whole = 0
-        summaries = 0
-        for each in said:
-            if each.kind in (ICType.CREATE_VARIABLES, ICType.UPDATES):
+        # What the node says with other records, or says anew, is looked at; a summary that says the same again changes
+        # nothing but the time, which the context keeps.
+        changed = set(unbacked)
+        for each, before in seen.news:
+            kind, state = each.kind, known.get(each.var_id)
+            if state is not None and before is not None and before.kind is SUMMARY:
+                state.time, state.last = before.time, before
+            if kind is CREATE or kind is UPDATE:
                 self._created.add(each.var_id)
                 self._back(known, each, sender.time)
-            elif each.kind is ICType.DELETE_VARIABLES:
+                unbacked.discard(each.var_id)
+            elif kind is DELETE:
                 self._pairs -= known.pop(each.var_id, None) is not None
-        for each in said:
-            if each.kind is ICType.SUMMARIES:
-                summaries += 1
-                self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
+                unbacked.discard(each.var_id)
+            changed.add(each.var_id)
+        summaries = 0
+        for kind, records, ids in seen.parts:
+            if kind is SUMMARY:
+                summaries += len(ids)
+                if not changed.isdisjoint(ids):
+                    for var_id, record in zip(ids, records, strict=True):
+                        if var_id in changed:
+                            each = said_of(kind, record, seen.heard, seen.sender)
+                            self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
         self._whole[seen.sender] = (sender.unbroken, whole + 1 if summaries >= len(known) else 0)
 
     def _back(self, known: dict[int, _Backing], each: Statement, time: int) -> None:
@@ -119,20 +136,25 @@ class Backed(Invariant):
                 self._pairs += 1
                 # Of a node that was heard to the last beacon, all of whose variables are known, this one is new.
                 known[each.var_id] = _Backing(each, number, backed=not complete, time=seen.time)
+                if complete:
+                    self._unbacked[seen.sender].add(each.var_id)
             return
         if unbroken > state.time:
             # The beacon with the value may be missing.
             known[each.var_id] = _Backing(each, number, backed=True, time=seen.time)
+            self._unbacked[seen.sender].discard(each.var_id)
             return
         if number != state.number:
             state = known[each.var_id] = _Backing(
                 each, number, backed=False, time=seen.time, before=state.last or state.said
             )
+            self._unbacked[seen.sender].add(each.var_id)
         state.time, state.last = seen.time, each
         if state.backed:
             return
         state.beacons += room
         if state.beacons == _PATIENCE:
+            self._unbacked[seen.sender].discard(each.var_id)
             self.exercised()
             self._tell(state, each, seen)
 
@@ -177,17 +199,19 @@ class Agreement(Invariant):
         self._producers: dict[int, bytes] = {}
         self._recreated: set[int] = set()
         self._size = 0
+        context.on_gap.append(self._remember)
 
     def feed(self, seen: Seen) -> None:
         """Remember numbers; when a producer goes on, compare with what it said before."""
-        for each in seen.said:
-            if each.kind is ICType.CREATE_VARIABLES and each.record.spec.prod_id == seen.sender:
+        for each, _ in seen.news:
+            kind = each.kind
+            if kind is CREATE and each.record.spec.prod_id == seen.sender:
                 self._producers[each.var_id] = seen.sender
-            if each.kind not in SENT:
-                if each.kind is ICType.DELETE_VARIABLES and each.var_id in self._held:
-                    self._held[each.var_id].pop(seen.sender, None)
+            elif kind is DELETE and each.var_id in self._held:
+                self._held[each.var_id].pop(seen.sender, None)
+            if kind is not SUMMARY and kind is not UPDATE and kind is not CREATE:
                 continue
-            number = seqno_of(each)
+            number = each.number
             holders = self._held.setdefault(each.var_id, {})
             held = holders.get(seen.sender)
             if held is None:
@@ -204,17 +228,29 @@ class Agreement(Invariant):
                     self._recreated.add(each.var_id)
             holders[seen.sender] = _Held(number, seen.time, each, seen.time)
 
+    def _remember(self, node: bytes, again: Mapping[int, Stamp]) -> None:
+        """What a node said last, before the context forgets it."""
+        for var_id, (_, time) in again.items():
+            held = self._held.get(var_id, {}).get(node)
+            if held is not None:
+                held.last = time
+
+    def _last(self, node: bytes, var_id: int, held: _Held) -> int:
+        """When a node stated its number last, in ns since 1970."""
+        again = self.context.said_again(node, var_id)
+        return held.last if again is None else again[1]
+
     def _compare(self, var_id: int, producer: bytes, own: _Held, now: int) -> None:
         """Who has another number than the producer had for long."""
         if now - own.since < _STABLE:
             return
         for node, held in self._held[var_id].items():
-            if node == producer or held.last < own.since + _STABLE:
+            if node == producer or (last := self._last(node, var_id, held)) < own.since + _STABLE:
                 continue
             self.exercised()
             if held.number == own.number:
                 continue
-            seconds = (held.last - max(own.since, held.since)) / 1e9
+            seconds = (last - max(own.since, held.since)) / 1e9
             if seconds < _STABLE / 1e9:
                 continue
             text = (
@@ -233,7 +269,7 @@ class Agreement(Invariant):
         for var_id, producer in self._producers.items():
             own = self._held.get(var_id, {}).get(producer)
             if own is not None:
-                self._compare(var_id, producer, own, own.last)
+                self._compare(var_id, producer, own, self._last(producer, var_id, own))
 
 
 class FallsSilent(Invariant):
@@ -253,7 +289,7 @@ class FallsSilent(Invariant):
         """Count beacons with and without payloads of each protocol."""
         if not seen.sound:
             return
-        for protocol, there in (("VarDis", bool(seen.said)), ("SRP", seen.heard.report is not None)):
+        for protocol, there in (("VarDis", bool(seen.parts)), ("SRP", seen.heard.report is not None)):
             key = (seen.sender, protocol)
             entry = self._voices.get(key)
             if entry is None:
@@ -307,9 +343,9 @@ class EndlessRequests(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Count requests, and answers of others, until the node has what it asked for."""
-        for each in seen.said:
+        for each, _ in seen.news:
             kind = each.kind
-            if kind in (ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES):
+            if kind is ASK_CREATE or kind is ASK_UPDATE:
                 key = (seen.sender, each.var_id, kind)
                 asked = self._asked.get(key)
                 if asked is not None:
@@ -317,12 +353,12 @@ class EndlessRequests(Invariant):
                 elif len(self._asked) < MOST_VARIABLES:
                     self._asked[key] = _Asked(1, each)
                     self._askers.setdefault((each.var_id, kind), {})[seen.sender] = None
-            elif kind is ICType.CREATE_VARIABLES:
-                self._said(each, seen, ICType.REQUEST_VARCREATES)
-            elif kind is ICType.UPDATES:
-                self._said(each, seen, ICType.REQUEST_VARUPDATES)
-            elif kind is ICType.DELETE_VARIABLES:
-                for asks in (ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES):
+            elif kind is CREATE:
+                self._said(each, seen, ASK_CREATE)
+            elif kind is UPDATE:
+                self._said(each, seen, ASK_UPDATE)
+            elif kind is DELETE:
+                for asks in (ASK_CREATE, ASK_UPDATE):
                     self._ends(seen.sender, each.var_id, asks)
 
     def _said(self, each: Statement, seen: Seen, asks: ICType) -> None:

@@ -122,7 +122,7 @@ class Repetitions(Invariant):
         node, now = seen.sender, seen.time
         if self._closed:
             self._count(now)
-        if seen.said:
+        if seen.parts:
             self._frames.append(_Frame(seen))
             if len(self._frames) > _FRAMES:
                 # A reason shows in what is sent soon after it, or not at all.

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import Container, VarCreate, VarDelete, VarSumm, VarUpdate
+from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
 
@@ -89,7 +89,7 @@ class PayloadConsistency(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare the records about each variable."""
-        if _plain(seen.heard.containers):
+        if _plain(seen.parts):
             return
         records: dict[int, Statement] = {}
         deleted = {each.var_id: each for each in seen.said if each.kind is DELETE}
@@ -113,23 +113,15 @@ class PayloadConsistency(Invariant):
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
 
 
-def _plain(containers: Sequence[Container]) -> bool:
+def _plain(parts: Sequence[Part]) -> bool:
     """Whether no variable is in two of these records, and none is deleted: then there is nothing to compare."""
     total, found = 0, set[int]()
-    for container in containers:
-        records = container.records
-        if not records:
-            continue
-        kind = type(records[0])
-        if kind is VarDelete:
+    for kind, _, ids in parts:
+        if kind is DELETE:
             return False
-        if kind is VarCreate:
-            found.update([each.spec.var_id for each in records])
-        elif kind is VarUpdate or kind is VarSumm:
-            found.update([each.var_id for each in records])
-        else:
-            continue
-        total += len(records)
+        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            found.update(ids)
+            total += len(ids)
     return len(found) == total
 
 

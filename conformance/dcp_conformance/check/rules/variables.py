@@ -94,7 +94,7 @@ class SequenceForwards(_OfOneNode):
         """Compare with what the node sent last."""
         self.due(seen.time)
         if seen.again:
-            self.exercised(times=len(seen.again))
+            self.exercised(times=seen.again)
         for each, before in seen.news:
             kind = each.kind
             if kind is DELETE:

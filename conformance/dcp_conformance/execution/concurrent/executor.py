@@ -17,14 +17,18 @@ from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import SIDE_BY_SIDE
+from dcp_conformance.plans import load
 from dcp_conformance.test_system.bench import Bench
 
 from .scheduler import Scheduler, Task
 from .shared import SharedLink, SharedSession, SharedUpper
-from .sharing import group, why_alone
+from .sharing import at_short_period, family, group, why_alone
+from .short_period import ShortPeriod
 
 #: Cases at a time, unless the user says otherwise.
-WIDTH: Final = 12
+WIDTH: Final = 16
+#: Cases at a time, for those that did not pass beside more.
+_FEW: Final = 4
 #: ns after which the executor looks at the implementation's process, whatever the cases wait for.
 _LOOK: Final = 200_000_000
 #: Waves in which a case may find all identifiers used up by others, before it is left to be executed alone.
@@ -42,15 +46,44 @@ def execute(
 ) -> dict[str, str]:
     """Execute those of the cases side by side that can be. ``on_result`` gets the result of each that passes.
 
+    Where the upper tester can shorten the beacon period, it is short for all cases whose verdict does not depend on it,
+    also for those that need the implementation for themselves.
+
     ``sanity``: the case in whose name the implementation is asked whether it answers; it has been executed. ``width``:
     the most cases at a time. Returns the cases that must be repeated alone, each with the reason.
     """
-    together = [case for case in cases if not why_alone(case) and not runner.why_not(case)]
     executor = SideBySide(runner, sanity, width)
-    executor.run([case for case in together if not case.destructive], on_result)
+    applicable = [case for case in cases if case.id != sanity.id and not runner.why_not(case)]
+    rest = [case for case in applicable if not case.destructive]
+    short = ShortPeriod(runner.session, sanity)
+    if short.begin(lambda: runner.initial_state(sanity, used=False)):
+        quick = [case for case in rest if at_short_period(case)]
+        try:
+            _together(executor, quick, on_result)
+            for case in quick:
+                repeated = case.id in executor.reasons or (why_alone(case) and not family(case))
+                if repeated and runner.session.short_period is short:
+                    result = runner.attempt(case)
+                    if result is not None:
+                        on_result(case, result)
+        finally:
+            short.end()
+        rest = [case for case in rest if case not in quick]
+    _together(executor, rest, on_result)
     if runner.session.can_restart:
-        executor.run([case for case in together if case.destructive], on_result)
+        executor.run([case for case in applicable if case.destructive and not why_alone(case)], on_result)
     return executor.reasons
+
+
+def _together(executor: SideBySide, cases: Sequence[Case], on_result: Callable[[Case, CaseResult], None]) -> None:
+    """Execute the cases side by side that can be, each family for itself."""
+    families: dict[str, list[Case]] = {}
+    for case in cases:
+        if family(case) or not why_alone(case):
+            families.setdefault(family(case), []).append(case)
+    for each in families.values():
+        executor.run(each, on_result)
+    executor.run_again(on_result)
 
 
 class _Pass(NamedTuple):
@@ -84,6 +117,8 @@ class SideBySide:
         """The benches of the cases that are being executed."""
         self.left: list[Case] = []
         """The cases that are no plain pass, in the order in which they ended."""
+        self._crowded: list[Case] = []
+        """Of these, the ones that may pass beside fewer others."""
         self.reasons: dict[str, str] = {}
         """By case: why it is repeated alone."""
         self._used_up_in: Counter[str] = Counter()
@@ -112,7 +147,9 @@ class SideBySide:
 
         Raises ``KeyboardInterrupt`` and the like, after all cases have undone what they have changed.
         """
-        for case in cases:
+        # A long case that begins late would be the only one for a while.
+        times = load()
+        for case in sorted(cases, key=lambda case: -times.of(case.id)):
             (self._waiting if "vardis" in case.needs.entities else self._light).append(case)
         try:
             while self._waiting or self._light:
@@ -122,6 +159,20 @@ class SideBySide:
                 on_result(each.trial.case, each.result)
                 self._runner.remember(each.trial, each.result, each.ended)
             self._passed.clear()
+
+    def run_again(self, on_result: Callable[[Case, CaseResult], None]) -> None:
+        """Execute those of the last cases once more that found too little room beside so many others, beside few."""
+        again = [case for case in self._crowded if case.id in self.reasons]
+        self._crowded.clear()
+        if not again or self._runner.dead:
+            return
+        self.left = [case for case in self.left if case not in again]
+        usual, self.width = self.width, min(self.width, _FEW)
+        try:
+            self.run(again, on_result)
+        finally:
+            self.width = usual
+            self._crowded.clear()
 
     def _wave(self, on_result: Callable[[Case, CaseResult], None]) -> None:
         """Execute cases from one initial state of the implementation, until identifiers are used up or it is gone."""
@@ -242,16 +293,19 @@ class SideBySide:
         if trial.used_up and self._used_up_in[case.id] < _ATTEMPTS:
             # The next wave begins with all identifiers.
             self._used_up_in[case.id] += 1
-            (self._waiting if "vardis" in case.needs.entities else self._light).appendleft(case)
+            self._waiting.appendleft(case)
             self._draining = self._used_up = True
             return
         if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.spoilt:
             self._doubts = 0
+            self.reasons.pop(case.id, None)
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
             self._passed.append(_Pass(trial, result, session.lower.now()))
             return
         self.left.append(case)
         self.reasons[case.id] = _reason(trial)
+        if trial.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) and not trial.hung_up:
+            self._crowded.append(case)
         self._doubts += 1
         if trial.hung_up or self._doubts >= _DOUBTFUL:
             # It may be dead. Whether it is can only be found out when no other case is executed.

@@ -25,6 +25,9 @@ ALONE: Final = frozenset(
 )
 """Services that change the implementation as a whole."""
 
+_CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*")
+"""Cases that are about the configured beacon period."""
+
 _FILLS: Final = "it fills payloads, and counts on the room in them"
 _LISTENS: Final = "it judges what is in beacons as a whole, or in none"
 _REPLACES: Final = "it deregisters SRP or VarDis"
@@ -41,6 +44,7 @@ _MEASURES: Final = (
     (r"TC_VD_SCR_TI_(04|05|14).*", "it measures when a variable is deleted"),
     (r"TC_BP_RXP_BV_05-.*", _REPLACES),
     (r"TC_(SRP|VD)_SRV_BO_01", _REPLACES),
+    (r"TC_SRP_NT_TI_0[34]", "it shortens the timeout of neighbours"),
     (r"TC_SRP_NT_BV_04", "it fills the neighbour table"),
     (r"TC_SRP_NT_BV_06", "it needs an empty neighbour table"),
     (r"TC_BP_HDR_BV_(02|09|12)", _LISTENS),
@@ -50,6 +54,11 @@ _MEASURES: Final = (
     (r"TC_BP_RXP_BV_02", _LISTENS),
     (r"TC_VD_RUN_TI_01", _LISTENS),
 )
+_FAMILIES: Final = (
+    (re.compile(r"TC_VD_SCR_TI_(04|05|14).*"), "timeouts of variables"),
+    (re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),
+)
+"""Cases that are executed beside each other, but not beside those outside of the family."""
 _PATTERNS: Final = tuple((re.compile(pattern), reason) for pattern, reason in _MEASURES)
 
 
@@ -65,6 +74,22 @@ def why_alone(case: Case) -> str:
     if case.long:
         return "it takes long"
     return next((reason for pattern, reason in _PATTERNS if pattern.fullmatch(case.id)), "")
+
+
+def family(case: Case) -> str:
+    """The family beside which alone the case is executed; empty for those without."""
+    return next((name for pattern, name in _FAMILIES if pattern.fullmatch(case.id)), "")
+
+
+def at_short_period(case: Case) -> bool:
+    """Whether the verdict of the case does not depend on the beacon period, so that a shorter one only saves time."""
+    needs = case.needs
+    if needs.restart or needs.link or case.long or case.destructive or "BP-SetParameter" in needs.ut:
+        return False
+    if _CONFIGURED.fullmatch(case.id):
+        return False
+    # A reset restores the configured period. With VD-SetParameter it is only needed to restore the parameter.
+    return "UT-Reset" not in needs.ut or "VD-SetParameter" in needs.ut
 
 
 def forbidden(method: str, params: Mapping[str, Any]) -> str:

@@ -263,9 +263,10 @@ def slow_echo(bench: Bench) -> None:
     variants={"newer-update": "update", "deletion": "delete", "newer-summary": "summary"},
 )
 def own_variable(bench: Bench, what: str) -> None:
+    mark = bench.mark()
     name, peer = produced(bench, value=b"\x0a"), bench.peer()
     bench.until_instruction(_CREATE, name)
-    settled(bench, name)
+    settled(bench, name, mark)
     rule = {"update": "VD-PU-03", "delete": "VD-PD-03", "summary": "VD-PS-02"}[what]
     records: dict[str, VardisRecord] = {
         "update": peer.update(name, 5, b"foreign"),

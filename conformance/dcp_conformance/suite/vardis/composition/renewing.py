@@ -139,11 +139,12 @@ def _with(*methods: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
     },
 )
 def own_not_renewed(bench: Bench, act: Callable[[Bench, Peer, VarCreate], None]) -> None:
+    mark = bench.mark()
     var_id = produced(bench)
     held = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     if held is None:
         bench.inconclusive("a VarCreate of the node's own variable, which this case needs", "none in time")
-    settled(bench, var_id)
+    settled(bench, var_id, mark)
     before = _stamp(bench, var_id)
     bench.wait(2)
     act(bench, bench.peer(), held)
