@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from dcp_codec.impairment import PERFECT, Impairment
+from dcp_codec.impairment import PERFECT, Impairment, text_of
 from dcp_stack.sim.testbed import namespaces
 
 from .control import RelayError, RelayProcess
@@ -52,7 +52,7 @@ class RelayFabric:
             self._cable([address[:6].hex(":") for address in addresses])
             setup = Setup(
                 ports=tuple(f"p{number}" for number in range(len(addresses))),
-                impairment=str(impairment),
+                impairment=text_of(impairment),
                 seed=seed,
                 hears=None if pairs is None else tuple(pairs),
                 record="" if record is None else str(Path(record).resolve()),
@@ -84,7 +84,7 @@ class RelayFabric:
         Raises :class:`RelayError`, as the following do.
         """
         sender, receiver = direction if direction is not None else (None, None)
-        self._relay.command(SetQuality(impairment=str(impairment), sender=sender, receiver=receiver))
+        self._relay.command(SetQuality(impairment=text_of(impairment), sender=sender, receiver=receiver))
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
         """Let frames stay within their groups; stations in none form one more. No groups: heal."""
