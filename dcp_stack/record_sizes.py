@@ -7,17 +7,7 @@ from dcp_spec.constants import ICType, seqno_modulus
 from dcp_codec.codec import Codec
 from dcp_codec.plan.measures import largest, least_size, longest, member, record
 from dcp_codec.plan.tree import Group, Node, Scalar, Text
-from dcp_codec.values import VarCreate, VarSpec, VarUpdate
-
-#: The record class of each type of container.
-_RECORDS = {
-    ICType.SUMMARIES: "VarSumm",
-    ICType.UPDATES: "VarUpdate",
-    ICType.REQUEST_VARUPDATES: "VarReqUpdate",
-    ICType.REQUEST_VARCREATES: "VarReqCreate",
-    ICType.CREATE_VARIABLES: "VarCreate",
-    ICType.DELETE_VARIABLES: "VarDelete",
-}
+from dcp_codec.values import RECORD_CLASSES, VarCreate, VarSpec, VarUpdate
 
 
 class RecordSizes:
@@ -25,7 +15,7 @@ class RecordSizes:
 
     def __init__(self, codec: Codec) -> None:
         plan = codec.containers_plan
-        layouts = {kind: _record(plan, name) for kind, name in _RECORDS.items()}
+        layouts = {kind: _record(plan, each.__name__) for kind, each in RECORD_CLASSES.items()}
         spec, summary, update = (_record(plan, name) for name in ("VarSpec", "VarSumm", "VarUpdate"))
         self.ic_header = least_size(_record(plan, "Container"))
         self.var_summ = least_size(summary)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.errors import DecodeError
@@ -98,7 +98,7 @@ def _told_by_hello(bench: Bench) -> str:
 
 def _asked_otherwise(bench: Bench) -> str:
     """Ask in every built-in profile, then for other networks."""
-    for number, name in enumerate(BUILTIN_PROFILES):
+    for number, name in enumerate(profile_names()):
         codec = get_codec(name)
         if name != bench.profile.name:
             bench.transmit(question(codec, number), bench.peer().address)
@@ -115,7 +115,7 @@ def _asked_otherwise(bench: Bench) -> str:
 def _networks(bench: Bench) -> list[int]:
     """Network identifiers to try, without the tester's own."""
     top = 1 << (8 * bench.profile.types.network_id.width)
-    known = (get_codec(name).profile.bp.network_id for name in BUILTIN_PROFILES)
+    known = (get_codec(name).profile.bp.network_id for name in profile_names())
     numbers = dict.fromkeys((*(each for each in known if each is not None), *_NETWORKS))
     return [each for each in numbers if each < top and each != bench.parameter("BPPAR_NETWORK_ID")]
 
@@ -125,7 +125,7 @@ def _other_ether_type(bench: Bench) -> str:
     lower = bench.lower
     if not isinstance(lower, HearsEveryType):
         return ""
-    known = (get_codec(name).profile.link.ether_type for name in BUILTIN_PROFILES)
+    known = (get_codec(name).profile.link.ether_type for name in profile_names())
     numbers = dict.fromkeys((*(each for each in known if each is not None), *_ETHER_TYPES))
     octets = question(bench.codec, 0)
     source = bench.peer().address
@@ -145,7 +145,7 @@ def _other_ether_type(bench: Bench) -> str:
 
 def _is_beacon(codec: Codec, octets: bytes) -> bool:
     """Whether octets are a beacon of the profile, or of another one."""
-    for each in (codec, *map(get_codec, BUILTIN_PROFILES)):
+    for each in (codec, *map(get_codec, profile_names())):
         if each.profile.bp.header:
             try:
                 each.decode(octets)
