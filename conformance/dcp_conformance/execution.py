@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from .attribution import Trial, likely_stimulus
+from .case import SANITY
 from .errors import ConformanceError, CouldNotAskError, LowerTesterError, NamesUsedUp, StopCase, UpperTesterError
+from .impairment import engaged
 from .results import Check
 from .verdict import Verdict
 
@@ -47,7 +49,9 @@ def run_body(trial: Trial) -> None:
     # Frames that were lost before the case are no excuse in it.
     bench.lower.health()
     try:
-        case.run(bench)
+        # Whether there is anything to test is found out on a link that only delays.
+        with engaged(bench.lower) if case.id != SANITY else nullcontext():
+            case.run(bench)
     finally:
         # Found before restore(): calls that undo changes are not the cause of a death.
         trial.stimulus = likely_stimulus(case, bench.traffic)

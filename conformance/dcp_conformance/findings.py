@@ -29,6 +29,8 @@ from .errors import StopCase
 from .extraction import OWNERS as EXTRACTION
 from .extraction import sent_several
 from .heard import Heard, Instruction
+from .impairment import told
+from .lower import Incident
 from .misreading import CREATION_OWNERS, backwards, disordered, sent_creation, sent_report
 from .misreading import OWNERS as LAYOUTS
 from .misreading import Field as Misread
@@ -72,6 +74,10 @@ class Findings:
         self.dropped = 0
         self.late_ns = 0
         """The longest delay of the tester before one of its steps in this case, ns; see :meth:`acts`."""
+        self.incidents: list[Incident] = []
+        """What an impaired link did in this case."""
+        self._incident_frames: list[int] = []
+        """For each of them the number of the frame in the recording; 0 for one that is not in it."""
         self._relied: set[Misread] = set()
         """The fields on whose values this case depends, see :meth:`relies_on`."""
         self._excused = False
@@ -264,8 +270,11 @@ class Findings:
 
         ``shown`` and ``numbers``: see :meth:`check`. A parameter that was assumed excuses both kinds of failure, since
         the expectation itself may be wrong; losses and lateness of the tester, and ``doubts``, excuse only what is
-        missing.
+        missing. An impaired link that has not only lost frames, but corrupted, repeated, reordered or delayed them,
+        excuses both kinds, too.
         """
+        if shown and (misled := self._told(each for each in self._link_incidents() if each.misleads)):
+            return misled
         if not shown and (lost := self.own_losses(numbers=numbers)):
             return f"the tester has lost something: {lost}"
         return self.assumed() or ("" if shown else "; ".join(self.doubts.values()))
@@ -350,18 +359,44 @@ class Findings:
         """Whether nothing but the tester's own trouble keeps a check from being decided at this moment."""
         if self.assumptions or self.doubts or not self._own_trouble(numbers=numbers):
             return False
-        # Frames that the kernel dropped explain a gap; lateness does not.
-        return bool(self.dropped) or not self.gaps()
+        # Frames that the kernel or an impaired link took explain a gap; lateness does not.
+        return bool(self.dropped or self.incidents) or not self.gaps()
 
     def _own_trouble(self, *, numbers: bool = False) -> list[str]:
-        """What the tester did wrong in this case, in words."""
-        self.dropped += self.lower.health().dropped
+        """What the tester or its link did wrong in this case, in words."""
+        incidents = self._link_incidents()
         trouble = []
+        # A sequence number is missing for no other reason than that its beacon is.
+        if link := self._told(each for each in incidents if not (numbers and each.to)):
+            trouble.append(link)
         if self.dropped:
             trouble.append(f"the kernel dropped {self.dropped} frames")
         if not numbers and self.late_ns > self.period:
             trouble.append(f"it acted late by {self.late_ns / MS:.0f} ms")
         return trouble
+
+    def take_incidents(self, number: int = 0) -> None:
+        """Ask what was lost since the last time, by the kernel or by an impaired link.
+
+        ``number``: of the frame in the recording that has just been sent.
+        """
+        health = self.lower.health()
+        self.dropped += health.dropped
+        for incident in health.incidents:
+            frame = number if incident.to else 0
+            self.incidents.append(incident)
+            self._incident_frames.append(frame)
+            self.traffic.note("note", self.lower.wall(), told([incident], [frame]))
+
+    def _link_incidents(self) -> list[Incident]:
+        self.take_incidents()
+        return self.incidents
+
+    def _told(self, chosen: Iterable[Incident]) -> str:
+        """Some of the incidents in words; empty for none."""
+        frames = {id(incident): number for incident, number in zip(self.incidents, self._incident_frames, strict=True)}
+        found = list(chosen)
+        return told(found, [frames[id(each)] for each in found])
 
     def own_losses(self, *, numbers: bool = False) -> str:
         """What the tester has missed in this case, in words; empty if nothing is known.

@@ -18,8 +18,10 @@ from .case_results import result_of
 from .control import SutControl
 from .errors import UpperTesterError
 from .execution import delete_variables, recorded, run_body
+from .impairment import MOST_EXECUTIONS as MOST_IMPAIRED
 from .life import Life
 from .link import link_switch
+from .lower import Impairs
 from .node_id import node_id_octets
 from .reaction import prepare
 from .remarks import deaths_alike, executed_again, left_changed
@@ -101,7 +103,9 @@ class Runner:
             found.append(left_changed(self._spoilt))
         if self._renewals:
             found.append(f"restarted {self._renewals} times, when all identifiers of variables had been used")
-        if self._disturbed:
+        if isinstance(self.session.lower, Impairs):
+            found.append(self.session.lower.summary())
+        elif self._disturbed:
             found.append(executed_again(self._disturbed))
         return found + [deaths_alike(how, cases) for how, cases in self._deaths.items()]
 
@@ -222,7 +226,8 @@ class Runner:
         a later execution without one.
         """
         executions = 1
-        while executions < MOST_EXECUTIONS and trial.disturbed:
+        most = MOST_IMPAIRED if isinstance(self.session.lower, Impairs) else MOST_EXECUTIONS
+        while executions < most and trial.disturbed:
             self._disturbed.setdefault(trial.case.id, trial.bench.disturbed)
             again = self._trial(trial.case)
             executions += 1

@@ -13,7 +13,7 @@ from dcp_codec.codec import Codec
 
 from .contact import Contact
 from .identifiers import Identifiers
-from .lower import Arrival, LowerTester, OnThisMachine
+from .lower import Arrival, Impairs, LowerTester, OnThisMachine
 from .misreading import Field
 from .passive import PassiveTester
 from .pics import REACTION_FLOOR, Pics
@@ -139,6 +139,8 @@ class Session:
         overload = lower.overload if isinstance(lower, OnThisMachine) else None
         self.passive = PassiveTester(codec, pics, self.parameters, overload)
         """Judges every beacon of the implementation, whatever the case is about."""
+        if isinstance(lower, Impairs) and lower.changes_intervals:
+            self.passive.without_intervals()
 
     @property
     def typical_call(self) -> int:
@@ -156,6 +158,10 @@ class Session:
 
     def take(self, heard: Heard, arrival: Arrival, case: str, traffic: object, departure: int) -> None:
         """As :meth:`heard`; ``departure``: see :meth:`.naming.Naming.departure`."""
+        if arrival.disturbed:
+            # What follows from its time and place says nothing about the implementation.
+            self.passive.interrupted(self.lower.now())
+            return
         self.counting.heard(heard.seqno)
         self.passive.heard(heard, arrival.frame, len(arrival.frame) - len(arrival.octets), case, traffic)
         gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
