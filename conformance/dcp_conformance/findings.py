@@ -270,8 +270,7 @@ class Findings:
 
         ``shown`` and ``numbers``: see :meth:`check`. A parameter that was assumed excuses both kinds of failure, since
         the expectation itself may be wrong; losses and lateness of the tester, and ``doubts``, excuse only what is
-        missing. An impaired link that has not only lost frames, but corrupted, repeated, reordered or delayed them,
-        excuses both kinds, too.
+        missing. What an impaired link did to stimuli, and to the order and the times of beacons, excuses both kinds.
         """
         if shown and (misled := self._told(each for each in self._link_incidents() if each.misleads)):
             return misled
@@ -387,6 +386,11 @@ class Findings:
             self.incidents.append(incident)
             self._incident_frames.append(frame)
             self.traffic.note("note", self.lower.wall(), told([incident], [frame]))
+
+    @property
+    def link_losses(self) -> int:
+        """How many beacons of the implementation an impaired link is known to have taken in this case."""
+        return sum(not each.to for each in self._link_incidents())
 
     def _link_incidents(self) -> list[Incident]:
         self.take_incidents()

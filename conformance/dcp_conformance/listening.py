@@ -108,7 +108,8 @@ class Listening(Naming):
             behind = len(frames) - 1 - having[-1] if having else 0
             if behind >= self.pixit.quiet_beacons and self.now() >= busy:
                 break
-            if not self.beacons(1, self.reaction):
+            known = self.link_losses
+            if not self.beacons(1, self.reaction) and self.link_losses == known:
                 break
         return [heard for heard in self.heard[start:] if present(heard)]
 
