@@ -5,7 +5,7 @@ sanity case, while it asks whether the implementation lives, and while it undoes
 is not left to chance.
 
 The tester knows which frames the link took, so a failed check that they can explain is inconclusive, and the case is
-executed again (:mod:`dcp_conformance.findings`, :mod:`dcp_conformance.runner`).
+executed again (:mod:`dcp_conformance.test_system.checks`, :mod:`dcp_conformance.execution.runner`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import contextlib
 from contextlib import AbstractContextManager
 from typing import Final
 
-from dcp_conformance.lower import Impairs, LowerTester
+from dcp_conformance.lower_tester import Impairs, LowerTester
 
 from .directions import Directions, parse_directions
 from .incidents import told

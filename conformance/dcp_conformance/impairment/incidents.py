@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from dcp_conformance.lower import Incident
+from dcp_conformance.lower_tester import Incident
 
 _DONE: Final = {
     "lost": "lost",

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import msgspec
 
 from dcp_codec.impairment import Channel, Copy, Fate
-from dcp_codec.sockets import ETHERNET_HEADER
-from dcp_conformance.lower import Arrival, HearsEveryType, Incident, LinkHealth, LowerTester, OnThisMachine
+from dcp_codec.network.sockets import ETHERNET_HEADER
+from dcp_conformance.lower_tester import Arrival, HearsEveryType, Incident, LinkHealth, LowerTester, OnThisMachine
 
 from .directions import Directions
 
