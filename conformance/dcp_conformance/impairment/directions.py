@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from dcp_codec.impairment import PERFECT, Impairment, ImpairmentError, parse_impairment
+from dcp_codec.impairment import PERFECT, Impairment, ImpairmentError, parse_impairment, text_of
 from dcp_conformance.errors import UsageError
 
 
@@ -17,8 +17,8 @@ class Directions(NamedTuple):
 
     def __str__(self) -> str:
         if self.to == self.back:
-            return str(self.to)
-        return "; ".join(f"{name}:{each}" for name, each in (("to", self.to), ("from", self.back)) if not each.perfect)
+            return text_of(self.to)
+        return "; ".join(f"{name}:{text_of(each)}" for name, each in (("to", self.to), ("from", self.back)) if not each.perfect)
 
 
 def parse_directions(texts: Iterable[str]) -> Directions:

@@ -69,7 +69,7 @@ def many_variables(bench: Bench) -> None:
         "each VarCreate in exactly one beacon",
         f"more than one of variables {twice[:8]}",
         "VD-SCP-02",
-        # What is created again is sent again.
+        # A variable that is created again is forwarded again.
         shown=not lost,
     )
     wrong = [each for each in found() if each.record.upd.value != bench.value(b"%d" % each.var_id)]
