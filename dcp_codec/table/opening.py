@@ -14,9 +14,10 @@ from dcp_codec.codec import Codec, get_codec
 from .archive import find_recordings
 from .decoding import ColumnDecoder, worth_compiling
 from .job import resolve
+from .parquet_output import Pile
 from .shape import TABLES, table_names
 from .sources import Recording
-from .writing import Pile, file_schema, joint_schema, with_file
+from .writing import file_schema, joint_schema, with_file
 
 Source = str | Path | Sequence[str | Path]
 

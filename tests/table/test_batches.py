@@ -22,10 +22,10 @@ from dcp_codec.capture import Frame, convert
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.compiled import cache_folder
 from dcp_codec.table.jit import machine, options_of
+from dcp_codec.table.parquet_output import ParquetTable
 from dcp_codec.table.pools import Pool
 from dcp_codec.table.sources import packed
 from dcp_codec.table.stage import MOVED, OF_A_FRAME
-from dcp_codec.table.writing import ParquetTable
 
 
 def tables(batches: Any) -> dict[str, pa.Table]:
