@@ -27,11 +27,11 @@ from pathlib import Path
 from typing import Any
 
 from dcp_codec.codec import get_codec
-from dcp_stack.sim.fabric import INTERFACE
-from dcp_stack.sim.namespaces import enter_command
-from dcp_stack.sim.processes import NodeProcess
-from dcp_stack.sim.scenario import Scenario, Tracks
-from dcp_stack.sim.testbed import Testbed
+from dcp_stack.sim.scenario.definition import Scenario, Tracks
+from dcp_stack.sim.testbed.fabric import INTERFACE
+from dcp_stack.sim.testbed.namespaces import enter_command
+from dcp_stack.sim.testbed.processes import NodeProcess
+from dcp_stack.sim.testbed.testbed import Testbed
 
 PARTS = {
     "node": "",

@@ -8,27 +8,20 @@ what to do and ``poll_timeout()`` for when to call ``handle_timeout`` next. Appl
 from __future__ import annotations
 
 import random
-from typing import Any, ClassVar
+from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
-from .bp import BeaconingProtocol
-from .client_port import ClientPort
+from .bp.client_port import ClientPort
+from .bp.entity import BeaconingProtocol
 from .config import NodeConfig
 from .effects import Effect, PayloadReceived, PayloadTransmitted
-from .srp import StateReporting
-from .vardis import Vardis
+from .srp.entity import StateReporting
+from .vardis.entity import Vardis
 
 
 class Node:
-    """One node of a network; every time is an int in ns (``now`` monotonic, ``wall`` since 1970).
-
-    Its parts are made from class attributes, and so are those of its entities: a subclass can have another part.
-    """
-
-    bp_class: ClassVar[type[BeaconingProtocol]] = BeaconingProtocol
-    srp_class: ClassVar[type[StateReporting]] = StateReporting
-    vardis_class: ClassVar[type[Vardis]] = Vardis
+    """One node of a network; every time is an int in ns (``now`` monotonic, ``wall`` since 1970)."""
 
     def __init__(self, config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> None:
         self.config = config
@@ -39,11 +32,11 @@ class Node:
 
     def _build(self, now: int, wall: int) -> None:
         config, emit = self.config, self._pending.append
-        self.bp = self.bp_class(config, rng=self._rng, emit=emit, now=now, wall=wall)
+        self.bp = BeaconingProtocol(config, rng=self._rng, emit=emit, now=now, wall=wall)
         self._srp_port = srp = ClientPort(self.bp)
         self._vardis_port = vardis = ClientPort(self.bp)
-        self.srp = self.srp_class(config, srp, emit=emit, now=now, wall=wall) if config.srp else None
-        self.vardis = self.vardis_class(config, vardis, emit=emit, now=now, wall=wall) if config.vardis else None
+        self.srp = StateReporting(config, srp, emit=emit, now=now, wall=wall) if config.srp else None
+        self.vardis = Vardis(config, vardis, emit=emit, now=now, wall=wall) if config.vardis else None
 
     def start(self, now: int, wall: int) -> None:
         """Let the client protocols register; from here on the node beacons when there is something to say."""

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.case import DECLARED, DENIED
-from dcp_conformance.extraction import OWNERS
-from dcp_conformance.selection import ordered
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.test_system.extraction import OWNERS
 
 from dcp_codec.errors import DecodeError
-from dcp_stack.vardis_wire import Extracted, Extractor
+from dcp_stack.vardis.wire import Extracted, Extractor
 
 from .rig import known_cases
 from .slow import runner_for
-from .test_vardis_reception_mutants import node_with
+from .test_vardis_reception_mutants import make_with
 
 
 class LosesContainers(Extractor):
@@ -48,7 +48,7 @@ class FirstOnly(LosesContainers):
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.0"])
 @pytest.mark.parametrize("extractor", [UntilTheMiddle, FirstOnly])
 def test_only_the_requirements_of_extraction_fail(extractor: type[Extractor], profile: str) -> None:
-    runner = runner_for(profile, make=node_with(extractor=extractor))
+    runner = runner_for(profile, make=make_with(extractor))
     failed: set[str] = set()
     for each in ordered(known_cases().values()):
         if each.id in (DECLARED, DENIED):
@@ -62,7 +62,7 @@ def test_only_the_requirements_of_extraction_fail(extractor: type[Extractor], pr
 
 
 def test_what_is_lost_is_told() -> None:
-    runner = runner_for(make=node_with(extractor=UntilTheMiddle))
+    runner = runner_for(make=make_with(UntilTheMiddle))
     assert runner.run(known_cases()["TC_DCP_SANITY_BV_01"]).verdict is Verdict.PASS
     result = runner.run(known_cases()["TC_VD_ROOM_BV_01-a-VarDelete"])
     assert result.verdict is Verdict.INCONCLUSIVE

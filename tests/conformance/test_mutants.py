@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import re
 from pathlib import Path
 
@@ -10,16 +11,19 @@ import pytest
 from click.testing import CliRunner
 from dcp_conformance.cli.selftest import command
 from dcp_conformance.errors import UsageError
-from dcp_conformance.kill_matrix import markdown
-from dcp_conformance.mutants import Mutant, all_mutants, mutant, node_with
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial, chosen, selftest, trial, trials
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.kill_matrix import markdown
+from dcp_conformance.selftest.mutants import Mutant, all_mutants, mutant, node_with
+from dcp_conformance.selftest.mutants.mutant import replaced
+from dcp_conformance.selftest.runner import Baseline, Finding, SelftestResult, Trial, chosen, selftest, trial, trials
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import SpecVersion
-from dcp_spec.requirements import requirements
 
+from dcp_codec.codec import get_codec
+from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.vardis_receive import Receiver
+from dcp_stack.vardis.receive import Receiver
 
 MUTANTS = all_mutants()
 DOCUMENT = Path(__file__).parents[2] / "docs" / "selftest.md"
@@ -136,10 +140,16 @@ def test_parts_find_their_place():
     class Other(Receiver):
         pass
 
-    made_of = node_with(Other)
-    assert issubclass(made_of, Node)
-    assert made_of.vardis_class.receiver_class is Other
-    assert Node.vardis_class.receiver_class is Receiver
+    def part(made_of: type[Node]) -> type:
+        node = made_of(NodeConfig(node_id=bytes(6), codec=get_codec("dcp-2.0")), rng=random.Random(1), now=0, wall=0)
+        node.reset(1, 1)
+        return type(node.vardis._receiver)
+
+    assert part(node_with(Other)) is Other
+    assert part(Node) is Receiver
+    with pytest.raises(ZeroDivisionError), replaced({Receiver: Other}):
+        1 / 0  # noqa: B018
+    assert part(Node) is Receiver
     with pytest.raises(TypeError, match="does not derive from a part of the node"):
         node_with(int)
 

@@ -8,38 +8,32 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import node_with
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VarSpec
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.vardis import Vardis
-from dcp_stack.vardis_core import Core, Sequence
-from dcp_stack.vardis_db import Database, DBEntry
-from dcp_stack.vardis_receive import Receiver
-from dcp_stack.vardis_table import Action, Cell, Event, State
-from dcp_stack.vardis_wire import Extracted, Extractor
+from dcp_stack.vardis.core import Core, Sequence
+from dcp_stack.vardis.database import Database, DBEntry
+from dcp_stack.vardis.receive import Receiver
+from dcp_stack.vardis.state_table import Action, Cell, Event, State
+from dcp_stack.vardis.wire import Extracted, Extractor
 
 from .rig import known_cases, one_case
 
 Make = Callable[[NodeConfig, random.Random, int, int], Node]
 
 
-def node_with(**parts: type[Any]) -> Make:
-    """A node whose VarDis has other parts."""
-    entity = type("OtherVardis", (Vardis,), {f"{name}_class": part for name, part in parts.items()})
-    other = type("OtherNode", (Node,), {"vardis_class": entity})
+def make_with(part: type[Any]) -> Make:
+    """Make nodes with a changed part."""
+    made_of = node_with(part)
 
     def make(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Node:
-        found: Node = other(config, rng=rng, now=now, wall=wall)
-        return found
+        return made_of(config, rng=rng, now=now, wall=wall)
 
     return make
-
-
-def core_with(**parts: type[Any]) -> type[Core]:
-    return type("OtherCore", (Core,), {f"{name}_class": part for name, part in parts.items()})
 
 
 # -- every cell of the table -------------------------------------------------------------------------------------------
@@ -119,7 +113,7 @@ def case_of(state: State, name: str) -> str:
 
 @pytest.mark.parametrize(("state", "name", "event", "action"), CELLS, ids=[f"{STATES[c[0]]}.{c[1]}" for c in CELLS])
 def test_a_wrong_cell_is_noticed(state: State, name: str, event: Event, action: Action) -> None:
-    make = node_with(core=other_cell(state, event, action))
+    make = make_with(other_cell(state, event, action))
     assert verdict_of(case_of(state, name), make) is Verdict.FAIL
 
 
@@ -128,7 +122,7 @@ def test_a_wrong_cell_is_noticed(state: State, name: str, event: Event, action: 
 @pytest.mark.parametrize("name", [name for name in EVENTS if not name.startswith(("rx-create", "rx-delete"))])
 def test_a_wrong_cell_of_a_variable_that_is_being_deleted_is_noticed(profile: str, state: State, name: str) -> None:
     event, action = EVENTS[name]
-    make = node_with(core=other_cell(state, event, action))
+    make = make_with(other_cell(state, event, action))
     assert verdict_of(case_of(state, name), make, profile) is Verdict.FAIL
 
 
@@ -355,50 +349,50 @@ class AsksForTheDeleted(Receiver):
 
 
 MUTANTS: list[tuple[str, Make, str]] = [
-    ("TC_VD_SPLIT_BV_01", node_with(extractor=FirstContainerOnly), "dcp-2.0"),
-    ("TC_VD_SPLIT_BV_02-summaries+updates", node_with(extractor=FirstContainerOnly), "dcp-1.0"),
-    ("TC_VD_SPLIT_BV_01", node_with(extractor=LosesLastContainer), "dcp-2.0"),
-    ("TC_VD_SPLIT_BV_02-updates+create", node_with(extractor=LosesLastContainer), "dcp-1.2"),
-    ("TC_VD_SPLIT_BV_01", node_with(extractor=HalfOfThePayload), "dcp-1.1"),
-    ("TC_VD_SPLIT_BV_02-summaries+summaries", node_with(extractor=LosesLastRecord), "dcp-2.0"),
-    ("TC_VD_SPLIT_BV_03", node_with(extractor=StopsAt256), "dcp-2.0"),
-    ("TC_VD_SPLIT_BV_05-255", node_with(extractor=StopsAt256), "dcp-2.0"),
-    ("TC_VD_SPLIT_BV_05-128", node_with(extractor=SignedCount), "dcp-2.0"),
-    ("TC_VD_SPLIT_BV_04", node_with(extractor=LastOfEachType), "dcp-2.0"),
-    ("TC_VD_RX_BV_04-delete", node_with(extractor=LastOfEachType), "dcp-1.2"),
-    ("TC_VD_RX_BV_01", node_with(receiver=InOrderOfArrival), "dcp-2.0"),
-    ("TC_VD_RX_BV_06-in-order", node_with(receiver=InOrderOfArrival), "dcp-2.0"),
-    ("TC_VD_RX_BV_07-in-order", node_with(receiver=SummariesFirst), "dcp-1.0"),
-    ("TC_VD_RX_BV_05-in-order", node_with(receiver=DeletionsFirst), "dcp-1.3"),
-    ("TC_VD_RX_BV_09", node_with(receiver=Backwards), "dcp-2.0"),
-    ("TC_VD_RX_BV_10", node_with(receiver=Backwards), "dcp-1.2"),
-    ("TC_VD_ROB_BI_01-type-7", node_with(receiver=Dies), "dcp-2.0"),
-    ("TC_VD_ROB_BI_01-count-0", node_with(receiver=Dies), "dcp-2.0"),
-    ("TC_VD_ROB_BI_02", node_with(receiver=Dies), "dcp-2.0"),
-    ("TC_VD_ROB_BI_03-1", node_with(receiver=Dies), "dcp-2.0"),
-    ("TC_VD_LEN_BI_01-value-max+1", node_with(receiver=LongerValues), "dcp-2.0"),
-    ("TC_VD_LEN_BI_02-max+1", node_with(receiver=LongerValues), "dcp-1.1"),
-    ("TC_VD_LEN_BI_01-value-0", node_with(receiver=EmptyValues), "dcp-1.2"),
-    ("TC_VD_LEN_BI_02-0", node_with(receiver=EmptyValues), "dcp-2.0"),
-    ("TC_VD_LEN_BI_01-repCnt-max+1", node_with(receiver=NoRepCntCheck), "dcp-2.0"),
-    ("TC_VD_LEN_BI_01-repCnt-255", node_with(receiver=NoRepCntCheck), "dcp-1.2"),
-    ("TC_VD_LEN_BI_01-description-max", node_with(receiver=ShorterDescriptions), "dcp-1.0"),
-    ("TC_VD_CRT_BO_01-the-same", node_with(receiver=LaterOrSame), "dcp-2.0"),
-    ("TC_VD_CRT_BV_03-255-256", node_with(receiver=ByHighBits), "dcp-2.0"),
-    ("TC_VD_CRT_BV_01-plain", node_with(receiver=OwnTime), "dcp-2.0"),
-    ("TC_VD_SEQ_BV_01-1", node_with(core=core_with(sequence=PlainComparison)), "dcp-2.0"),
-    ("TC_VD_SEQ_BV_02-M-1", node_with(core=core_with(sequence=PlainComparison)), "dcp-2.0"),
-    ("TC_VD_SEQ_BV_03-M-1", node_with(core=core_with(sequence=PlainComparison)), "dcp-1.2"),
-    ("TC_VD_SEQ_BV_01-half+1", node_with(core=core_with(sequence=OffByOne)), "dcp-2.0"),
-    ("TC_VD_SEQ_BV_03-0", node_with(core=core_with(sequence=AnswersEqual)), "dcp-2.0"),
-    ("TC_VD_FWD_BV_01-r2", node_with(core=core_with(database=OneMoreCreate)), "dcp-2.0"),
-    ("TC_VD_FWD_BV_02-r1", node_with(core=core_with(database=OneMoreUpdate)), "dcp-2.0"),
-    ("TC_VD_FWD_BV_03-max", node_with(core=core_with(database=OneLessDelete)), "dcp-1.3"),
-    ("TC_VD_STATE_BO_01-unknown.rx-delete", node_with(receiver=AsksForTheDeleted), "dcp-2.0"),
-    ("TC_VD_PEND_BV_01", node_with(receiver=KeepsRequest), "dcp-2.0"),
-    ("TC_VD_FWD_BV_06-update", node_with(receiver=AlwaysArms), "dcp-2.0"),
-    ("TC_VD_FWD_BV_07-request-create", node_with(receiver=NeverArms), "dcp-2.0"),
-    ("TC_VD_FWD_BV_07-request-update", node_with(receiver=NeverArms), "dcp-1.0"),
+    ("TC_VD_SPLIT_BV_01", make_with(FirstContainerOnly), "dcp-2.0"),
+    ("TC_VD_SPLIT_BV_02-summaries+updates", make_with(FirstContainerOnly), "dcp-1.0"),
+    ("TC_VD_SPLIT_BV_01", make_with(LosesLastContainer), "dcp-2.0"),
+    ("TC_VD_SPLIT_BV_02-updates+create", make_with(LosesLastContainer), "dcp-1.2"),
+    ("TC_VD_SPLIT_BV_01", make_with(HalfOfThePayload), "dcp-1.1"),
+    ("TC_VD_SPLIT_BV_02-summaries+summaries", make_with(LosesLastRecord), "dcp-2.0"),
+    ("TC_VD_SPLIT_BV_03", make_with(StopsAt256), "dcp-2.0"),
+    ("TC_VD_SPLIT_BV_05-255", make_with(StopsAt256), "dcp-2.0"),
+    ("TC_VD_SPLIT_BV_05-128", make_with(SignedCount), "dcp-2.0"),
+    ("TC_VD_SPLIT_BV_04", make_with(LastOfEachType), "dcp-2.0"),
+    ("TC_VD_RX_BV_04-delete", make_with(LastOfEachType), "dcp-1.2"),
+    ("TC_VD_RX_BV_01", make_with(InOrderOfArrival), "dcp-2.0"),
+    ("TC_VD_RX_BV_06-in-order", make_with(InOrderOfArrival), "dcp-2.0"),
+    ("TC_VD_RX_BV_07-in-order", make_with(SummariesFirst), "dcp-1.0"),
+    ("TC_VD_RX_BV_05-in-order", make_with(DeletionsFirst), "dcp-1.3"),
+    ("TC_VD_RX_BV_09", make_with(Backwards), "dcp-2.0"),
+    ("TC_VD_RX_BV_10", make_with(Backwards), "dcp-1.2"),
+    ("TC_VD_ROB_BI_01-type-7", make_with(Dies), "dcp-2.0"),
+    ("TC_VD_ROB_BI_01-count-0", make_with(Dies), "dcp-2.0"),
+    ("TC_VD_ROB_BI_02", make_with(Dies), "dcp-2.0"),
+    ("TC_VD_ROB_BI_03-1", make_with(Dies), "dcp-2.0"),
+    ("TC_VD_LEN_BI_01-value-max+1", make_with(LongerValues), "dcp-2.0"),
+    ("TC_VD_LEN_BI_02-max+1", make_with(LongerValues), "dcp-1.1"),
+    ("TC_VD_LEN_BI_01-value-0", make_with(EmptyValues), "dcp-1.2"),
+    ("TC_VD_LEN_BI_02-0", make_with(EmptyValues), "dcp-2.0"),
+    ("TC_VD_LEN_BI_01-repCnt-max+1", make_with(NoRepCntCheck), "dcp-2.0"),
+    ("TC_VD_LEN_BI_01-repCnt-255", make_with(NoRepCntCheck), "dcp-1.2"),
+    ("TC_VD_LEN_BI_01-description-max", make_with(ShorterDescriptions), "dcp-1.0"),
+    ("TC_VD_CRT_BO_01-the-same", make_with(LaterOrSame), "dcp-2.0"),
+    ("TC_VD_CRT_BV_03-255-256", make_with(ByHighBits), "dcp-2.0"),
+    ("TC_VD_CRT_BV_01-plain", make_with(OwnTime), "dcp-2.0"),
+    ("TC_VD_SEQ_BV_01-1", make_with(PlainComparison), "dcp-2.0"),
+    ("TC_VD_SEQ_BV_02-M-1", make_with(PlainComparison), "dcp-2.0"),
+    ("TC_VD_SEQ_BV_03-M-1", make_with(PlainComparison), "dcp-1.2"),
+    ("TC_VD_SEQ_BV_01-half+1", make_with(OffByOne), "dcp-2.0"),
+    ("TC_VD_SEQ_BV_03-0", make_with(AnswersEqual), "dcp-2.0"),
+    ("TC_VD_FWD_BV_01-r2", make_with(OneMoreCreate), "dcp-2.0"),
+    ("TC_VD_FWD_BV_02-r1", make_with(OneMoreUpdate), "dcp-2.0"),
+    ("TC_VD_FWD_BV_03-max", make_with(OneLessDelete), "dcp-1.3"),
+    ("TC_VD_STATE_BO_01-unknown.rx-delete", make_with(AsksForTheDeleted), "dcp-2.0"),
+    ("TC_VD_PEND_BV_01", make_with(KeepsRequest), "dcp-2.0"),
+    ("TC_VD_FWD_BV_06-update", make_with(AlwaysArms), "dcp-2.0"),
+    ("TC_VD_FWD_BV_07-request-create", make_with(NeverArms), "dcp-2.0"),
+    ("TC_VD_FWD_BV_07-request-update", make_with(NeverArms), "dcp-1.0"),
 ]
 
 
@@ -410,6 +404,6 @@ def test_a_wrong_node_is_noticed(case_id: str, make: Make, profile: str) -> None
 
 
 def test_creation_times_with_swapped_octets_are_a_fault_of_the_data_type() -> None:
-    result = one_case("TC_VD_CRT_BV_03-255-256", "dcp-2.0", node_with(receiver=ByLittleEndian))
+    result = one_case("TC_VD_CRT_BV_03-255-256", "dcp-2.0", make_with(ByLittleEndian))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "DATA-01" in result.reason

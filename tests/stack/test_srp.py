@@ -12,14 +12,14 @@ from dcp_spec.status import BPStatus, SRPStatus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcp_codec import strategies
 from dcp_codec.codec import get_codec
 from dcp_codec.errors import EncodeError
+from dcp_codec.testing import strategies
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.config import MS, NodeConfig, SRPConfig
 from dcp_stack.effects import Dropped, NeighbourExpired, NeighbourSeen
 from dcp_stack.positions.fields import FieldError
-from dcp_stack.srp import TIMEOUT, NotInitializedError, StateReporting
+from dcp_stack.srp.entity import TIMEOUT, NotInitializedError, StateReporting
 
 OWN = bytes.fromhex("0200000000aa")
 OTHER = bytes.fromhex("0200000000bb")

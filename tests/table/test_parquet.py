@@ -27,7 +27,7 @@ A_BUS, B_CRUD = CAPTURES / "a_bus3.mcap", CAPTURES / "b_crud.mcap"
 def small_groups(monkeypatch):
     """Row groups of some hundred rows, so that a capture has several."""
     monkeypatch.setattr("dcp_codec.table.parquet_output.GROUP", 300)
-    monkeypatch.setattr("dcp_codec.table.sources.FRAMES", 100)
+    monkeypatch.setattr("dcp_codec.table.input.sources.FRAMES", 100)
 
 
 @pytest.fixture(params=[0, 2], ids=["no threads", "two threads"])

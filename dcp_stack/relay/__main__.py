@@ -1,0 +1,108 @@
+"""``python -m dcp_stack.relay``: forward frames between the interfaces of this network namespace.
+
+Reads a line of JSON (``messages.Setup``), then a command a line, and answers each with a line. Ends when its input
+ends, and says its counters then. Exit status: 0; 2 if the setup is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import signal
+import sys
+from pathlib import Path
+
+import msgspec
+from dcp_spec.profile.loading import ProfileError
+
+from dcp_codec.capture import CaptureError
+from dcp_codec.impairment import ImpairmentError, Network, parse_impairment
+from dcp_codec.network.sockets import OpeningError
+
+from .loop import Relay, prefer
+from .messages import Answer, Command, Setup
+from .port import Port
+from .recorder import PortRecorder
+
+_COMMAND = msgspec.json.Decoder(Command)
+
+
+def main() -> int:
+    """Run the relay until its input ends."""
+    # A terminal sends these to all processes at once; the relay ends after those whose frames it carries.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    lines = _Lines(sys.stdin.fileno())
+    first = lines.wait()
+    try:
+        relay = _make(msgspec.json.decode(first, type=Setup))
+    except (msgspec.DecodeError, ImpairmentError, OpeningError, CaptureError, ProfileError, OSError) as error:
+        _say(Answer(ok=False, why=str(error)))
+        return 2
+    prefer()
+    # Nothing made from here on forms cycles, and a collection would hold up what is due.
+    gc.freeze()
+    gc.disable()
+    _say(Answer(ok=True))
+    while not lines.ended:
+        if relay.step(lines.descriptor):
+            for line in lines.read():
+                try:
+                    answer = relay.carry_out(_COMMAND.decode(line))
+                except msgspec.DecodeError as error:
+                    answer = Answer(ok=False, why=f"no command: {error}")
+                _say(answer)
+    found = relay.counters()
+    relay.close()
+    _say(Answer(ok=True, counters=found))
+    return 0
+
+
+def _make(setup: Setup) -> Relay:
+    network = Network(len(setup.ports), default=parse_impairment(setup.impairment), seed=setup.seed, hears=setup.hears)
+    ports: list[Port] = []
+    recorders: list[PortRecorder] = []
+    for number, interface in enumerate(setup.ports):
+        try:
+            ports.append(Port(interface))
+        except (OpeningError, OSError) as error:
+            raise OpeningError(f"port {number}, interface {interface}: {error}") from None
+        if setup.record:
+            path = Path(setup.record, f"port-{number}.mcap")
+            recorders.append(PortRecorder(path, number, interface, setup.profile))
+    return Relay(network, ports, recorders)
+
+
+class _Lines:
+    """Lines from a descriptor, read as they come."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self.ended = False
+        self._rest = b""
+
+    def read(self) -> list[bytes]:
+        """The lines that have come; waits only if there is nothing to read at all."""
+        octets = os.read(self.descriptor, 1 << 16)
+        self.ended = not octets
+        *lines, self._rest = (self._rest + octets).split(b"\n")
+        return [each for each in lines if each.strip()]
+
+    def wait(self) -> bytes:
+        """The next line."""
+        while not self.ended:
+            if lines := self.read():
+                # Nobody says more before the answer.
+                return lines[0]
+        return b""
+
+
+def _say(answer: Answer) -> None:
+    # Whoever asked may be gone.
+    with contextlib.suppress(OSError):
+        sys.stdout.buffer.write(msgspec.json.encode(answer) + b"\n")
+        sys.stdout.buffer.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

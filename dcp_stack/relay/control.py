@@ -1,0 +1,119 @@
+"""A relay as a process of its own, seen from the program that started it."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+import msgspec
+
+from .messages import Answer, Command, Count, Setup
+
+#: Seconds that the relay may take to start, and to answer.
+START_PATIENCE: Final = 30.0
+PATIENCE: Final = 10.0
+
+
+class RelayError(Exception):
+    """The relay refused something, or is gone; the message says what and why."""
+
+
+class RelayProcess:
+    """Starts ``python -m dcp_stack.relay`` and talks to it. It ends with this process at the latest."""
+
+    def __init__(self, setup: Setup, around: Sequence[str] = ()) -> None:
+        """``around``: what comes before the command, such as ``nsenter``. Raises :class:`RelayError`."""
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close()
+        self._rest = b""
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - our own program
+                [*around, sys.executable, "-m", "dcp_stack.relay"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._complaints,
+            )
+        except OSError as error:
+            self._complaints.close()
+            raise RelayError(f"the relay cannot be started: {error}") from None
+        self._final: dict[str, Any] | None = None
+        try:
+            self._ask(msgspec.json.encode(setup), START_PATIENCE)
+        except RelayError:
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    def command(self, command: Command) -> Answer:
+        """Have a command carried out. Raises :class:`RelayError` if it is refused or the relay is gone."""
+        return self._ask(msgspec.json.encode(command), PATIENCE)
+
+    def counters(self) -> dict[str, Any]:
+        """The counters: now, or after :meth:`close` those of the end. Raises :class:`RelayError`."""
+        return self._final if self._final is not None else self.command(Count()).counters
+
+    def close(self) -> dict[str, Any]:
+        """End the relay; returns its last counters (none if it did not end as it should). May be called twice."""
+        if self._final is not None:
+            return self._final
+        self._final = {}
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with contextlib.suppress(OSError):
+            process.stdin.close()
+        with contextlib.suppress(RelayError, msgspec.DecodeError):
+            self._final = msgspec.json.decode(self._line(PATIENCE), type=Answer).counters
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        process.stdout.close()
+        self._complaints.close()
+        return self._final
+
+    def _ask(self, line: bytes, patience: float) -> Answer:
+        assert self._process.stdin is not None
+        if self._final is not None:
+            raise RelayError("the relay was closed")
+        try:
+            self._process.stdin.write(line + b"\n")
+            self._process.stdin.flush()
+        except OSError:
+            raise self._gone() from None
+        answer = msgspec.json.decode(self._line(patience), type=Answer)
+        if not answer.ok:
+            raise RelayError(f"the relay refuses: {answer.why}")
+        return answer
+
+    def _line(self, patience: float) -> bytes:
+        assert self._process.stdout is not None
+        deadline = time.monotonic() + patience
+        while b"\n" not in self._rest:
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([self._process.stdout], [], [], left)[0]:
+                raise RelayError(f"the relay does not answer within {patience:g} s")
+            octets = self._process.stdout.read1()  # type: ignore[attr-defined]
+            if not octets:
+                raise self._gone()
+            self._rest += octets
+        line, _, self._rest = self._rest.partition(b"\n")
+        return line
+
+    def _gone(self) -> RelayError:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(1.0)
+        self._complaints.seek(0)
+        said = self._complaints.read().decode(errors="replace").strip().splitlines()
+        last = f"; it said: {said[-1]}" if said else ""
+        return RelayError(f"the relay has ended (exit status {self._process.returncode}){last}")

@@ -1,0 +1,118 @@
+"""A network of namespaces whose links all go through one relay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from dcp_codec.impairment import PERFECT, Impairment, text_of
+from dcp_stack.sim.testbed import namespaces
+
+from .control import RelayError, RelayProcess
+from .messages import Partition, SetQuality, Setup, SwitchPort
+
+#: The interface of a station in its namespace.
+INTERFACE: Final = "dcp0"
+
+
+class RelayFabric:
+    """Namespaces with an interface each, and a relay between the other ends of their cables.
+
+    Namespaces are made as a testbed makes them (``dcp_stack.sim.testbed.namespaces``): with a prefix that names this
+    process. :meth:`close` deletes them with ``namespaces.delete`` unless told otherwise.
+    """
+
+    def __init__(
+        self,
+        prefix: str,
+        addresses: Sequence[bytes],
+        *,
+        impairment: Impairment = PERFECT,
+        seed: int = 1,
+        pairs: Iterable[tuple[int, int]] | None = None,
+        record: str | Path | None = None,
+        profile: str = "",
+    ) -> None:
+        """``addresses``: of the interfaces, 6 octets each, one for each station. ``impairment``: of all links.
+
+        ``pairs``: (sender, receiver) in reach; None: all. ``record``: a folder that exists, for ``port-N.mcap``;
+        ``profile``: the wire profile that the recordings name.
+
+        Raises :class:`RelayError` and ``namespaces.NamespaceError``.
+        """
+        width = len(str(max(0, len(addresses) - 1)))
+        self.namespaces = [f"{prefix}-n{number:0{width}}" for number in range(len(addresses))]
+        self.air = f"{prefix}-air"
+        self._closed = False
+        made = [*self.namespaces, self.air]
+        try:
+            namespaces.create(made)
+            self._cable([address[:6].hex(":") for address in addresses])
+            setup = Setup(
+                ports=tuple(f"p{number}" for number in range(len(addresses))),
+                impairment=text_of(impairment),
+                seed=seed,
+                hears=None if pairs is None else tuple(pairs),
+                record="" if record is None else str(Path(record).resolve()),
+                profile=profile,
+            )
+            self._relay = RelayProcess(setup, namespaces.enter_command(self.air))
+        except BaseException:
+            namespaces.delete(made)
+            raise
+
+    def _cable(self, addresses: Sequence[str]) -> None:
+        lines = []
+        for number, address in enumerate(addresses):
+            peer = f"{INTERFACE} address {address} netns {self.namespaces[number]}"
+            lines.append(f"link add p{number} type veth peer name {peer}")
+            lines.append(f"link set p{number} addrgenmode none up")
+        namespaces.batch("ip", self.air, lines)
+        for name in self.namespaces:
+            namespaces.batch("ip", name, ["link set lo up", f"link set {INTERFACE} addrgenmode none up"])
+
+    @property
+    def relay_pid(self) -> int:
+        """The relay's process."""
+        return self._relay.pid
+
+    def set_quality(self, direction: tuple[int, int] | None, impairment: Impairment) -> None:
+        """Change the impairment from one station to another, or (None) of all links that have none of their own.
+
+        Raises :class:`RelayError`, as the following do.
+        """
+        sender, receiver = direction if direction is not None else (None, None)
+        self._relay.command(SetQuality(impairment=text_of(impairment), sender=sender, receiver=receiver))
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Let frames stay within their groups; stations in none form one more. No groups: heal."""
+        self._relay.command(Partition(tuple(tuple(each) for each in groups)))
+
+    def port(self, number: int, *, up: bool) -> None:
+        """Connect or disconnect a station; its interface stays up."""
+        self._relay.command(SwitchPort(number, up))
+
+    def counters(self) -> dict[str, Any]:
+        """``links`` (by ``"0>1"``), ``ports`` and ``lateness_ns`` of the relay; the last ones after :meth:`close`."""
+        return self._relay.counters()
+
+    def close(self, *, keep_namespaces: bool = False) -> dict[str, Any]:
+        """End the relay and delete the namespaces with all processes in them; returns the last counters."""
+        found = self._relay.close()
+        if not (self._closed or keep_namespaces):
+            self._closed = True
+            namespaces.delete([*self.namespaces, self.air])
+        return found
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+__all__ = ["INTERFACE", "RelayError", "RelayFabric"]
