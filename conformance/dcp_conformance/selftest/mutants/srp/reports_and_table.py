@@ -377,6 +377,10 @@ class Lazy(StateReporting):
     def poll_timeout(self) -> int | None:
         return self._traversed + self._timeout if self._table else None
 
+    def handle_timeout(self, now: int, wall: int) -> None:
+        if now >= self._traversed + self._timeout:
+            super().handle_timeout(now, wall)
+
 
 @mutant("fixed", "SRP-PAR-01", "accepts a new timeout, but keeps using the old one")
 class FixedTimeout(StateReporting):
