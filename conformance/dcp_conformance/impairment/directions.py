@@ -18,7 +18,8 @@ class Directions(NamedTuple):
     def __str__(self) -> str:
         if self.to == self.back:
             return text_of(self.to)
-        return "; ".join(f"{name}:{text_of(each)}" for name, each in (("to", self.to), ("from", self.back)) if not each.perfect)
+        named = (("to", self.to), ("from", self.back))
+        return "; ".join(f"{name}:{text_of(each)}" for name, each in named if not each.perfect)
 
 
 def parse_directions(texts: Iterable[str]) -> Directions:
