@@ -96,7 +96,7 @@ def run_in_lanes(run: ConformanceRun, lanes: int) -> None:
 
 def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
     """The selection of one lane."""
-    return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,))
+    return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,), first=run.first)
 
 
 def messages(connections: dict[Connection, Any]) -> Iterator[Any]:

@@ -72,6 +72,7 @@ def execute(
     _together(executor, rest, on_result)
     if runner.session.can_restart:
         executor.run([case for case in applicable if case.destructive and not why_alone(case)], on_result)
+        executor.run_again(on_result)
     return executor.reasons
 
 
