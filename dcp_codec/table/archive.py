@@ -19,21 +19,17 @@ import msgspec
 from dcp_codec.capture import SUFFIXES
 from dcp_codec.capture.compressed import without_compression
 from dcp_codec.codec import get_codec
-from dcp_codec.wholefile import rename_durably, sync_tree
+from dcp_codec.common.atomic_write import rename_durably, sync_tree
 
-from .jit import COMPILING, LOG, announce
-from .job import Advance, Job, Outcome, run
-from .shape import ERRORS, Shape
+from .job import Advance, Job, Outcome, TableError, run
+from .kernel.jit import COMPILING, LOG, announce
+from .kernel.shape import ERRORS, Shape
 from .writing import Format, write_database
 
 Engine = Literal["local", "dask"]
 
 #: Seconds between two looks at how far the workers are.
 _LOOK = 0.2
-
-
-class TableError(Exception):
-    """Tables cannot be made or put where they should go; the message is one for people."""
 
 
 class Order(msgspec.Struct, frozen=True):

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from .pools import Pool
-from .shape import Column, Table
-from .stage import item, row_size, table_layout
+from .kernel.pools import Pool
+from .kernel.row_buffer import item, row_size, table_layout
+from .kernel.shape import Column, Table
 
 Octets = npt.NDArray[np.uint8]
 _INTEGERS = {

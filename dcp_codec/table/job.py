@@ -7,22 +7,26 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import msgspec
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
+from dcp_codec.analysis.guess import guess, sample
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.frames import with_ether_type
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.guess import guess, sample
+from dcp_codec.framing.frames import with_ether_type
+from dcp_codec.framing.locate import OtherTraffic, locate
 
 from .decoding import ColumnDecoder, worth_compiling
-from .sources import Recording
+from .input.sources import Recording
 from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
 
 #: Frames that are looked at to tell what there is in a recording without beacons.
 _LOOKED_AT = 10_000
 
 Advance = Callable[[int], object]
+
+
+class TableError(Exception):
+    """Tables cannot be made or written; the message is for the user."""
 
 
 class Job(msgspec.Struct, frozen=True):

@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import pyarrow as pa
 
-from dcp_codec.spreadsheet import FORMULA_STARTS
+from dcp_codec.common.spreadsheet import FORMULA_STARTS
 
 from .columns import KEPT, TOGETHER
 
@@ -162,7 +162,7 @@ def _csv_array(array: pa.Array, wanted: pa.DataType) -> pa.Array:
 
 
 def _safe(array: pa.Array) -> pa.Array:
-    """Texts as :func:`dcp_codec.spreadsheet.safe_cell` has them."""
+    """Texts as :func:`dcp_codec.common.spreadsheet.safe_cell` has them."""
     import pyarrow.compute as pc
 
     formulas = pc.match_substring_regex(array, f"^[{re.escape(FORMULA_STARTS)}]")

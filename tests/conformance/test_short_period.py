@@ -5,18 +5,18 @@ from __future__ import annotations
 import re
 
 import pytest
-from dcp_conformance.case import all_cases
-from dcp_conformance.concurrent.executor import execute
-from dcp_conformance.concurrent.sharing import at_short_period
-from dcp_conformance.concurrent.short_period import PERIOD, ShortPeriod
-from dcp_conformance.listening import Listening
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.concurrent.executor import execute
+from dcp_conformance.execution.concurrent.sharing import at_short_period
+from dcp_conformance.execution.concurrent.short_period import PERIOD, ShortPeriod
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.selftest import Suite, cases
-from dcp_conformance.session import Session
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.runner import Suite, cases
+from dcp_conformance.test_system.session import Session
+from dcp_conformance.test_system.waiting import Waiting
 
 from dcp_codec.codec import Codec
 
@@ -117,16 +117,16 @@ def test_a_whole_run_is_short_and_gives_the_verdicts_of_our_node() -> None:
 @pytest.mark.parametrize("pattern", ["TC_VD_DB_BV_06-", "TC_NET_RACE_BO_02-", "TC_NET_JOIN_BV_07", "TC_VD_UPD_BV_0"])
 def test_no_case_waits_for_repetitions_that_are_over(monkeypatch, pattern: str) -> None:
     vain: list[str] = []
-    until_quiet = Listening.until_quiet
+    until_quiet = Waiting.until_quiet
 
-    def watched(self: Listening, present, periods: float = 60, *args, **more):
+    def watched(self: Waiting, present, periods: float = 60, *args, **more):
         began = self.now()
         found = until_quiet(self, present, periods, *args, **more)
         if not found and self.now() - began > 20 * self.period:
             vain.append(self.case.id)
         return found
 
-    monkeypatch.setattr(Listening, "until_quiet", watched)
+    monkeypatch.setattr(Waiting, "until_quiet", watched)
     suite = Suite("dcp-2.0")
     chosen = [case for case in cases() if case.id.startswith(pattern)]
     assert chosen

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 
 from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
 
 if TYPE_CHECKING:
-    from dcp_conformance.run import ConformanceRun
+    from dcp_conformance.execution.run import ConformanceRun
     from dcp_conformance.selection import Selection
 
 
@@ -61,9 +61,9 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    from dcp_conformance.lanes import lanes_of, run_in_lanes
-    from dcp_conformance.run import ConformanceRun
-    from dcp_conformance.signals import deferred, ending_like_interrupts
+    from dcp_conformance.execution.parallel import run_in_workers, workers_for
+    from dcp_conformance.execution.run import ConformanceRun
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
 
     from .display import Display
 
@@ -94,13 +94,13 @@ def command(**options: Any) -> int:
         make_folder(report)
     with ending_like_interrupts():
         if extra:
-            from dcp_conformance.plugin import run_with_pytest
+            from dcp_conformance.pytest_plugin import run_with_pytest
 
             run_with_pytest(run, extra)
         else:
-            lanes = lanes_of(run, options["jobs"])
+            workers = workers_for(run, options["jobs"])
             with display:
-                run_in_lanes(run, lanes) if lanes > 1 else run.execute()
+                run_in_workers(run, workers) if workers > 1 else run.execute()
         with deferred():
             _report(run, report)
     return run.exit_status()
@@ -108,7 +108,7 @@ def command(**options: Any) -> int:
 
 def _at_a_time(options: dict[str, Any]) -> int:
     """How many cases are executed at a time against one implementation, unless the user says so."""
-    from dcp_conformance.concurrent import WIDTH
+    from dcp_conformance.execution.concurrent import WIDTH
 
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])

@@ -11,19 +11,19 @@ import msgspec
 from dcp_spec.constants import ProtocolId
 
 from dcp_codec.codec import Codec
-from dcp_codec.framing import ETHERNET_HEADER
-from dcp_conformance.case import SANITY, Case, Kind
+from dcp_codec.framing.locate import ETHERNET_HEADER
 from dcp_conformance.check.base import Context, Invariant, Seen
 from dcp_conformance.check.places import placed
-from dcp_conformance.heard import Heard
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import CaseResult, Check, EventRecord, Mark
-from dcp_conformance.verdict import Verdict, worst
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import SANITY, Case, Kind
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark
+from dcp_conformance.model.verdict import Verdict, worst
 
 from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, MostSummaries, RepeatedJitter
 
 if TYPE_CHECKING:
-    from dcp_conformance.bench import Bench
+    from dcp_conformance.test_system.bench import Bench
 
 SECTION: Final = "Passive testing: every beacon of the run"
 SIDE_BY_SIDE: Final = "the cases side by side"
@@ -179,7 +179,7 @@ class PassiveTester:
         self._fed_instructions = [rule for rule in fed if rule.id in OF_INSTRUCTIONS]
         self._fed = [rule for rule in fed if rule.id not in OF_REPORTS | OF_INSTRUCTIONS]
 
-    def heard(self, heard: Heard, frame: bytes, start: int, case: str, traffic: object) -> None:
+    def heard(self, heard: ReceivedBeacon, frame: bytes, start: int, case: str, traffic: object) -> None:
         """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
         if heard.time <= self._since or not (self._side_by_side or traffic is self._traffic):
             return
@@ -294,7 +294,7 @@ class _Place(NamedTuple):
     case: str
     execution: int
     """Of the case: the first is 1."""
-    heard: Heard
+    heard: ReceivedBeacon
     frame: bytes
     start: int
 

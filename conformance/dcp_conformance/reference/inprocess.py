@@ -11,9 +11,9 @@ import msgspec
 
 from dcp_codec.codec import Codec
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.lower import Arrival, LinkHealth
-from dcp_conformance.upper import Answer, Notification
-from dcp_conformance.upper.jsonrpc import answer_of, notification_of, request_line
+from dcp_conformance.lower_tester import Arrival, LinkHealth
+from dcp_conformance.upper_tester import Answer, Notification
+from dcp_conformance.upper_tester.jsonrpc import answer_of, notification_of, request_line
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig
 from dcp_stack.control import ControlServer
 from dcp_stack.effects import SendBeacon
