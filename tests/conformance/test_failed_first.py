@@ -6,11 +6,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_conformance.case import SANITY, all_cases
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.selection import Selection, select
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.model.case import SANITY, all_cases
 from dcp_conformance.reporting import load_results
-from dcp_conformance.run import ConformanceRun
-from dcp_conformance.selection import Selection, select
-from dcp_conformance.target import TargetOptions
 
 from .command import Command
 

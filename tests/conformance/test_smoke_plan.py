@@ -5,18 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from dcp_conformance.case import all_cases
 from dcp_conformance.diagnosis import load as load_dictionary
-from dcp_conformance.pics import Pics
-from dcp_conformance.plans import load
-from dcp_conformance.plans.smoke import choose
-from dcp_conformance.plans.times import encode
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import Selection, select
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.case_times import encode, load
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import Selection, select
-from dcp_conformance.selftest import Suite, cases
-from dcp_conformance.session import Session
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest import cases
+from dcp_conformance.selftest.runner import Suite
+from dcp_conformance.selftest.smoke_plan import choose
+from dcp_conformance.test_system.session import Session
 
 from dcp_codec.codec import Codec
 

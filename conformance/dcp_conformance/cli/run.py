@@ -15,7 +15,7 @@ from .options import EXIT_STATUS, as_typed, selection_of, selection_options, tar
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.run import ConformanceRun
-    from dcp_conformance.selection import Selection
+    from dcp_conformance.execution.selection import Selection
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -121,8 +121,8 @@ def _failed_first(selection: Selection, report: Path | None, *, only: bool) -> S
         if only:
             raise click.UsageError("--failed-only needs --failed REPORT, the report of an earlier run")
         return selection
+    from dcp_conformance.model.verdict import Verdict
     from dcp_conformance.reporting import load_results
-    from dcp_conformance.verdict import Verdict
 
     bad = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE)
     first = frozenset(case.id for case in load_results(report).cases if case.verdict in bad)

@@ -123,7 +123,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
         return measure_diagnosis(options) if options["dictionary"] is None else make_dictionary(mutants, options)
     if options["smoke_plan"] is not None:
-        from .plans import make_smoke_plan
+        from .smoke_plan import make_smoke_plan
 
         return make_smoke_plan(options)
     if options["side_by_side"]:

@@ -114,7 +114,7 @@ class Case:
     def smoke(self) -> bool:
         """Whether it belongs to the smoke plan (``data/case-times.json``)."""
         # Needed by the few commands that ask for it.
-        from .plans import load
+        from .case_times import load
 
         return self.id == SANITY or self.id in load().smoke
 

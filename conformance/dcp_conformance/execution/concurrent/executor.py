@@ -14,10 +14,10 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival
 from dcp_conformance.model.applicability import why_not
 from dcp_conformance.model.case import Case
+from dcp_conformance.model.case_times import load
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import SIDE_BY_SIDE
-from dcp_conformance.plans import load
 from dcp_conformance.test_system.bench import Bench
 
 from .scheduler import Scheduler, Task

@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 
 def make_smoke_plan(options: dict[str, Any]) -> int:
     """Measure the cases, choose the smoke plan, and write both. Returns the exit status."""
     from dcp_conformance.diagnosis import load
-    from dcp_conformance.plans.making import make
-    from dcp_conformance.plans.times import encode
-    from dcp_conformance.results import CaseResult
+    from dcp_conformance.model.case_times import encode
+    from dcp_conformance.model.results import CaseResult
+    from dcp_conformance.selftest.smoke_plan import make
 
     from .display import progress_bar
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Final
 
-from dcp_conformance.case import SANITY, Case
-from dcp_conformance.concurrent import why_alone
-from dcp_conformance.diagnosis import Dictionary
+from dcp_conformance.diagnosis import Dictionary, load
+from dcp_conformance.execution.concurrent import why_alone
+from dcp_conformance.model.case import SANITY, Case
+from dcp_conformance.model.case_times import Times
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 
+from .runner import Suite, cases
+
+#: The version whose cases are measured.
+PROFILE: Final = "dcp-2.0"
 #: Seconds that the plan may take by the cost of its cases: for those without an upper tester, and for all.
 BUDGET: Final = (3.5, 9.0)
 #: Cases side by side that the costs assume. Fewer than are executed: waves of cases end one by one.
@@ -22,20 +29,20 @@ def cost(case: Case, seconds: Mapping[str, float]) -> float:
     return max(seconds[case.id], 0.05) / (1 if why_alone(case) else _BESIDE)
 
 
-def choose(cases: Iterable[Case], seconds: Mapping[str, float], dictionary: Dictionary) -> dict[str, int]:
+def choose(candidates: Iterable[Case], seconds: Mapping[str, float], dictionary: Dictionary) -> dict[str, int]:
     """Choose cases greedily: always the one that notices most further faults for its cost, until the budget is spent.
 
     First from those that need no upper tester, then from all, so that the plan is useful for every implementation.
     ``seconds``: how long cases take; others are not chosen. Returns the cases in this order, each with the number of
     faults that no earlier one notices.
     """
-    able = [case for case in cases if _is_able(case, seconds)]
+    able = [case for case in candidates if _is_able(case, seconds)]
     fails = {case.id: {fault.id for fault in dictionary.faults if case.id in fault.fails} for case in able}
     found: dict[str, int] = {}
     noticed: set[str] = set()
     spent = 0.0
-    for candidates, budget in (([case for case in able if not case.needs.ut], BUDGET[0]), (able, BUDGET[1])):
-        while best := _best(candidates, found, fails, noticed, seconds, budget - spent):
+    for affordable, budget in (([case for case in able if not case.needs.ut], BUDGET[0]), (able, BUDGET[1])):
+        while best := _best(affordable, found, fails, noticed, seconds, budget - spent):
             found[best.id] = len(fails[best.id] - noticed)
             noticed |= fails[best.id]
             spent += cost(best, seconds)
@@ -64,3 +71,14 @@ def _best(
     }
     value, best = max(worth.values(), key=lambda each: (each[0], each[1].id), default=(0.0, None))
     return best if value > 0 else None
+
+
+def make(on_result: Callable[[CaseResult], None] = lambda _: None) -> Times:
+    """Run every case against our node in virtual time, one after the other, and choose the smoke plan."""
+    seconds: dict[str, float] = {}
+    for result in Suite(PROFILE).run(cases()):
+        on_result(result)
+        if result.verdict is not Verdict.NOT_APPLICABLE:
+            seconds[result.id] = round(result.duration, 1)
+    measured = dict(sorted(seconds.items()))
+    return Times(smoke=choose(cases(), measured, load()), seconds=measured)
