@@ -13,8 +13,7 @@ from dcp_conformance.model.case_times import encode, load
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.selftest import cases
-from dcp_conformance.selftest.runner import Suite
+from dcp_conformance.selftest.runner import Suite, cases
 from dcp_conformance.selftest.smoke_plan import choose
 from dcp_conformance.test_system.session import Session
 
