@@ -48,6 +48,13 @@ if TYPE_CHECKING:
     metavar="N",
     help="The most cases at a time against one implementation; 1: one after the other.  [default: 16, in real time]",
 )
+@click.option(
+    "--impair",
+    multiple=True,
+    metavar="KEY=VALUE,...",
+    help="Make the link bad while cases run: loss=0.1,burst=3,delay=5ms,jitter=2ms,duplicate=0.01,reorder=0.02,"
+    "corrupt=0.001; with to: or from: before it in one direction (docs/impairment.md).",
+)
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
 @click.option("--quiet", "-q", is_flag=True, help="Only the summary.")
@@ -67,7 +74,7 @@ def command(**options: Any) -> int:
 
     from .display import Display
 
-    target = target_of(options)
+    target = replace(target_of(options), impair=options["impair"])
     display = Display(verbose=options["verbose"], quiet=options["quiet"])
     extra = shlex.split(options["pytest_options"] or "")
     run = ConformanceRun(
@@ -110,6 +117,9 @@ def _at_a_time(options: dict[str, Any]) -> int:
     """How many cases are executed at a time against one implementation, unless the user says so."""
     from dcp_conformance.execution.concurrent import WIDTH
 
+    if options["impair"]:
+        # Which frame explains what is known for one case at a time.
+        return 1
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])
     return WIDTH if options["interface"] is not None or options["link"] is not None else 1
