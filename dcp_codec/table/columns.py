@@ -125,10 +125,11 @@ class Storage:
 
 #: References to memory that only a piece has: its own, and that of asking.
 _UNSHARED = 2
-#: Where rows are collected (``writing.Pile``), batches with few that are copied together, and with many that are kept.
+#: Where rows are collected (``parquet_output.Pile``), batches with few that are copied together, and with many that are
+#: kept.
 TOGETHER, KEPT = 4, 8
-#: Batches whose memory is remembered: the one being made, and those that wait.
-_SPARE = max(TOGETHER, KEPT) + 1
+#: Batches whose memory is remembered: the one being made, those that wait, and those that a thread is writing.
+_SPARE = 2 * max(TOGETHER, KEPT) + 1
 
 
 def _table_memory(table: Table, rows: int) -> _Piece:
