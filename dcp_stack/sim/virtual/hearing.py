@@ -28,6 +28,7 @@ from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.bp.client_port import ClientPort
 from dcp_stack.bp.entity import BeaconingProtocol, NeighbourLoss
 from dcp_stack.bp.wire import BPWire
+from dcp_stack.bp_port import BPPort
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, VariableChanged
 from dcp_stack.node import Node
@@ -36,7 +37,7 @@ from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 from dcp_stack.vardis.core import Sequence
 from dcp_stack.vardis.database import DBEntry
 from dcp_stack.vardis.delivery import Delivery
-from dcp_stack.vardis.entity import BPPort, Vardis
+from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell
 
