@@ -161,6 +161,14 @@ class ImpairedLowerTester:
         else:
             self._inner.send(leaving.octets, leaving.source)
 
+    def settle(self) -> None:
+        """Wait until no frame is under way to the implementation; what arrives meanwhile is kept."""
+        self._flush()
+        while self._leaving:
+            if (arrival := self._inner.receive(self._leaving[0].time)) is not None:
+                self._take(arrival)
+            self._flush()
+
     def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
         """The next frame that came through the link before ``until``; None then, or when ``also`` is readable."""
         while True:
