@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import multiprocessing
+import os
 import shutil
 import signal
 import tempfile
@@ -156,6 +157,7 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
 
         return run_on_cluster(jobs, order.jobs, order.scheduler, advance)
     workers = min(order.jobs, len(jobs))
+    jobs = [msgspec.structs.replace(job, threads=_threads(workers)) for job in jobs]
     if workers <= 1:
         return [run(job, advance) for job in jobs]
     context = multiprocessing.get_context("spawn")
@@ -179,6 +181,12 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
             raise
+
+
+def _threads(workers: int) -> int:
+    """How many threads each of so many processes should have for writing: none where each process has one core."""
+    share = len(os.sched_getaffinity(0)) // workers
+    return share if share > 1 else 0
 
 
 class _Worker:

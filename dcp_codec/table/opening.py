@@ -16,7 +16,8 @@ from .decoding import ColumnDecoder, worth_compiling
 from .input.sources import Recording
 from .job import resolve
 from .kernel.shape import TABLES, table_names
-from .writing import Pile, file_schema, joint_schema, with_file
+from .parquet_output import Pile
+from .writing import file_schema, joint_schema, with_file
 
 Source = str | Path | Sequence[str | Path]
 

@@ -21,11 +21,6 @@ from dcp_codec.values import (
 from .core import Core
 from .database import DBEntry, IdQueue
 
-# Names of the module: they are compared with for each record.
-_CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
-_SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
-_UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
-
 
 class Composer:
     """Fills payloads from the queues of a database, and counts down what it has filled in."""
@@ -87,7 +82,7 @@ class Composer:
         payload. ``largest`` is what an empty payload could take.
         """
         candidates: Iterable[int] = queue
-        if kind is _SUMMARIES:
+        if kind is ICType.SUMMARIES:
             ##= VD-CMP-01
             ##= VD-CMP-02
             candidates = islice(candidates, self._parameters.max_summaries)
@@ -116,10 +111,10 @@ class Composer:
         return chosen, used
 
     def _record_size(self, kind: ICType, var_id: int) -> int:
-        if kind is _CREATES:
+        if kind is ICType.CREATE_VARIABLES:
             entry = self._entry(var_id)
             return self._sizes.create(entry.spec, entry.value)
-        if kind is _UPDATES:
+        if kind is ICType.UPDATES:
             return self._sizes.update(self._entry(var_id).value)
         size = self._sizes.fixed[kind]
         assert size is not None
@@ -131,12 +126,12 @@ class Composer:
     def _take(self, kind: ICType, var_id: int) -> VardisRecord:
         """The record of a variable, which from now on counts as sent."""
         database = self._database
-        if kind is _CREATE_REQUESTS:
+        if kind is ICType.REQUEST_VARCREATES:
             ##= VD-CMP-12
             database.req_create_q.remove(var_id)
             return VarReqCreate(var_id)
         entry = self._entry(var_id)
-        if kind is _CREATES:
+        if kind is ICType.CREATE_VARIABLES:
             ##= VD-CMP-06
             entry.count_create -= 1
             _rotate_or_leave(database.create_q, var_id, entry.count_create)
@@ -145,20 +140,20 @@ class Composer:
             ##= VD-PC-10
             ##= VD-TYP-07
             return VarCreate(entry.spec, VarUpdate(var_id, entry.seqno, entry.value))
-        if kind is _UPDATES:
+        if kind is ICType.UPDATES:
             ##= VD-CMP-09
             entry.count_update -= 1
             _rotate_or_leave(database.update_q, var_id, entry.count_update)
             ##= VD-UPD-10
             return VarUpdate(var_id, entry.seqno, entry.value)
-        if kind is _DELETES:
+        if kind is ICType.DELETE_VARIABLES:
             ##= VD-CMP-10
             entry.count_delete -= 1
             _rotate_or_leave(database.delete_q, var_id, entry.count_delete)
             if not entry.count_delete:
                 database.after_last_delete(var_id)
             return VarDelete(var_id)
-        if kind is _UPDATE_REQUESTS:
+        if kind is ICType.REQUEST_VARUPDATES:
             ##= VD-CMP-11
             database.req_upd_q.remove(var_id)
             return VarReqUpdate(var_id, entry.seqno)

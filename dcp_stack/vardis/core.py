@@ -11,10 +11,7 @@ from dcp_stack.timestamps import StampClock
 from .database import Database, DBEntry
 from .delivery import Delivery
 from .parameters import VardisParameters
-from .state_table import Cell, Event, State, table
-
-#: A name of the module is found ten times as fast as a member of an enumeration, and each record needs a cell.
-_UNKNOWN, _ALIVE_PRODUCER, _ALIVE_CONSUMER, _DELETED_PRODUCER, _DELETED_CONSUMER = State
+from .state_table import Cell, Event, table
 
 
 class Sequence:
@@ -72,13 +69,12 @@ class Core:
 
     def cell(self, event: Event, entry: DBEntry | None) -> Cell:
         """What the table says about an event for a variable with this entry, None if there is none."""
+        unknown, own, foreign, own_deleted, foreign_deleted = self._table[event]
         if entry is None:
-            return self._table[event][_UNKNOWN]
+            return unknown
         if entry.spec.prod_id == self.own_id:
-            state = _DELETED_PRODUCER if entry.is_deleted else _ALIVE_PRODUCER
-        else:
-            state = _DELETED_CONSUMER if entry.is_deleted else _ALIVE_CONSUMER
-        return self._table[event][state]
+            return own_deleted if entry.is_deleted else own
+        return foreign_deleted if entry.is_deleted else foreign
 
     def changed(self, event: str, entry: DBEntry) -> None:
         """Tell that a variable was ``created``, ``updated`` or ``deleted``."""

@@ -17,14 +17,6 @@ from .wire import Extracted
 _EXTRACTION = {"unknown-type": "VD-RX-05", "zero-count": "VD-RX-06"}
 _REQUIREMENTS = {reason: requirement for reason, (requirement, _) in DROPS.items()}
 
-# Names of the module: what is looked up for each record should not be looked up in an enumeration, too.
-_CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
-_SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
-_UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
-_SUMMARY_EQUAL, _SUMMARY_OLDER, _SUMMARY_NEWER = Event.RX_SUMMARY_EQUAL, Event.RX_SUMMARY_OLDER, Event.RX_SUMMARY_NEWER
-_UPDATE_EQUAL, _UPDATE_OLDER, _UPDATE_NEWER = Event.RX_UPDATE_EQUAL, Event.RX_UPDATE_OLDER, Event.RX_UPDATE_NEWER
-_IGNORE = Action.IGNORE
-
 
 class Receiver:
     """Executes the instructions of a payload, in the order of the specification."""
@@ -47,17 +39,17 @@ class Receiver:
             self._emit(Dropped("vardis", problem.reason, requirement, problem.offset))
         records = extracted.records
         ##= VD-RX-08
-        for offset, record in records[_CREATES]:
+        for offset, record in records[ICType.CREATE_VARIABLES]:
             self._create(record, offset, now, wall)
-        for offset, record in records[_DELETES]:
+        for offset, record in records[ICType.DELETE_VARIABLES]:
             self._delete(record, offset)
-        for offset, record in records[_UPDATES]:
+        for offset, record in records[ICType.UPDATES]:
             self._update(record, offset, now, wall)
-        for offset, record in records[_SUMMARIES]:
+        for offset, record in records[ICType.SUMMARIES]:
             self._summary(record, offset)
-        for offset, record in records[_CREATE_REQUESTS]:
+        for offset, record in records[ICType.REQUEST_VARCREATES]:
             self._request_create(record, offset)
-        for offset, record in records[_UPDATE_REQUESTS]:
+        for offset, record in records[ICType.REQUEST_VARUPDATES]:
             self._request_update(record, offset)
 
     # -- one record of each type --------------------------------------------------------------------------------
@@ -154,27 +146,27 @@ class Receiver:
         if self._is_bad_value(record.value):
             return Event.RX_UPDATE_BAD_VALUE
         if entry is None:
-            return _UPDATE_NEWER
+            return Event.RX_UPDATE_NEWER
         ##= VD-PU-05
         if record.seqno == entry.seqno:
-            return _UPDATE_EQUAL
+            return Event.RX_UPDATE_EQUAL
         if self._core.sequence.received_is_older(record.seqno, entry.seqno):
-            return _UPDATE_OLDER
-        return _UPDATE_NEWER
+            return Event.RX_UPDATE_OLDER
+        return Event.RX_UPDATE_NEWER
 
     def _summary(self, record: VarSumm, offset: int) -> None:
         ##= VD-SCP-01
         var_id = record.var_id
         entry = self._database.lookup(var_id)
-        event = _SUMMARY_NEWER
-        if entry is not None:
-            if entry.spec.prod_id == self._core.own_id:
-                self._core.delivery.summary_of_own(var_id, record.seqno)
-            if record.seqno == entry.seqno:
-                event = _SUMMARY_EQUAL
-                self._core.delivery.has(var_id)
-            elif self._core.sequence.received_is_older(record.seqno, entry.seqno):
-                event = _SUMMARY_OLDER
+        if entry is not None and entry.spec.prod_id == self._core.own_id:
+            self._core.delivery.summary_of_own(var_id, record.seqno)
+        if entry is not None and record.seqno == entry.seqno:
+            event = Event.RX_SUMMARY_EQUAL
+            self._core.delivery.has(var_id)
+        elif entry is not None and self._core.sequence.received_is_older(record.seqno, entry.seqno):
+            event = Event.RX_SUMMARY_OLDER
+        else:
+            event = Event.RX_SUMMARY_NEWER
         self._answer(self._core.cell(event, entry), entry, var_id, offset)
 
     def _request_update(self, record: VarReqUpdate, offset: int) -> None:
@@ -193,8 +185,7 @@ class Receiver:
     def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
         """Schedule the instruction that a cell asks for, and report the record if it was ignored."""
         database, action = self._database, cell.action
-        if action is _IGNORE:
-            # Nearly everything that is on the air is known.
+        if action is Action.IGNORE:
             pass
         elif action is Action.REQUEST_CREATE:
             self._request(var_id, offset)

@@ -25,7 +25,7 @@ from dcp_codec.table.kernel.compiled import cache_folder
 from dcp_codec.table.kernel.jit import machine, options_of
 from dcp_codec.table.kernel.pools import Pool
 from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
-from dcp_codec.table.writing import ParquetTable
+from dcp_codec.table.parquet_output import ParquetTable
 
 
 def tables(batches: Any) -> dict[str, pa.Table]:

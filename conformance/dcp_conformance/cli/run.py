@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from .options import EXIT_STATUS, as_typed, selection_of, selection_options, tar
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.run import ConformanceRun
+    from dcp_conformance.execution.selection import Selection
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -24,6 +26,13 @@ if TYPE_CHECKING:
 @click.option(
     "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Findings of the fuzzer as cases, too."
 )
+@click.option(
+    "--failed",
+    type=click.Path(path_type=Path),
+    metavar="REPORT",
+    help="First the cases that failed or were undecided in an earlier report (its folder, or results.json).",
+)
+@click.option("--failed-only", is_flag=True, help="With --failed, only these cases.")
 @click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run everything N times.")
 @click.option("--until-fail", is_flag=True, help="End with the first fail.")
 @click.option(
@@ -38,6 +47,13 @@ if TYPE_CHECKING:
     type=click.IntRange(1, 64),
     metavar="N",
     help="The most cases at a time against one implementation; 1: one after the other.  [default: 16, in real time]",
+)
+@click.option(
+    "--impair",
+    multiple=True,
+    metavar="KEY=VALUE,...",
+    help="Make the link bad while cases run: loss=0.1,burst=3,delay=5ms,jitter=2ms,duplicate=0.01,reorder=0.02,"
+    "corrupt=0.001; with to: or from: before it in one direction (docs/impairment.md).",
 )
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
@@ -58,12 +74,12 @@ def command(**options: Any) -> int:
 
     from .display import Display
 
-    target = target_of(options)
+    target = replace(target_of(options), impair=options["impair"])
     display = Display(verbose=options["verbose"], quiet=options["quiet"])
     extra = shlex.split(options["pytest_options"] or "")
     run = ConformanceRun(
         target,
-        selection_of(options),
+        _failed_first(selection_of(options), options["failed"], only=options["failed_only"]),
         expected=options["expected"],
         artefacts=options["artefacts"],
         repeat=options["repeat"],
@@ -101,9 +117,26 @@ def _at_a_time(options: dict[str, Any]) -> int:
     """How many cases are executed at a time against one implementation, unless the user says so."""
     from dcp_conformance.execution.concurrent import WIDTH
 
+    if options["impair"]:
+        # Which frame explains what is known for one case at a time.
+        return 1
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])
     return WIDTH if options["interface"] is not None or options["link"] is not None else 1
+
+
+def _failed_first(selection: Selection, report: Path | None, *, only: bool) -> Selection:
+    """The selection with the cases first that did not pass in an earlier report."""
+    if report is None:
+        if only:
+            raise click.UsageError("--failed-only needs --failed REPORT, the report of an earlier run")
+        return selection
+    from dcp_conformance.model.verdict import Verdict
+    from dcp_conformance.reporting import load_results
+
+    bad = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE)
+    first = frozenset(case.id for case in load_results(report).cases if case.verdict in bad)
+    return replace(selection, first=first, only_first=only)
 
 
 def _report(run: ConformanceRun, folder: Path | None) -> None:

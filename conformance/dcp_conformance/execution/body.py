@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from dcp_conformance.errors import (
     ConformanceError,
@@ -14,6 +14,8 @@ from dcp_conformance.errors import (
     StopCase,
     UpperTesterError,
 )
+from dcp_conformance.impairment import engaged
+from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 
@@ -55,7 +57,9 @@ def run_body(trial: Trial) -> None:
     # Frames that were lost before the case are no excuse in it.
     bench.lower.health()
     try:
-        case.run(bench)
+        # Whether there is anything to test is found out on a link that only delays.
+        with engaged(bench.lower) if case.id != SANITY else nullcontext():
+            case.run(bench)
     finally:
         # Found before restore(): calls that undo changes are not the cause of a death.
         trial.stimulus = likely_stimulus(case, bench.traffic)

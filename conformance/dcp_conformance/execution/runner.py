@@ -11,7 +11,9 @@ import msgspec
 from dcp_spec.parameters import parameters
 
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.impairment import MOST_EXECUTIONS as MOST_IMPAIRED
 from dcp_conformance.interconnection.reaction import prepare
+from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.applicability import why_not
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.node_id import node_id_octets
@@ -102,7 +104,9 @@ class Runner:
             found.append(left_changed(self._spoilt))
         if self._renewals:
             found.append(f"restarted {self._renewals} times, when all identifiers of variables had been used")
-        if self._disturbed:
+        if isinstance(self.session.lower, Impairs):
+            found.append(self.session.lower.summary())
+        elif self._disturbed:
             found.append(executed_again(self._disturbed))
         return found + [deaths_alike(how, cases) for how, cases in self._deaths.items()]
 
@@ -223,7 +227,8 @@ class Runner:
         a later execution without one.
         """
         executions = 1
-        while executions < MOST_EXECUTIONS and trial.disturbed:
+        most = MOST_IMPAIRED if isinstance(self.session.lower, Impairs) else MOST_EXECUTIONS
+        while executions < most and trial.disturbed:
             self._disturbed.setdefault(trial.case.id, trial.bench.disturbed)
             again = self._trial(trial.case)
             executions += 1

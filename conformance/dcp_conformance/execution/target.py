@@ -15,6 +15,7 @@ from dcp_spec.profile.usability import refusal
 from dcp_codec.codec import Codec
 from dcp_codec.framing.frames import with_ether_type
 from dcp_conformance.errors import ConformanceError, UpperTesterError, UsageError
+from dcp_conformance.impairment import impaired, parse_directions
 from dcp_conformance.lower_tester import LowerTester
 from dcp_conformance.model.case import cases_of
 from dcp_conformance.model.node_id import node_id_octets
@@ -28,6 +29,8 @@ from .runner import Runner
 #: Beacon period in ms of our own node as a process: short, since nobody else is on its link, and everything is timed in
 #: periods.
 OWN_PERIOD = 20.0
+#: Share of a beacon period by which delays of an impaired link may differ: cases about intervals tolerate as much.
+_USUAL_DELAY = 0.02
 #: Seconds that an upper tester may take to answer.
 UPPER_PATIENCE = 5.0
 
@@ -54,6 +57,8 @@ class TargetOptions:
     beacon_period_ms: float | None = None
     timing_scale: float = 1.0
     seed: int = 1
+    impair: tuple[str, ...] = ()
+    """Impairment of the link, see ``impairment.parse_directions``."""
     node_id: bytes | None = None
     """Node identifier of our own node."""
     node_options: tuple[str, ...] = field(default=())
@@ -85,6 +90,8 @@ class TargetOptions:
             words += ["--timing-scale", exact(self.timing_scale)]
         if self.seed != 1:
             words += ["--seed", str(self.seed)]
+        for each in self.impair:
+            words += ["--impair", each]
         return shlex.join(words)
 
 
@@ -154,6 +161,8 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
     if not (options.foreign or options.in_process or options.beacon_period_ms):
         options = replace(options, beacon_period_ms=OWN_PERIOD)
     codec, pics = describe(options)
+    # Refused before anything is opened.
+    parse_directions(options.impair)
     if options.in_process and options.foreign:
         raise UsageError("--in-process tests our own node; it needs no --interface or --link")
     for name in () if options.foreign else ("ut", "start", "stop", "restart", "pid"):
@@ -179,6 +188,8 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
 def _session(
     options: TargetOptions, codec: Codec, pics: Pics, lower: LowerTester, upper: UpperTester | None
 ) -> Session:
+    tolerance = round(pics.pixit.beacon_period_ms * 1e6 * _USUAL_DELAY)
+    lower = impaired(lower, parse_directions(options.impair), seed=options.seed, tolerance=tolerance)
     return Session(codec, lower, upper, pics, timing_scale=options.timing_scale, seed=options.seed)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from contextlib import AbstractContextManager
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 
 class Arrival(NamedTuple):
@@ -16,6 +17,28 @@ class Arrival(NamedTuple):
     octets: bytes
     frame: bytes
     source: bytes
+    disturbed: bool = False
+    """Whether its time or its place among other frames is the doing of an impaired link."""
+
+
+class Incident(NamedTuple):
+    """What an impaired link did to one frame."""
+
+    to: bool
+    """The frame was on its way to the implementation, otherwise to the tester."""
+    what: Literal["lost", "down", "corrupted", "duplicated", "reordered", "late"]
+    """``down``: lost in an outage; ``reordered``: held back; ``late``: with a delay that is not the usual one."""
+    octets: bytes
+    """As they were sent: a bearer payload, or what was sent as a whole frame."""
+
+    @property
+    def misleads(self) -> bool:
+        """Whether what is received afterwards may be wrong because of it, and not only missing.
+
+        Beacons that the tester does not get are only missing. Of a stimulus that was lost it is not known what a case
+        takes for granted that has sent it.
+        """
+        return self.to or self.what in ("reordered", "late")
 
 
 class LinkHealth(NamedTuple):
@@ -23,6 +46,8 @@ class LinkHealth(NamedTuple):
 
     dropped: int = 0
     """Frames that the kernel dropped since the last time this was asked."""
+    incidents: tuple[Incident, ...] = ()
+    """What an impaired link did since then, in order; those of a frame that is sent come with its transmission."""
 
 
 class LowerTester(Protocol):
@@ -36,6 +61,10 @@ class LowerTester(Protocol):
 
     def wall(self) -> int:
         """ns since 1970."""
+        ...
+
+    def framed(self, octets: bytes, source: bytes) -> bytes:
+        """The whole frame in which :meth:`send` puts a bearer payload on the air."""
         ...
 
     def send(self, octets: bytes, source: bytes) -> bytes:
@@ -97,4 +126,26 @@ class HearsEveryType(Protocol):
 
         Frames of :attr:`ether_type` are left for :meth:`LowerTester.receive`. Empty where this is not possible.
         """
+        ...
+
+
+@runtime_checkable
+class Impairs(Protocol):
+    """A lower tester behind a link that is made bad on purpose (:mod:`dcp_conformance.impairment`)."""
+
+    def engaged(self) -> AbstractContextManager[None]:
+        """A context in which the link is bad; outside of it, it only delays."""
+        ...
+
+    def settle(self) -> None:
+        """Wait until no frame is under way to the implementation. Raises ``LowerTesterError``."""
+        ...
+
+    @property
+    def changes_intervals(self) -> bool:
+        """Whether the times between beacons are not those at which the implementation sent them."""
+        ...
+
+    def summary(self) -> str:
+        """What the link did in this run, in words."""
         ...

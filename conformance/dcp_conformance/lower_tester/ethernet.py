@@ -57,9 +57,13 @@ class EthernetLowerTester(SocketLowerTester):
         self._echoes: Echoes | None = None
         super().__init__(f"eth:{interface}")
 
+    def framed(self, octets: bytes, source: bytes) -> bytes:
+        """The broadcast frame of a bearer payload from the station ``source`` (6 octets)."""
+        return BROADCAST + source + self._type + octets
+
     def send(self, octets: bytes, source: bytes) -> bytes:
         """Broadcast a bearer payload as from the station ``source`` (6 octets)."""
-        frame = BROADCAST + source + self._type + octets
+        frame = self.framed(octets, source)
         self.send_frame(frame)
         return frame
 

@@ -80,11 +80,14 @@ class UDPLowerTester(SocketLowerTester):
         self._losses: sockets.UDPLosses | None = None
         super().__init__(f"udp:{group}:{port}")
 
+    def framed(self, octets: bytes, source: bytes) -> bytes:
+        """The frame of a bearer payload in a recording, where ``source`` shows."""
+        return self._envelope.frame(octets, source)
+
     def send(self, octets: bytes, source: bytes) -> bytes:
         """Send a bearer payload; ``source`` shows in the frame of the recording only."""
-        frame = self._envelope.frame(octets, source)
         self._transmit(octets)
-        return frame
+        return self.framed(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
         """Send what is in the frame. One that is no beacon to this link (another EtherType) cannot be sent at all."""

@@ -123,6 +123,11 @@ class PassiveTester:
         self._side_by_side = True
         self.interrupted(now)
 
+    def without_intervals(self) -> None:
+        """From now on do not judge the times between beacons: the link changes them."""
+        self._active = [rule for rule in self._active if rule.id not in _OF_PERIOD]
+        self._deal()
+
     def enter(self, case: str) -> None:
         """Another case begins beside those that are being executed."""
         self._executions[case] += 1

@@ -24,6 +24,7 @@ from dcp_codec.values import VarCreate
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.case import Case
 from dcp_conformance.upper_tester import Answer, UpperTester
 
@@ -67,6 +68,7 @@ class Bench(Waiting):
         ``payloads``: number of its blocks that an implementation may process one at a time.
         """
         self.acts()
+        self.take_incidents()
         frame = self.lower.send(octets, source)
         self.acts()
         session = self.session
@@ -74,15 +76,20 @@ class Bench(Waiting):
             busy = round(payloads * session.reaction.per_payload * self.period)
             session.busy_until = max(session.busy_until, self.now()) + busy
         self.stimulated()
-        return self.traffic.frame("sent", self.lower.wall(), source.hex(":"), frame, len(frame) - len(octets))
+        number = self.traffic.frame("sent", self.lower.wall(), source.hex(":"), frame, len(frame) - len(octets))
+        self.take_incidents(number)
+        return number
 
     def transmit_frame(self, frame: bytes, start: int) -> int:
         """Send a whole link-layer frame with its bearer payload at offset ``start``; return its number."""
         self.acts()
+        self.take_incidents()
         self.lower.send_frame(frame)
         self.acts()
         self.stimulated()
-        return self.traffic.frame("sent", self.lower.wall(), "", frame, start)
+        number = self.traffic.frame("sent", self.lower.wall(), "", frame, start)
+        self.take_incidents(number)
+        return number
 
     def learn(self, peer: Peer, *creates: VarCreate) -> None:
         """Teach the implementation variables, and wait for the last repetition of their VarCreates.
@@ -175,6 +182,9 @@ class Bench(Waiting):
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
         self.changes.asked(method, params)
         self.session.passive.called(method, params, self.case.id)
+        if isinstance(self.lower, Impairs):
+            # A call does not overtake what was sent before it.
+            self.lower.settle()
         begun = self.now()
         try:
             answer = upper.call(method, params)

@@ -25,6 +25,8 @@ from dcp_spec.profile.definition import Profile
 from dcp_codec.views.fields import Field
 from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.impairment import told
+from dcp_conformance.lower_tester import Incident
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import Check, Mark, Table
 from dcp_conformance.model.verdict import Verdict, worst
@@ -78,6 +80,10 @@ class Checks:
         self.dropped = 0
         self.late_ns = 0
         """The longest delay of the tester before one of its steps in this case, ns; see :meth:`acts`."""
+        self.incidents: list[Incident] = []
+        """What an impaired link did in this case."""
+        self._incident_frames: list[int] = []
+        """For each of them the number of the frame in the recording; 0 for one that is not in it."""
         self._relied: set[Misread] = set()
         """The fields on whose values this case depends, see :meth:`relies_on`."""
         self._excused = False
@@ -277,8 +283,10 @@ class Checks:
 
         ``shown`` and ``numbers``: see :meth:`check`. A parameter that was assumed excuses both kinds of failure, since
         the expectation itself may be wrong; losses and lateness of the tester, and ``doubts``, excuse only what is
-        missing.
+        missing. What an impaired link did to stimuli, and to the order and the times of beacons, excuses both kinds.
         """
+        if shown and (misled := self._told(each for each in self._link_incidents() if each.misleads)):
+            return misled
         if not shown and (lost := self.own_losses(numbers=numbers)):
             return f"the tester has lost something: {lost}"
         return self.assumed() or ("" if shown else "; ".join(self.doubts.values()))
@@ -363,18 +371,49 @@ class Checks:
         """Whether nothing but the tester's own trouble keeps a check from being decided at this moment."""
         if self.assumptions or self.doubts or not self._own_trouble(numbers=numbers):
             return False
-        # Frames that the kernel dropped explain a gap; lateness does not.
-        return bool(self.dropped) or not self.gaps()
+        # Frames that the kernel or an impaired link took explain a gap; lateness does not.
+        return bool(self.dropped or self.incidents) or not self.gaps()
 
     def _own_trouble(self, *, numbers: bool = False) -> list[str]:
-        """What the tester did wrong in this case, in words."""
-        self.dropped += self.lower.health().dropped
+        """What the tester or its link did wrong in this case, in words."""
+        incidents = self._link_incidents()
         trouble = []
+        # A sequence number is missing for no other reason than that its beacon is.
+        if link := self._told(each for each in incidents if not (numbers and each.to)):
+            trouble.append(link)
         if self.dropped:
             trouble.append(f"the kernel dropped {self.dropped} frames")
         if not numbers and self.late_ns > self.period:
             trouble.append(f"it acted late by {self.late_ns / MS:.0f} ms")
         return trouble
+
+    def take_incidents(self, number: int = 0) -> None:
+        """Ask what was lost since the last time, by the kernel or by an impaired link.
+
+        ``number``: of the frame in the recording that has just been sent.
+        """
+        health = self.lower.health()
+        self.dropped += health.dropped
+        for incident in health.incidents:
+            frame = number if incident.to else 0
+            self.incidents.append(incident)
+            self._incident_frames.append(frame)
+            self.traffic.note("note", self.lower.wall(), told([incident], [frame]))
+
+    @property
+    def link_losses(self) -> int:
+        """How many beacons of the implementation an impaired link is known to have taken in this case."""
+        return sum(not each.to for each in self._link_incidents())
+
+    def _link_incidents(self) -> list[Incident]:
+        self.take_incidents()
+        return self.incidents
+
+    def _told(self, chosen: Iterable[Incident]) -> str:
+        """Some of the incidents in words; empty for none."""
+        frames = {id(incident): number for incident, number in zip(self.incidents, self._incident_frames, strict=True)}
+        found = list(chosen)
+        return told(found, [frames[id(each)] for each in found])
 
     def own_losses(self, *, numbers: bool = False) -> str:
         """What the tester has missed in this case, in words; empty if nothing is known.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from dcp_spec.constants import BP_SEQNO_MODULUS, ICType, features
 
 from dcp_codec.codec import Codec
-from dcp_conformance.lower_tester import Arrival, LowerTester, OnThisMachine
+from dcp_conformance.lower_tester import Arrival, Impairs, LowerTester, OnThisMachine
 from dcp_conformance.model.pics import REACTION_FLOOR, Pics
 from dcp_conformance.passive import PassiveTester
 from dcp_conformance.upper_tester import UpperTester
@@ -143,6 +143,8 @@ class Session:
         overload = lower.overload if isinstance(lower, OnThisMachine) else None
         self.passive = PassiveTester(codec, pics, self.parameters, overload)
         """Judges every beacon of the implementation, whatever the case is about."""
+        if isinstance(lower, Impairs) and lower.changes_intervals:
+            self.passive.without_intervals()
 
     @property
     def typical_call(self) -> int:

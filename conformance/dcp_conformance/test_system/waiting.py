@@ -115,7 +115,8 @@ class Waiting(Allocation):
             quiet = behind >= self.pixit.quiet_beacons or (behind >= 1 and complete())
             if quiet and self.now() >= busy:
                 break
-            if not self.beacons(1, self.reaction):
+            known = self.link_losses
+            if not self.beacons(1, self.reaction) and self.link_losses == known:
                 break
         return [heard for heard in self.heard[start:] if present(heard)]
 

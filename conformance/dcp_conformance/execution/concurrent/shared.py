@@ -35,6 +35,10 @@ class SharedLink:
         """ns since 1970."""
         return self._lower.wall()
 
+    def framed(self, octets: bytes, source: bytes) -> bytes:
+        """The whole frame of a bearer payload."""
+        return self._lower.framed(octets, source)
+
     def send(self, octets: bytes, source: bytes) -> bytes:
         """Put a bearer payload on the air. Raises ``LowerTesterError``."""
         return self._lower.send(octets, source)

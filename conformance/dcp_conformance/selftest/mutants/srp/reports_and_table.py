@@ -16,9 +16,10 @@ from dcp_conformance.selftest.mutants.air import Air
 from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_conformance.selftest.mutants.port import Port, registration
 from dcp_conformance.selftest.mutants.unseen import NO_MODE
+from dcp_stack.bp_port import BPPort
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect
-from dcp_stack.srp.entity import BPPort, StateReporting, UpdateSafetyDataConfirm
+from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 
 # -- reports -----------------------------------------------------------------------------------------------------------
@@ -376,6 +377,10 @@ class ByStamp(NeighbourTable):
 class Lazy(StateReporting):
     def poll_timeout(self) -> int | None:
         return self._traversed + self._timeout if self._table else None
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        if now >= self._traversed + self._timeout:
+            super().handle_timeout(now, wall)
 
 
 @mutant("fixed", "SRP-PAR-01", "accepts a new timeout, but keeps using the old one")
