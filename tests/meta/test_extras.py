@@ -21,6 +21,7 @@ from pathlib import Path
 import pytest
 
 from dcp_codec.common.extras import EXTRAS
+
 from ..ports import own_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,7 +98,7 @@ class Done:
 def run(line: str, *extras: str) -> Done:
     """Run a command as it behaves in an installation with these extras."""
     name, *arguments = line.split()
-    package = {"dcp-node": "dcp_stack.cli", "dcp-codec": "dcp_codec.cli", "dcp-conformance": "dcp_conformance.cli"}[name]
+    package = {"dcp-node": "dcp_stack", "dcp-codec": "dcp_codec", "dcp-conformance": "dcp_conformance"}[name] + ".cli"
     given = json.dumps([package, sorted(packages(*extras)), arguments])
     done = subprocess.run([sys.executable, "-c", PROGRAM, given], capture_output=True, text=True, check=False)
     return Done(done.returncode, done.stdout, done.stderr)
