@@ -34,7 +34,7 @@ import numpy as np
 from dcp_codec import Codec, get_codec, open_table
 from dcp_codec.capture import open_capture
 from dcp_codec.export.lua import wireshark_dissector
-from dcp_codec.framing import Framing, locate
+from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.table import ColumnDecoder, Recording
 from dcp_codec.table.archive import Order, make
 from dcp_codec.table.writing import Format

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dcp_codec.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 
 from .common import MALFORMED, load_codec, malformed_note, no_beacons_note, note
 
@@ -33,7 +33,7 @@ def check_input(files: Sequence[str], profile: str) -> None:
 def extras() -> Iterator[None]:
     """Say which extra to install where a package is missing, and that the decoder is compiled when it is."""
     try:
-        from dcp_codec.table.jit import announcing
+        from dcp_codec.table.kernel.jit import announcing
 
         with announcing(note):
             yield

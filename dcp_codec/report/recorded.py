@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from dcp_spec.profile import SafetyField
+from dcp_spec.profile.definition import SafetyField
 
+from dcp_codec.analysis.holdings import DELETED, UNKNOWN
+from dcp_codec.analysis.vantage_point import is_of_medium
 from dcp_codec.codec import Codec
-from dcp_codec.holdings import DELETED, UNKNOWN
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 from dcp_codec.table.decoding import Batch, ColumnDecoder, worth_compiling
+from dcp_codec.table.input.sources import Recording
 from dcp_codec.table.job import Advance, Outcome, others, resolve
-from dcp_codec.table.sources import Recording
-from dcp_codec.vantage import is_of_medium
 
 Column = npt.NDArray[Any]
 
@@ -27,7 +27,7 @@ NUMBER_OCTETS = 8
 NOBODY = "unknown"
 #: Rows of all tables that are kept of one recording: about four for each beacon, some 55 octets each while it is read.
 MOST_ROWS = 20_000_000
-#: Tables of records by which a node says what it holds of a variable, as dcp_codec.holdings takes them.
+#: Tables of records by which a node says what it holds of a variable, as dcp_codec.analysis.holdings takes them.
 HOLDING = ("creates", "updates", "summaries", "deletes", "req_updates", "req_creates")
 #: What the tables without sequence numbers say instead.
 _INSTEAD = {"deletes": DELETED, "req_creates": UNKNOWN}

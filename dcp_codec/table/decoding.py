@@ -8,20 +8,20 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from dcp_codec.codec import Codec
-from dcp_codec.framing import mac
+from dcp_codec.framing.locate import mac
 from dcp_codec.jsonform import node_id_text
 
 from .columns import IDENTIFIER, TIME, Memory, Storage, arrow_arrays, schema_of
-from .compiled import compiled, interpreted
-from .damaged import DamagedFrames, merged
-from .kernel import result_names
-from .kernellines import DONE, FULL, POOL_FULL
-from .pools import Pool
-from .shape import ERRORS, Shape
-from .stage import MOVED, OF_A_FRAME, Stage
+from .input.damaged import DamagedFrames, merged
+from .kernel.compiled import compiled, interpreted
+from .kernel.generator import result_names
+from .kernel.lines import DONE, FULL, POOL_FULL
+from .kernel.pools import Pool
+from .kernel.row_buffer import MOVED, OF_A_FRAME, Stage
+from .kernel.shape import ERRORS, Shape
 
 Integers = npt.NDArray[np.int64]
 

@@ -14,10 +14,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_stack.neighbours import NeighbourTable, NeighbourTableEntry
 from dcp_stack.positions.fields import ROLES
+from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 
 from .layout import (
     CLOSED,

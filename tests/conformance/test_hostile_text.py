@@ -10,18 +10,18 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.cli.display import Display, data, print_summary
-from dcp_conformance.outcome import assemble
-from dcp_conformance.pics import Pics
-from dcp_conformance.plugin import CaseVerdictError
+from dcp_conformance.execution.pytest_items import CaseVerdictError
+from dcp_conformance.model.outcome import assemble
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult, RunResult, Sut
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting.junit import junit_xml
 from dcp_conformance.reporting.page import render
-from dcp_conformance.results import CaseResult, RunResult, Sut
-from dcp_conformance.verdict import Verdict
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 
 from .command import Command
 from .rig import codec_of, known_cases

@@ -14,21 +14,21 @@ from typing import Any
 import jsonschema
 import msgspec
 import pytest
-from dcp_conformance.bench import Session
 from dcp_conformance.cli.display import print_summary
 from dcp_conformance.errors import UsageError
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.outcome import assemble
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.outcome import assemble
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark, RunResult, Sut
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting import schema as schema_of_results
 from dcp_conformance.reporting.junit import junit_xml
 from dcp_conformance.reporting.merge import WORSE, compare, labels, matrix, render_matrix
 from dcp_conformance.reporting.page import render
-from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunResult, Sut
-from dcp_conformance.runner import Runner
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import Session
 
 from dcp_codec import Beacon, BPHeader, Payload
 from dcp_codec.capture import open_capture

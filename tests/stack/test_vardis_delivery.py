@@ -13,7 +13,7 @@ from dcp_stack.cli import status, var
 from dcp_stack.config import NodeConfig
 from dcp_stack.control import ControlServer
 from dcp_stack.node import Node
-from dcp_stack.vardis_delivery import ASKED_OFTEN, MOST_ENTRIES
+from dcp_stack.vardis.delivery import ASKED_OFTEN, MOST_ENTRIES
 
 from .vardis_rig import ME, MS, OTHER, THIRD, WALL, Rig, VarReqCreate, VarReqUpdate, VarSumm
 

@@ -14,7 +14,7 @@ from pyarrow import parquet
 from dcp_codec.capture import convert, create_capture, open_capture
 from dcp_codec.table.archive import Order, make
 from dcp_codec.table.decoding import LITTLE, worth_compiling
-from dcp_codec.table.jit import COMPILING
+from dcp_codec.table.kernel.jit import COMPILING
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 A_BUS = CAPTURES / "a_bus3.mcap"

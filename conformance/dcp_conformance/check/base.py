@@ -6,18 +6,19 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 from dcp_spec.constants import Features, features
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
-from dcp_codec.dissect import Dissection
-from dcp_conformance.heard import Heard, Instruction
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import Mark
-from dcp_conformance.verdict import Verdict
+from dcp_codec.values import VarSumm
+from dcp_codec.views.dissect import Dissection
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import Mark
+from dcp_conformance.model.verdict import Verdict
 
-from .lives import Lives
-from .said import CREATE, DELETE, SUMMARY, UPDATE, Said, said_in, speaker
+from .lifetimes import Lifetimes
 from .senders import Senders
+from .statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, parts_of, said_of, speaker
 from .stations import Origin, Stations
 
 #: Findings of one invariant that are shown with their frames; all are counted.
@@ -39,8 +40,8 @@ class Trace(NamedTuple):
 class News(NamedTuple):
     """A record that is not just the summary of what the node has said before."""
 
-    said: Said
-    before: Said | None
+    said: Statement
+    before: Statement | None
     """The last create, update or summary of the variable by this node, if no beacon of it is missing since, and it has
     not deleted the variable."""
 
@@ -54,6 +55,7 @@ class Seen:
     __slots__ = (
         "_codec",
         "_dissection",
+        "_parts",
         "_said",
         "_trace",
         "again",
@@ -69,7 +71,9 @@ class Seen:
         "time",
     )
 
-    def __init__(self, codec: Codec, heard: Heard, frame: bytes, start: int, destination: bytes | None) -> None:
+    def __init__(
+        self, codec: Codec, heard: ReceivedBeacon, frame: bytes, start: int, destination: bytes | None
+    ) -> None:
         self.heard = heard
         self.number = heard.number
         """As in the recording."""
@@ -85,12 +89,13 @@ class Seen:
         self.destination = destination
         self._codec = codec
         self._dissection: Dissection | None = None
-        self._said: tuple[Said, ...] | None = None
+        self._parts: list[Part] | None = None
+        self._said: tuple[Statement, ...] | None = None
         self._trace: Trace | None = None
         self.news: Sequence[News] = ()
         """What it says of variables, in order, without ``again``. Set by :meth:`Context.feed`."""
-        self.again: Sequence[Said] = ()
-        """Summaries with the number that the node has said of the variable before, with no beacon missing since."""
+        self.again = 0
+        """How many summaries have the number that the node has said of the variable before, with no beacon missing."""
 
     @property
     def sound(self) -> bool:
@@ -106,10 +111,18 @@ class Seen:
         return self._dissection
 
     @property
-    def said(self) -> tuple[Said, ...]:
-        """All that it says of variables, in order."""
+    def parts(self) -> list[Part]:
+        """All that it says of variables, by container."""
+        if self._parts is None:
+            self._parts = parts_of(self.heard)
+        return self._parts
+
+    @property
+    def said(self) -> tuple[Statement, ...]:
+        """All that it says of variables, in order. Costs more than ``parts`` and ``news``, which say the same."""
         if self._said is None:
-            self._said = said_in(self.heard, self.sender)
+            found = [said_of(part.kind, each, self.heard, self.sender) for part in self.parts for each in part.records]
+            self._said = tuple(found)
         return self._said
 
     @property
@@ -136,8 +149,28 @@ class Finding(NamedTuple):
     """What follows for the network, in a sentence; empty: what generally follows."""
 
 
-Evidence = Seen | Trace | Said | Instruction | Mark
+Evidence = Seen | Trace | Statement | Instruction | Mark
 """What can be cited."""
+
+
+Stamp = tuple[int, int]
+"""Number of a frame, and its time in ns since 1970."""
+
+
+class _Spoken:
+    """What a node has said that it has, since the last gap in its beacons."""
+
+    __slots__ = ("again", "last", "numbers", "unbroken")
+
+    def __init__(self, unbroken: int) -> None:
+        self.unbroken = unbroken
+        """:attr:`Sender.unbroken` when what it had said was last forgotten."""
+        self.numbers: dict[int, int] = {}
+        """By variable: the number that it stated last."""
+        self.last: dict[int, Statement] = {}
+        """By variable: the record with which it did that first, or the last one that is no summary."""
+        self.again: dict[int, Stamp] = {}
+        """By variable: the last summary after that one, which tells the same number."""
 
 
 class Context:
@@ -162,18 +195,17 @@ class Context:
         self.stations = Stations(MOST_SENDERS)
         self.shared: dict[type, object] = {}
         """What several invariants make together, by its class."""
-        self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
+        self.lives = Lifetimes(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
         self.now: int | None = None
         """The time of the frame that is being judged, in ns since 1970; None before and after the recording."""
         self.withheld: dict[str, str] = {}
         """Requirements that do not pass whatever was shown, and why."""
         self.changed = False
         """Whether there are findings that :meth:`Judge.feed` has not looked at."""
-        self._last: dict[bytes, dict[int, Said]] = {}
-        """By node and variable: what it last said that it has, since the last gap in its beacons."""
-        self._since: dict[bytes, int] = {}
-        """By node: :attr:`Sender.unbroken` when what it had said was last forgotten."""
+        self._spoken: dict[bytes, _Spoken] = {}
         self._pairs = 0
+        self.on_gap: list[Callable[[bytes, Mapping[int, Stamp]], None]] = []
+        """Called with a node and its last summaries before they are forgotten, since beacons of it are missing."""
 
     def withhold(self, requirement: str, why: str) -> None:
         """Something was heard that speaks against a requirement without refuting it: it does not pass."""
@@ -184,46 +216,76 @@ class Context:
         self.now = seen.time
         seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
-        said = seen.said
-        if said:
-            self._sort(seen, said)
+        if seen.parts:
+            self._sort(seen)
             for each, _ in seen.news:
                 self.lives.feed(each)
 
-    def _sort(self, seen: Seen, said: Sequence[Said]) -> None:
+    def said_again(self, node: bytes, var_id: int) -> Stamp | None:
+        """When a node last repeated the number of a variable in a summary; None if it has said anything since."""
+        spoken = self._spoken.get(node)
+        return None if spoken is None else spoken.again.get(var_id)
+
+    def _sort(self, seen: Seen) -> None:
         """Tell what is new from what is said again: most of a recording is, and few rules look at it."""
-        sender = self.senders.get(seen.sender)
+        node = seen.sender
+        sender = self.senders.get(node)
         if sender is None:
-            seen.news = [News(each, None) for each in said]
+            seen.news = [News(each, None) for each in seen.said]
             return
-        last = self._last.get(seen.sender)
-        if last is None:
-            last = self._last[seen.sender] = {}
-        unbroken = sender.unbroken
-        if self._since.get(seen.sender) != unbroken:
-            self._since[seen.sender] = unbroken
-            self._pairs -= len(last)
-            last.clear()
+        spoken = self._spoken.get(node)
+        if spoken is None:
+            spoken = self._spoken[node] = _Spoken(sender.unbroken)
+        elif spoken.unbroken != sender.unbroken:
+            self._forget(node, spoken, sender.unbroken)
+        numbers, stamp, count = spoken.numbers, (seen.number, seen.time), 0
         news: list[News] = []
-        again: list[Said] = []
-        for each in said:
-            kind, var_id = each.kind, each.var_id
-            before = last.get(var_id)
-            if before is not None and kind is SUMMARY and before.number == each.number:
-                again.append(each)
-                last[var_id] = each
+        for kind, records, ids in seen.parts:
+            if kind is not SUMMARY:
+                news += [self._news(said_of(kind, each, seen.heard, node), spoken) for each in records]
                 continue
-            news.append(News(each, before))
-            if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-                if before is None:
-                    if self._pairs >= MOST_VARIABLES:
-                        continue
-                    self._pairs += 1
-                last[var_id] = each
-            elif kind is DELETE and before is not None:
-                self._pairs -= 1
-                del last[var_id]
-        seen.news, seen.again = news, again
+            told = [each.seqno for each in records]
+            if list(map(numbers.get, ids)) == told:
+                spoken.again.update(dict.fromkeys(ids, stamp))
+                count += len(ids)
+                continue
+            for record, var_id, number in zip(records, ids, told, strict=True):
+                if numbers.get(var_id) == number:
+                    spoken.again[var_id] = stamp
+                    count += 1
+                else:
+                    news.append(self._news(Statement(kind, record, *stamp, node, var_id, number), spoken))
+        seen.news, seen.again = news, count
+
+    def _news(self, each: Statement, spoken: _Spoken) -> News:
+        """A record, with what the node said before; remembers it."""
+        kind, var_id = each.kind, each.var_id
+        before = spoken.last.get(var_id)
+        if before is not None and (stamp := spoken.again.get(var_id)) is not None:
+            number = before.number
+            before = Statement(SUMMARY, VarSumm(var_id, number), *stamp, each.sender, var_id, number)
+        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            if before is None:
+                if self._pairs >= MOST_VARIABLES:
+                    return News(each, None)
+                self._pairs += 1
+            spoken.last[var_id], spoken.numbers[var_id] = each, each.number
+            spoken.again.pop(var_id, None)
+        elif kind is DELETE and before is not None:
+            self._pairs -= 1
+            del spoken.last[var_id], spoken.numbers[var_id]
+            spoken.again.pop(var_id, None)
+        return News(each, before)
+
+    def _forget(self, node: bytes, spoken: _Spoken, unbroken: int) -> None:
+        """Beacons are missing: what the node says next may be another number rightly."""
+        for call in self.on_gap:
+            call(node, spoken.again)
+        self._pairs -= len(spoken.last)
+        spoken.unbroken = unbroken
+        spoken.numbers.clear()
+        spoken.last.clear()
+        spoken.again.clear()
 
     @property
     def profile(self) -> Profile:
@@ -357,7 +419,7 @@ class Invariant:
             return what
         if isinstance(what, Seen | Trace):
             return Mark(what.number)
-        if isinstance(what, Said):
+        if isinstance(what, Statement):
             return Mark(what.frame, path=f"{what.kind.label} {what.var_id}")
         return Mark(what.heard.number, path=f"{what.kind.label} {what.var_id}")
 

@@ -10,17 +10,18 @@ from typing import Final
 
 import msgspec
 
+from dcp_codec.analysis.holdings import History
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.holdings import History
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.declared import declarations
-from dcp_conformance.heard import Heard
-from dcp_conformance.moment import timestamp
-from dcp_conformance.outcome import assemble
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import (
+from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_codec.values import Beacon
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.declared import declarations
+from dcp_conformance.model.moment import timestamp
+from dcp_conformance.model.outcome import assemble
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import (
     CaseResult,
     Check,
     EventRecord,
@@ -29,22 +30,21 @@ from dcp_conformance.results import (
     RunResult,
     Sut,
 )
-from dcp_conformance.verdict import Verdict, worst
+from dcp_conformance.model.verdict import Verdict, worst
 
-from . import (
-    rules_bp,
-    rules_data,
-    rules_dialogue,
-    rules_network,
-    rules_repetition,
-    rules_srp,
-    rules_vardis,
-    rules_variables,
-)
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
 from .reception import reception_of
 from .reception.links import summary
+from .rules import bp as rules_bp
+from .rules import data as rules_data
+from .rules import dialogue as rules_dialogue
+from .rules import network as rules_network
+from .rules import repetition as rules_repetition
+from .rules import srp as rules_srp
+from .rules import vardis as rules_vardis
+from .rules import variables as rules_variables
+from .statements import ASK_CREATE, ASK_UPDATE
 from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (
@@ -130,6 +130,8 @@ class Judge:
         self._started = timestamp()
         self.frames = self.other = self.cut = 0
         self._senders: dict[bytes, int] = {}
+        self._odd: dict[bytes, set[int]] = {}
+        """By node: variables that it has and has asked for, until it states their numbers again."""
 
     def feed(self, frame: Frame) -> None:
         """The next frame of the recording."""
@@ -145,7 +147,7 @@ class Judge:
         if self._first is None:
             self._first = frame.time_ns
         octets = frame.data[framing.start : framing.end]
-        heard = Heard(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+        heard = ReceivedBeacon(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
         seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
         if seen.sender in self._senders or len(self._senders) < 4096:
             self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1
@@ -154,10 +156,30 @@ class Judge:
             self._recent.popitem(last=False)
         self._context.feed(seen)
         if seen.news and heard.beacon is not None:
-            self._history.feed(frame.number, frame.time_ns, seen.sender, heard.beacon)
+            self._hold(seen, heard.beacon)
         for rule in self._active:
             rule.feed(seen)
         self._cite()
+
+    def _hold(self, seen: Seen, beacon: Beacon) -> None:
+        """Follow what the sender holds. Only a node that asks for what it has does so by more than what is new."""
+        node, odd = seen.sender, self._odd.get(seen.sender)
+        asked = {
+            each.var_id
+            for each, before in seen.news
+            if before is not None
+            and (each.kind is ASK_CREATE or (each.kind is ASK_UPDATE and each.number != before.number))
+        }
+        if not odd and not asked:
+            records = [each.record for each, _ in seen.news]
+            self._history.feed_records(seen.number, seen.time, node, records)
+            return
+        self._history.feed(seen.number, seen.time, node, beacon)
+        odd = {*(odd or ()), *asked}
+        for kind, _, ids in seen.parts:
+            if kind is not ASK_CREATE and kind is not ASK_UPDATE:
+                odd.difference_update(set(ids) - asked)
+        self._odd[node] = odd
 
     def _cite(self) -> None:
         """Keep the frames of new findings while they are there."""

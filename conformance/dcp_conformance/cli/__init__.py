@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_codec.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
 
 #: What went wrong for want of a link or an upper tester is the tester's trouble, everything else wrong usage.

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 
 from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
 
 if TYPE_CHECKING:
-    from dcp_conformance.run import ConformanceRun
+    from dcp_conformance.execution.run import ConformanceRun
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -37,7 +38,14 @@ if TYPE_CHECKING:
     "--side-by-side",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="The most cases at a time against one implementation; 1: one after the other.  [default: 12, in real time]",
+    help="The most cases at a time against one implementation; 1: one after the other.  [default: 16, in real time]",
+)
+@click.option(
+    "--impair",
+    multiple=True,
+    metavar="KEY=VALUE,...",
+    help="Make the link bad while cases run: loss=0.1,burst=3,delay=5ms,jitter=2ms,duplicate=0.01,reorder=0.02,"
+    "corrupt=0.001; with to: or from: before it in one direction (docs/impairment.md).",
 )
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
@@ -52,13 +60,13 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    from dcp_conformance.lanes import lanes_of, run_in_lanes
-    from dcp_conformance.run import ConformanceRun
-    from dcp_conformance.signals import deferred, ending_like_interrupts
+    from dcp_conformance.execution.parallel import run_in_workers, workers_for
+    from dcp_conformance.execution.run import ConformanceRun
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
 
     from .display import Display
 
-    target = target_of(options)
+    target = replace(target_of(options), impair=options["impair"])
     display = Display(verbose=options["verbose"], quiet=options["quiet"])
     extra = shlex.split(options["pytest_options"] or "")
     run = ConformanceRun(
@@ -85,13 +93,13 @@ def command(**options: Any) -> int:
         make_folder(report)
     with ending_like_interrupts():
         if extra:
-            from dcp_conformance.plugin import run_with_pytest
+            from dcp_conformance.pytest_plugin import run_with_pytest
 
             run_with_pytest(run, extra)
         else:
-            lanes = lanes_of(run, options["jobs"])
+            workers = workers_for(run, options["jobs"])
             with display:
-                run_in_lanes(run, lanes) if lanes > 1 else run.execute()
+                run_in_workers(run, workers) if workers > 1 else run.execute()
         with deferred():
             _report(run, report)
     return run.exit_status()
@@ -99,8 +107,11 @@ def command(**options: Any) -> int:
 
 def _at_a_time(options: dict[str, Any]) -> int:
     """How many cases are executed at a time against one implementation, unless the user says so."""
-    from dcp_conformance.concurrent import WIDTH
+    from dcp_conformance.execution.concurrent import WIDTH
 
+    if options["impair"]:
+        # Which frame explains what is known for one case at a time.
+        return 1
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])
     return WIDTH if options["interface"] is not None or options["link"] is not None else 1

@@ -5,9 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 
-from dcp_codec.plain import plain
-from dcp_conformance.results import CaseResult, RunResult
-from dcp_conformance.verdict import Verdict
+from dcp_codec.common.printable import plain
+from dcp_conformance.model.results import CaseResult, RunResult
+from dcp_conformance.model.verdict import Verdict
 
 _OUTCOMES = {
     Verdict.FAIL: "failure",

@@ -10,15 +10,15 @@ from importlib import resources
 from typing import Any
 
 import msgspec
-from dcp_spec.requirements import requirements
+from dcp_spec.catalogue.requirements import requirements
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from dcp_codec.codec import Codec
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 from dcp_conformance.check.wording import moment
-from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
+from dcp_conformance.model.verdict import Verdict
 
 from .frames import Frames
 from .overview import certainty, deaths, diagnosed, headline, observed_readings

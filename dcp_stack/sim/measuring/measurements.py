@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dcp_stack.links.memory import Delivery, Medium
-from dcp_stack.vardis_confirms import VariableEntry
+from dcp_stack.vardis.confirms import VariableEntry
 
 from .consistency import Consistency
 from .reach import Reach, distances

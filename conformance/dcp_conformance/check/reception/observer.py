@@ -5,31 +5,23 @@ a trial whose outcome depends on who of the speakers was heard, and :mod:`.links
 
 An occasion ends with the reaction, or with a later statement that the reaction did not happen: a node that has taken an
 update does not summarise the older number four beacons later. Silence alone decides only where payloads had room.
+
+Nodes are bits of masks. A record gives an occasion to the nodes that have another number, and of most variables all
+nodes have the same one most of the time: time goes into changes, and not into what is said again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from enum import Enum
-from typing import Any, NamedTuple
-
-from dcp_spec.constants import ICType
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
-from dcp_conformance.check.said import Said
+from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
 from dcp_conformance.check.stations import Origin
-from dcp_conformance.circular import Circle
+from dcp_conformance.model.circular import Circle
 
+from .following import Interval, Kind, Occasions, Station, Trial, Variable
 from .records import RecordSizes
-
-CREATE, DELETE, UPDATE, SUMMARY = (
-    ICType.CREATE_VARIABLES,
-    ICType.DELETE_VARIABLES,
-    ICType.UPDATES,
-    ICType.SUMMARIES,
-)
-ASK_UPDATE, ASK_CREATE = ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
 
 #: The reaction to what was heard between two beacons comes with the third after it at the latest: one payload may have
 #: been composed before, and one may wait for a payload of another protocol.
@@ -40,117 +32,17 @@ _CARRIED = 3
 _OPEN = 8
 #: A statement of a node about a variable is believed for so many of its beacons.
 _FRESH = 20
+#: Variables of which a node can have open occasions at the same time: more come from forged beacons alone, or late.
+MOST_OPEN = 64
 #: Nodes whose reactions are followed; a bit of a mask for each.
 MOST_NODES = 64
 #: Payloads up to this length leave room: the bearer carries 256 octets at least.
 _ROOM = 180
 
 
-class Kind(Enum):
-    """What a node has to do about what it hears."""
-
-    TAKE_CREATE = "knows a variable whose create it hears"
-    TAKE_UPDATE = "has a newer value that it hears"
-    TAKE_DELETE = "deletes a variable whose delete it hears"
-    ASK_UPDATE = "asks for a value that is newer by a summary"
-    ASK_CREATE = "asks for a variable that it does not know"
-    ANSWER_UPDATE = "sends a newer value to who asks for it"
-    ANSWER_CREATE = "sends a create to who asks for it"
-    TEACH = "sends its value to who has an older one"
-
-
 #: Those whose outcome a statement of the number shows.
 _STATED = (Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.ANSWER_UPDATE, Kind.TEACH, Kind.ANSWER_CREATE, Kind.TAKE_DELETE)
 _ABSENT = (Kind.TAKE_CREATE, Kind.ASK_CREATE)
-
-
-@dataclass(slots=True, eq=False)
-class Station:
-    """A node whose reactions are followed."""
-
-    node: bytes
-    bit: int
-    listens: bool
-    """Whether it is a node at all, and not a forger of beacons."""
-    since: int
-    """When it was heard first in this life, ns since 1970."""
-    early: bool
-    """Whether it may have known variables before it was first heard."""
-    life: int = 0
-    beacons: int = 0
-    """With VarDis payloads."""
-    gap: int = 0
-    """The beacon before which some are missing."""
-    time: int = 0
-    longest: int = 0
-    """The longest beacon, in octets."""
-    waiting: dict[int, None] = field(default_factory=dict)
-    """Variables that it does not have, with open occasions."""
-    repetitions: int = 0
-    value: int = 0
-    description: int = 0
-    """The largest that it has shown to take."""
-
-
-@dataclass(slots=True, eq=False)
-class Interval:
-    """What was said between two beacons of a node that it must react to."""
-
-    begin: int
-    time: int
-    cause: Said
-    speakers: int
-    """Who said it, as bits."""
-    late_half: bool
-    """Whether all of it stood in the second half of its payload."""
-    length: int
-    """The length of the shortest payload with it."""
-    frame: int
-    """The beacon that said it last."""
-    beacons: int = 1
-
-
-class Trial(NamedTuple):
-    """An occasion whose outcome is known."""
-
-    time: int
-    station: Station
-    kind: Kind
-    var_id: int
-    speakers: int
-    hit: bool
-    cause: Said
-    late_half: bool
-    length: int
-    once: bool = False
-    """Of a reaction: whether there was a single beacon that it can be due to."""
-
-
-@dataclass(slots=True, eq=False)
-class Variable:
-    """What nodes have said of an identifier."""
-
-    holds: dict[int, int] = field(default_factory=dict)
-    """Bit of a node -> the number that it stated last."""
-    said: dict[int, int] = field(default_factory=dict)
-    """Bit of a node -> the beacon in which it did."""
-    count: dict[int, int] = field(default_factory=dict)
-    """Number -> how many nodes hold it."""
-    had: dict[int, int] = field(default_factory=dict)
-    """Bit of a node that once had it -> the latest creation time that it can have had."""
-    producers: set[bytes] = field(default_factory=set)
-    introducers: set[bytes] = field(default_factory=set)
-    """Who was the first to send a number."""
-    created: int = 0
-    """The latest creation time that was said."""
-    born: bool = False
-    """Whether the recording shows its first creation, by its producer."""
-    value: int = 8
-    create: int = 60
-    """Octets of its last update and create."""
-    last_create: Said | None = None
-    open: dict[int, dict[Kind, list[Interval]]] = field(default_factory=dict)
-    """Bit of a node -> its open occasions."""
 
 
 class Observer:
@@ -162,9 +54,17 @@ class Observer:
         self._sizes = RecordSizes(context.profile)
         self.circle = Circle(context.profile.types.var_seqno.width)
         self.stations: dict[bytes, Station] = {}
-        self._listeners: list[Station] = []
         self.by_bit: dict[int, Station] = {}
         self.variables: dict[int, Variable] = {}
+        self._listeners = 0
+        """Who listens, as bits; how many these are."""
+        self._everybody = 0
+        self._early = 0
+        """Who may have known variables before it was first heard."""
+        self._full = 0
+        """Who has open occasions of as many variables as are followed."""
+        self._unsettled: set[int] = set()
+        """Variables of which not all nodes have stated the same number."""
         self._times = context.features.creation_time
         self._carried: dict[tuple[int, int, Kind], tuple[int, int]] = {}
         """(bit, variable, kind) -> the beacon of the last reaction, and who spoke right before it."""
@@ -179,20 +79,22 @@ class Observer:
 
     def feed(self, seen: Seen) -> None:
         """A beacon, in the order of the recording."""
+        time = seen.time
         if self._first is None:
-            self._first = self._wall = seen.time
-        self.time += min(max(seen.time - self._wall, 0), 1_000_000_000)
-        self._wall = seen.time
-        said = seen.said
-        if not said:
+            self._first = self._wall = time
+        self.time += min(max(time - self._wall, 0), 1_000_000_000)
+        self._wall = time
+        if not seen.parts:
             return
         station = self._station(seen)
         if station is None:
             return
         station.beacons += 1
-        asked = self._settle(station, said)
-        self._decide(station, said, asked, len(seen.heard.octets))
-        station.longest = max(station.longest, len(seen.heard.octets))
+        length = len(seen.heard.octets)
+        asked = self._settle(station, seen)
+        if station.open or station.waiting:
+            self._decide(station, seen, asked, length)
+        station.longest = max(station.longest, length)
         self._occasions(station, seen)
 
     def _station(self, seen: Seen) -> Station | None:
@@ -200,28 +102,29 @@ class Observer:
         sender = self._context.senders.get(seen.sender)
         if sender is None:
             return None
+        number = seen.heard.seqno
         if station is None:
             if len(self.stations) >= MOST_NODES:
                 return None
-            begins = (
-                seen.heard.seqno is not None
-                and seen.heard.seqno <= self._context.profile.behaviour.first_beacon_seqno + 2
-            )
-            station = Station(
-                seen.sender,
-                1 << len(self.stations),
-                seen.origin is not Origin.FORGED,
-                seen.time,
-                not begins,
-                sender.life,
-            )
-            self.stations[seen.sender] = self.by_bit[station.bit] = station
-            if station.listens:
-                self._listeners.append(station)
+            listens, bit = seen.origin is not Origin.FORGED, 1 << len(self.stations)
+            station = Station(seen.sender, bit, listens, seen.time, sender.life)
+            if number is None or number > self._context.profile.behaviour.first_beacon_seqno + 2:
+                self._early |= bit
+            self.stations[seen.sender] = self.by_bit[bit] = station
+            for variable in self.variables.values():
+                if seen.sender in variable.producers:
+                    variable.produced |= bit
+            if listens:
+                self._listeners |= bit
+                self._everybody += 1
+                for variable in self.variables.values():
+                    self._settled(variable)
         elif sender.life != station.life:
             self._forget(station)
             station.life, station.since = sender.life, seen.time
-            station.early = not (seen.heard.seqno is not None and seen.heard.seqno <= 20)
+            self._early &= ~station.bit
+            if number is None or number > 20:
+                self._early |= station.bit
             station.gap = station.beacons + 1
         elif sender.unbroken > station.time:
             self._drop_all(station)
@@ -232,119 +135,144 @@ class Observer:
     def _forget(self, station: Station) -> None:
         """It was restarted, or may have been."""
         self._drop_all(station)
-        for variable in self.variables.values():
-            self._hold(variable, station.bit, None)
-            variable.said.pop(station.bit, None)
-            variable.had.pop(station.bit, None)
+        for var_id in list(station.holds):
+            self._hold(station, self.variables[var_id], None)
+        for var_id in station.had:
+            self.variables[var_id].deleted &= ~station.bit
+        station.said.clear()
+        station.had.clear()
 
     def _drop_all(self, station: Station) -> None:
-        for variable in self.variables.values():
-            variable.open.pop(station.bit, None)
+        for var_id in list(station.open):
+            self._drop(station, self.variables[var_id])
         station.waiting.clear()
 
-    def _hold(self, variable: Variable, bit: int, number: int | None) -> None:
-        before = variable.holds.get(bit)
+    def _drop(self, station: Station, variable: Variable) -> None:
+        """No occasion of a variable is open any more."""
+        if station.open.pop(variable.var_id, None) is not None:
+            variable.opened &= ~station.bit
+            self._full &= ~station.bit
+
+    def _hold(self, station: Station, variable: Variable, number: int | None) -> None:
+        bit, holders = station.bit, variable.holders
+        before = station.holds.get(variable.var_id)
         if before == number:
             return
         if before is not None:
-            left = variable.count[before] - 1
+            left = holders[before] & ~bit
             if left:
-                variable.count[before] = left
+                holders[before] = left
             else:
-                del variable.count[before]
+                del holders[before]
         if number is None:
-            del variable.holds[bit]
+            del station.holds[variable.var_id]
+            variable.known &= ~bit
         else:
-            variable.holds[bit] = number
-            variable.count[number] = variable.count.get(number, 0) + 1
+            station.holds[variable.var_id] = number
+            holders[number] = holders.get(number, 0) | bit
+            variable.known |= bit
+        self._settled(variable)
+
+    def _settled(self, variable: Variable) -> None:
+        """Remember whether all nodes have stated the same number of a variable."""
+        if len(variable.holders) == 1 and variable.known.bit_count() >= self._everybody:
+            self._unsettled.discard(variable.var_id)
+        else:
+            self._unsettled.add(variable.var_id)
 
     def _variable(self, var_id: int) -> Variable | None:
         variable = self.variables.get(var_id)
         if variable is None and len(self.variables) < MOST_VARIABLES:
-            variable = self.variables[var_id] = Variable()
+            variable = self.variables[var_id] = Variable(var_id)
+            self._unsettled.add(var_id)
         return variable
 
     # -- reactions -----------------------------------------------------------------------------------------------------
 
-    def _settle(self, station: Station, said: Iterable[Said]) -> set[tuple[int, ICType]]:
-        """What a beacon shows that a node has done; what it says, by variable and kind."""
-        bit, stated = station.bit, set()
-        for each in said:
+    def _settle(self, station: Station, seen: Seen) -> set[tuple[int, int]]:
+        """What a beacon shows that a node has done; what it says that is no summary, by variable and kind."""
+        stated: set[tuple[int, int]] = set()
+        for each, _ in seen.news:
             kind, var_id = each.kind, each.var_id
-            variable = self.variables.get(var_id) or self._variable(var_id)
+            variable = self._variable(var_id)
             if variable is None:
                 continue
-            opened = variable.open.get(bit)
+            opened = station.open.get(var_id)
             stated.add((var_id, kind))
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                 self._states(station, variable, each, opened)
             elif kind is DELETE:
                 if opened:
                     self._hit(station, var_id, opened, Kind.TAKE_DELETE)
-                    variable.open.pop(bit, None)
-                if bit in variable.holds:
-                    self._hold(variable, bit, None)
-                variable.had[bit] = variable.created
+                    self._drop(station, variable)
+                if var_id in station.holds:
+                    self._hold(station, variable, None)
+                station.had[var_id] = variable.created
+                variable.deleted |= station.bit
                 station.waiting.pop(var_id, None)
             elif opened:
                 self._hit(station, var_id, opened, Kind.ASK_UPDATE if kind is ASK_UPDATE else Kind.ASK_CREATE)
+                if not opened:
+                    self._drop(station, variable)
+        for kind, _, ids in seen.parts:
+            if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+                station.said.update(dict.fromkeys(ids, station.beacons))
         return stated
 
-    def _states(
-        self, station: Station, variable: Variable, each: Said, opened: dict[Kind, list[Interval]] | None
-    ) -> None:
+    def _states(self, station: Station, variable: Variable, each: Statement, opened: Occasions | None) -> None:
         """A node states a number."""
-        bit, kind = station.bit, each.kind
-        record: Any = each.record
+        kind, number, var_id = each.kind, each.number, each.var_id
         if kind is CREATE:
-            number = record.upd.seqno
             self._created(station, variable, each)
-        else:
-            number = record.seqno
-            if kind is UPDATE:
-                variable.value = len(record.value)
-                station.value = max(station.value, len(record.value))
-        had = variable.holds.get(bit)
+        elif kind is UPDATE:
+            variable.value = len(each.record.value)
+            station.value = max(station.value, variable.value)
+        had = station.holds.get(var_id)
         if opened:
             if had is None:
-                self._hit(station, each.var_id, opened, Kind.TAKE_CREATE)
+                self._hit(station, var_id, opened, Kind.TAKE_CREATE)
                 opened.clear()
-                station.waiting.pop(each.var_id, None)
+                station.waiting.pop(var_id, None)
             elif number != had:
                 if self.circle.newer(number, had):
-                    self._hit(station, each.var_id, opened, Kind.TAKE_UPDATE)
+                    self._hit(station, var_id, opened, Kind.TAKE_UPDATE)
                 # Otherwise it is another creation, of which nothing of this was due.
                 opened.clear()
             if kind is UPDATE:
-                self._hit(station, each.var_id, opened, Kind.ANSWER_UPDATE)
-                self._hit(station, each.var_id, opened, Kind.TEACH)
+                self._hit(station, var_id, opened, Kind.ANSWER_UPDATE)
+                self._hit(station, var_id, opened, Kind.TEACH)
             elif kind is CREATE:
-                self._hit(station, each.var_id, opened, Kind.ANSWER_CREATE)
+                self._hit(station, var_id, opened, Kind.ANSWER_CREATE)
                 opened.pop(Kind.ANSWER_UPDATE, None)
                 opened.pop(Kind.TEACH, None)
             if not opened:
-                variable.open.pop(bit, None)
+                self._drop(station, variable)
         if number != had:
-            newest = not any(each == number or self.circle.newer(each, number) for each in variable.count)
-            if kind is UPDATE and newest and variable.count:
-                variable.introducers.add(station.node)
-            self._hold(variable, bit, number)
-        variable.said[bit] = station.beacons
-        variable.had[bit] = variable.created
+            holders = variable.holders
+            if kind is UPDATE and holders and number not in holders:
+                newer = self.circle.newer
+                if not any(newer(other, number) for other in holders):
+                    variable.introducers |= station.bit
+            self._hold(station, variable, number)
+        if var_id in station.had:
+            del station.had[var_id]
+            variable.deleted &= ~station.bit
 
-    def _created(self, station: Station, variable: Variable, each: Said) -> None:
+    def _created(self, station: Station, variable: Variable, each: Statement) -> None:
         spec, upd = each.record.spec, each.record.upd
-        if not variable.producers and not variable.holds and spec.prod_id == station.node and upd.seqno == 0:
+        if not variable.producers and not variable.known and spec.prod_id == station.node and upd.seqno == 0:
             variable.born = True
-        variable.producers.add(spec.prod_id)
+        if spec.prod_id not in variable.producers:
+            variable.producers.add(spec.prod_id)
+            if (producer := self.stations.get(spec.prod_id)) is not None:
+                variable.produced |= producer.bit
         variable.created = max(variable.created, spec.creation_time or 0)
         variable.create, variable.value = self._sizes.of(CREATE, each.record), len(upd.value)
-        variable.last_create = each
         station.repetitions = max(station.repetitions, spec.rep_cnt)
         station.value = max(station.value, len(upd.value))
         station.description = max(station.description, len(spec.descr))
 
-    def _hit(self, station: Station, var_id: int, opened: dict[Kind, list[Interval]], kind: Kind) -> None:
+    def _hit(self, station: Station, var_id: int, opened: Occasions, kind: Kind) -> None:
         intervals = opened.pop(kind, None)
         if not intervals:
             return
@@ -371,51 +299,45 @@ class Observer:
 
     # -- what did not happen -------------------------------------------------------------------------------------------
 
-    def _decide(self, station: Station, said: Iterable[Said], stated: set[tuple[int, ICType]], length: int) -> None:
+    def _decide(self, station: Station, seen: Seen, stated: set[tuple[int, int]], length: int) -> None:
         """Occasions that this beacon shows to have been missed."""
-        bit, now = station.bit, station.beacons
-        for each in said:
-            if each.kind is not SUMMARY and each.kind is not UPDATE and each.kind is not CREATE:
+        opened_of, now = station.open, station.beacons
+        for part, _, ids in seen.parts:
+            if part is not SUMMARY and part is not UPDATE and part is not CREATE:
                 continue
-            variable = self.variables.get(each.var_id)
-            opened = variable.open.get(bit) if variable is not None else None
-            if variable is None or not opened:
-                continue
-            for kind in list(opened):
-                if kind not in _STATED or opened[kind][0].begin + LATE > now:
+            for var_id in [each for each in ids if each in opened_of]:
+                opened = opened_of.get(var_id)
+                if opened is None:
                     continue
-                if not self._had_room(station, kind, variable, each.var_id, stated, length):
-                    continue
-                self._miss(station, each.var_id, opened, kind, now)
-            if not opened:
-                variable.open.pop(bit, None)
+                variable = self.variables[var_id]
+                for kind in list(opened):
+                    late = kind in _STATED and opened[kind][0].begin + LATE <= now
+                    if late and self._had_room(station, kind, variable, stated, length):
+                        self._miss(station, var_id, opened, kind, now)
+                if not opened:
+                    self._drop(station, variable)
         for var_id in list(station.waiting):
             variable = self.variables[var_id]
-            opened = variable.open.get(bit, {})
+            opened = opened_of.get(var_id, {})
             for kind in _ABSENT:
                 if kind in opened and opened[kind][0].begin + LATE <= now:
                     need = variable.create if kind is Kind.TAKE_CREATE else 4
                     if self._room(station, length, need):
                         self._miss(station, var_id, opened, kind, now)
             if not opened:
-                variable.open.pop(bit, None)
+                self._drop(station, variable)
                 station.waiting.pop(var_id, None)
 
     def _had_room(
-        self,
-        station: Station,
-        kind: Kind,
-        variable: Variable,
-        var_id: int,
-        stated: set[tuple[int, ICType]],
-        length: int,
+        self, station: Station, kind: Kind, variable: Variable, stated: set[tuple[int, int]], length: int
     ) -> bool:
         """Whether the reaction would have found room in this payload, and is not in it."""
+        var_id = variable.var_id
         if kind is Kind.ASK_UPDATE:
             return (var_id, ASK_UPDATE) not in stated and self._room(station, length, 4)
         if kind is Kind.ANSWER_CREATE:
             return (var_id, CREATE) not in stated and self._room(station, length, variable.create)
-        if kind in (Kind.ANSWER_UPDATE, Kind.TEACH):
+        if kind is Kind.ANSWER_UPDATE or kind is Kind.TEACH:
             return (var_id, UPDATE) not in stated and self._room(station, length, variable.value + 8)
         return True
 
@@ -423,7 +345,7 @@ class Observer:
     def _room(station: Station, length: int, need: int) -> bool:
         return length + need <= max(_ROOM, station.longest * 0.9)
 
-    def _miss(self, station: Station, var_id: int, opened: dict[Kind, list[Interval]], kind: Kind, now: int) -> None:
+    def _miss(self, station: Station, var_id: int, opened: Occasions, kind: Kind, now: int) -> None:
         intervals = opened[kind]
         while intervals and intervals[0].begin + LATE <= now:
             each = intervals.pop(0)
@@ -437,88 +359,132 @@ class Observer:
 
     def _occasions(self, speaker: Station, seen: Seen) -> None:
         """What others have to do about a beacon."""
-        begins: list[int] | None = None
-        total, everybody = 0, len(self._listeners)
-        for place, each in enumerate(seen.said):
-            variable = self.variables.get(each.var_id)
-            if variable is None:
+        others = self._listeners & ~speaker.bit
+        unsettled, variables = self._unsettled, self.variables
+        begins: list[range | list[int]] | None = None
+        total = 0
+        # Of a variable that the node says something new about, another record of this beacon may say something else.
+        fresh = {each.var_id for each, _ in seen.news}
+        for place, (kind, records, ids) in enumerate(seen.parts):
+            if unsettled.isdisjoint(ids) and fresh.isdisjoint(ids):
                 continue
-            kind = each.kind
-            if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-                number = each.record.upd.seqno if kind is CREATE else each.record.seqno
-                if len(variable.count) == 1 and len(variable.holds) >= everybody and number in variable.count:
+            for index, var_id in enumerate(ids):
+                if var_id not in unsettled and var_id not in fresh:
                     continue
-            elif not variable.holds and kind is not ASK_CREATE:
-                continue
-            for station in self._listeners:
-                if station is speaker:
+                variable = variables.get(var_id)
+                if variable is None:
                     continue
-                due = self._due(station, variable, each)
-                if due is None:
-                    continue
-                if begins is None:
-                    begins, total = self._sizes.starts(seen.said)
-                self._open(station, variable, due, each, speaker.bit, 2 * begins[place] >= total, total)
+                said: Statement | None = None
+                for due, whom in self._due(variable, kind, records[index], others):
+                    if begins is None:
+                        begins, total = self._sizes.starts(seen.parts)
+                    if said is None:
+                        said = said_of(kind, records[index], seen.heard, seen.sender)
+                    self._open(whom, variable, due, said, speaker.bit, 2 * begins[place][index] >= total, total)
 
-    def _due(self, station: Station, variable: Variable, each: Said) -> Kind | None:
-        """What a node has to do about a record, if it hears it."""
-        kind, bit = each.kind, station.bit
-        has = variable.holds.get(bit)
-        if has is None:
-            return self._due_of_unknown(station, variable, each)
-        if variable.said[bit] < max(station.gap, station.beacons - _FRESH):
-            return None
-        produces = station.node in variable.producers
-        if kind is ASK_CREATE:
-            return Kind.ANSWER_CREATE
-        if kind is DELETE:
-            return None if produces or not variable.producers else Kind.TAKE_DELETE
-        record: Any = each.record
-        number = record.upd.seqno if kind is CREATE else record.seqno
-        if number == has:
-            return None
-        if kind is ASK_UPDATE:
-            return Kind.ANSWER_UPDATE if self.circle.newer(has, number) else None
-        if produces or (not variable.producers and (not variable.introducers or station.node in variable.introducers)):
-            return None
-        if self.circle.newer(number, has):
-            return None if kind is CREATE else Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE
-        if self.circle.newer(has, number) and kind is not CREATE:
-            return Kind.TEACH
-        return None
+    def _due(self, variable: Variable, kind: int, record: Any, others: int) -> Iterator[tuple[Kind, int]]:
+        """What nodes have to do about a record, if they hear it: for each kind of reaction who has to, as bits."""
+        known = variable.known & others
+        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            number = record.upd.seqno if kind is CREATE else record.seqno
+            holders = variable.holders
+            if len(holders) == 1 and number in holders and variable.known.bit_count() >= self._everybody:
+                return
+            may = known & ~variable.produced
+            if not variable.producers:
+                may = known & ~variable.introducers if variable.introducers else 0
+            if may and kind is not CREATE:
+                newer = self.circle.newer
+                for has, whom in holders.items():
+                    if has == number or not whom & may:
+                        continue
+                    if newer(number, has):
+                        yield Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE, self._fresh(variable, whom & may)
+                    elif newer(has, number):
+                        yield Kind.TEACH, self._fresh(variable, whom & may)
+        elif kind is ASK_CREATE:
+            if known:
+                yield Kind.ANSWER_CREATE, self._fresh(variable, known)
+        elif not variable.known:
+            return
+        elif kind is DELETE:
+            if variable.producers and known & ~variable.produced:
+                yield Kind.TAKE_DELETE, self._fresh(variable, known & ~variable.produced)
+        else:
+            for has, whom in variable.holders.items():
+                if whom & others and has != record.seqno and self.circle.newer(has, record.seqno):
+                    yield Kind.ANSWER_UPDATE, self._fresh(variable, whom & others)
+        unknown = others & ~variable.known & ~variable.produced
+        if unknown and kind is not DELETE:
+            yield from self._due_of_unknown(variable, kind, record, unknown)
 
-    def _due_of_unknown(self, station: Station, variable: Variable, each: Said) -> Kind | None:
-        kind, bit = each.kind, station.bit
-        if kind is DELETE or station.node in variable.producers:
-            return None
-        if kind in (ASK_CREATE, ASK_UPDATE) and not self._asks_on:
-            return None
-        if bit in variable.had:
+    def _fresh(self, variable: Variable, whom: int) -> int:
+        """Those of some nodes that have stated the number of a variable lately, and without a gap since."""
+        fresh, by_bit, var_id = 0, self.by_bit, variable.var_id
+        if self._full:
+            whom &= ~self._full | variable.opened
+        while whom:
+            bit = whom & -whom
+            whom ^= bit
+            station = by_bit[bit]
+            said = station.said[var_id]
+            if said >= station.gap and said >= station.beacons - _FRESH:
+                fresh |= bit
+        return fresh
+
+    def _due_of_unknown(self, variable: Variable, kind: int, record: Any, whom: int) -> Iterator[tuple[Kind, int]]:
+        if (kind is ASK_CREATE or kind is ASK_UPDATE) and not self._asks_on:
+            return
+        had = whom & variable.deleted
+        if had and kind is CREATE and self._times:
             # It had it once, and has deleted it: it need not ask again, and takes nothing but a later creation.
-            later = kind is CREATE and self._times and each.record.spec.creation_time > variable.had[bit]
-            return Kind.TAKE_CREATE if later else None
-        if not variable.born and station.early:
+            later, created = 0, record.spec.creation_time
+            while had:
+                bit = had & -had
+                had ^= bit
+                if created > self.by_bit[bit].had[variable.var_id]:
+                    later |= bit
+            if later:
+                yield Kind.TAKE_CREATE, later
+        whom &= ~variable.deleted
+        if not variable.born:
             # It may have had it, and have deleted it, before the recording began.
-            return None
-        if kind is CREATE:
-            return Kind.TAKE_CREATE if each.record.spec.prod_id != station.node else None
-        return Kind.ASK_CREATE
+            whom &= ~self._early
+        if whom:
+            yield Kind.TAKE_CREATE if kind is CREATE else Kind.ASK_CREATE, whom
 
     def _open(
-        self, station: Station, variable: Variable, kind: Kind, each: Said, speaker: int, late_half: bool, length: int
+        self, whom: int, variable: Variable, kind: Kind, each: Statement, speaker: int, late_half: bool, length: int
     ) -> None:
-        opened = variable.open.setdefault(station.bit, {})
-        if kind in _ABSENT:
-            station.waiting[each.var_id] = None
-        intervals = opened.setdefault(kind, [])
-        if intervals and intervals[-1].begin == station.beacons:
+        """Some nodes have an occasion."""
+        by_bit, var_id, frame, absent = self.by_bit, variable.var_id, each.frame, kind in _ABSENT
+        if self._full:
+            whom &= ~self._full | variable.opened
+        while whom:
+            bit = whom & -whom
+            whom ^= bit
+            station = by_bit[bit]
+            opened = station.open.get(var_id)
+            if opened is None:
+                opened = station.open[var_id] = {}
+                variable.opened |= bit
+                if len(station.open) >= MOST_OPEN:
+                    self._full |= bit
+            if absent:
+                station.waiting[var_id] = None
+            intervals = opened.get(kind)
+            if intervals is None:
+                opened[kind] = [Interval(station.beacons, self.time, each, speaker, late_half, length, frame)]
+                continue
             last = intervals[-1]
-            last.speakers |= speaker
-            last.late_half = last.late_half and late_half
-            last.length = min(last.length, length)
-            last.beacons += each.frame != last.frame
-            last.frame = each.frame
-            return
-        intervals.append(Interval(station.beacons, self.time, each, speaker, late_half, length, each.frame))
-        if len(intervals) > _OPEN:
-            intervals.pop(0)
+            if last.begin == station.beacons:
+                last.speakers |= speaker
+                last.late_half = last.late_half and late_half
+                last.length = min(last.length, length)
+                if frame != last.frame:
+                    last.beacons += 1
+                    last.frame = frame
+                continue
+            intervals.append(Interval(station.beacons, self.time, each, speaker, late_half, length, frame))
+            if len(intervals) > _OPEN:
+                intervals.pop(0)

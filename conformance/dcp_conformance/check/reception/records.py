@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from dcp_spec.constants import ICType
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_conformance.check.said import Said
+from dcp_conformance.check.statements import CREATE, UPDATE, Part
 
 #: icType and icNumRecords.
 _CONTAINER = 2
@@ -36,13 +36,23 @@ class RecordSizes:
             return self._summary
         return self._identifier
 
-    def starts(self, said: Sequence[Said]) -> tuple[list[int], int]:
+    def starts(self, parts: Sequence[Part]) -> tuple[list[range | list[int]], int]:
         """Where each record starts, in octets from the start of the VarDis payload; and the size of the payload."""
-        position, before, begins = 0, None, []
-        for each in said:
-            if each.kind is not before:
+        position, before = 0, None
+        starts: list[range | list[int]] = []
+        for kind, records, _ in parts:
+            if kind is not before:
                 position += _CONTAINER
-                before = each.kind
-            begins.append(position)
-            position += self.of(each.kind, each.record)
-        return begins, position
+                before = kind
+            if kind is CREATE or kind is UPDATE:
+                begins = []
+                for each in records:
+                    begins.append(position)
+                    position += self.of(kind, each)
+                starts.append(begins)
+            else:
+                size = self.of(kind, records[0])
+                end = position + size * len(records)
+                starts.append(range(position, end, size))
+                position = end
+        return starts, position
