@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 from .options import as_typed
 
 if TYPE_CHECKING:
+    from dcp_conformance.interop.cell import WorldKind
     from dcp_conformance.interop.results import CellResult, MatrixResult
 
 EXIT_STATUS = (
@@ -34,7 +35,9 @@ EXIT_STATUS = (
 @click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Seeds of each cell.")
 @click.option("--jobs", type=click.IntRange(1), metavar="N", help="Cells side by side.  [default: by processors]")
 @click.option("--dask", metavar="ADDRESS|local", help="Run the cells by the workers of a Dask cluster (--virtual).")
-@click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write reports and recordings there.")
+@click.option(
+    "--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write reports and recordings there."
+)
 @click.option(
     "--replay",
     type=click.Path(path_type=Path),
@@ -94,6 +97,7 @@ def command(
     known = described.implementation if described is not None else {}
     choice = described.matrix if described is not None else Matrix()
     wanted = parse_only(only)
+    kind: WorldKind = "virtual" if virtual else "real"
     if wanted:
         from dcp_conformance.interop.definition import all_tests
 
@@ -102,7 +106,6 @@ def command(
             if test not in all_tests():
                 raise UsageError(f"--only: there is no network test {test!r}; see dcp-conformance interop --list")
             found = resolve((a, b), known)
-            kind = "virtual" if virtual else "real"
             cells += cells_of(found, [all_tests()[test]], rows=[a], columns=[b], world=kind, seed=seed)
     else:
         found = resolve([*(known or ([] if names else BUILT_IN)), *names], known)
@@ -110,7 +113,6 @@ def command(
             chosen = select_tests(choice.tests, short=short)
         rows = [*choice.rows, *names] if choice.rows else []
         columns = [*choice.columns, *names] if choice.columns else []
-        kind = "virtual" if virtual else "real"
         cells = cells_of(found, chosen, rows=rows, columns=columns, world=kind, seed=seed)
 
     def on_cell(result: CellResult, done: int, many: int) -> None:
@@ -178,7 +180,7 @@ def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
         raise UsageError(f"{path}: there is no network test {before.test!r} in this version")
     known = load_description(file).implementation if file is not None else {}
     found = resolve((before.a, before.b), known)
-    kind = "virtual" if before.world == "virtual" else "real"
+    kind: WorldKind = "virtual" if before.world == "virtual" else "real"
     cell = Cell(
         a=before.a, b=before.b, test=before.test, implementations=(found[before.a], found[before.b]), world=kind,
         seed=before.seed,

@@ -40,6 +40,9 @@ def spreading_time(hops: int, loss: float, variables: int, limits: Limits) -> fl
     room = max(1, min(limits.summaries or 20, (limits.payload - 30) // 3))
     rounds = math.ceil(variables / room)
     # Values themselves need room, too: at least one record of each variable on each hop.
-    records = math.ceil(variables * (limits.description + limits.value + 30) / max(limits.payload, 1)) if variables > 1 else 0
+    records = (
+        math.ceil(variables * (limits.description + limits.value + 30) / max(limits.payload, 1)) if variables > 1 else 0
+    )
     crossing = attempts(max(hops, 1), (1 - loss) ** 3) * (_PERIODS + rounds - 1) + records * max(hops, 1) * 4
-    return crossing * limits.beacon_period_ms / 1000 + _PATIENCE
+    checks = crossing / _PERIODS * 2 * limits.buffer_check_ms
+    return (crossing * limits.beacon_period_ms + checks) / 1000 + _PATIENCE

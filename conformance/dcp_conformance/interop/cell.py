@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_conformance.errors import ConformanceError
-from dcp_conformance.results import Check
-from dcp_conformance.verdict import Verdict, worst
+from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict, worst
 
 from .definition import NetworkTest
 from .implementations import Implementation, codec_of, meeting_profile, virtual_setup
 from .judge import deaths, rules
 from .results import CellResult, StationResult
-from .scene import NotApplicable, Scene, Stop
+from .scene import NotApplicableError, Scene, StopError
 from .world import World
 
 WorldKind = Literal["virtual", "real"]
@@ -49,6 +49,8 @@ def obstacle(test: NetworkTest, a: Implementation, b: Implementation, world: Wor
         return "the implementations have no version of the wire format and network in common"
     if test.wire == "different" and meeting is not None:
         return f"the implementations share a version ({meeting}); the test is about different ones"
+    if test.wire == "different" and set(a.profiles) & set(b.profiles):
+        return "the implementations differ within one version, which beacons do not tell apart"
     if world == "real" and test.virtual_only:
         return f"needs virtual time: {test.virtual_only}"
     for each in (a, b):
@@ -76,7 +78,7 @@ def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None) -> CellR
         return _result(cell, test, profile, Verdict.NOT_APPLICABLE, reason)
     # Not before: most cells of a large matrix do not apply.
     try:
-        world = _world(cell, test, folder)
+        world = _world(cell, test)
     except ConformanceError as error:
         return _result(cell, test, profile, Verdict.ERROR, str(error))
     try:
@@ -91,7 +93,7 @@ def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None) -> CellR
     return result
 
 
-def _world(cell: Cell, test: NetworkTest, folder: Path | None) -> World:
+def _world(cell: Cell, test: NetworkTest) -> World:
     roles = [cell.implementations["AB".index(role)] for role in test.shape.roles]
     names = [(cell.a, cell.b)["AB".index(role)] for role in test.shape.roles]
     common = meeting_profile(*cell.implementations)
@@ -99,11 +101,11 @@ def _world(cell: Cell, test: NetworkTest, folder: Path | None) -> World:
     if cell.world == "virtual":
         from .virtual import VirtualWorld
 
-        made = [(name, *virtual_setup(each, profile)) for name, each, profile in zip(names, roles, profiles, strict=True)]
+        made = [
+            (name, *virtual_setup(each, profile)) for name, each, profile in zip(names, roles, profiles, strict=True)
+        ]
         return VirtualWorld(made, test.shape, cell.seed)
-    from .real import RealWorld
-
-    return RealWorld(list(zip(names, roles, profiles, strict=True)), test.shape, cell.seed, folder)
+    raise UsageError("networks of processes in real time are not available yet; add --virtual")
 
 
 def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResult:
@@ -112,9 +114,9 @@ def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResu
     checks: list[Check] = []
     try:
         test.run(scene)
-    except NotApplicable as reason:
-        skipped = str(reason)
-    except Stop:
+    except NotApplicableError as missing:
+        skipped = str(missing)
+    except StopError:
         pass
     except ConformanceError as error:
         checks.append(Check(Verdict.ERROR, test.requirements, "the tester can run the test", str(error)))
@@ -127,7 +129,7 @@ def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResu
     checks += scene.checks
     checks += deaths(world, test.requirements)
     if not skipped and test.rules:
-        checks += rules(world, world.sent())
+        checks += rules(world, world.sent(), strangers=scene.strangers, restarts=scene.restarts)
     if skipped and all(check.verdict is Verdict.PASS for check in checks):
         verdict, reason = Verdict.NOT_APPLICABLE, skipped
     else:

@@ -19,8 +19,8 @@ from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
-from dcp_spec.requirements import requirement
 
 from dcp_conformance.errors import UsageError
 

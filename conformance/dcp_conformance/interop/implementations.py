@@ -15,13 +15,14 @@ from string import Formatter
 from typing import Any, Final, Literal
 
 import msgspec
-from dcp_spec.profile_loading import ProfileError
+from dcp_spec.profile.loading import ProfileError
+from dcp_spec.profile.types import Types
 
 from dcp_codec.codec import Codec
 from dcp_conformance.errors import UsageError
-from dcp_conformance.mutants.mutant import all_mutants
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester
-from dcp_conformance.variants.variant import Setup, all_variants, setup
+from dcp_conformance.selftest.mutants.mutant import all_mutants
+from dcp_conformance.selftest.variants.variant import Setup, all_variants, setup
 from dcp_stack.config import BPConfig
 
 from .world import Limits
@@ -31,8 +32,6 @@ PLACEHOLDERS: Final = ("interface", "node_id", "network_id", "profile", "control
 BUILT_IN: Final = tuple(f"node:dcp-{version}" for version in ("2.0", "1.3", "1.2", "1.1", "1.0"))
 
 Ready = Literal["beacon", "upper-tester"]
-
-
 
 
 class Implementation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -200,9 +199,7 @@ def _limits(made: Setup) -> Limits:
     for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
         told.update(upper.call(method, {}).result.get("parameters", {}))
     values: dict[str, Any] = {
-        field: told[name]
-        for field, name in _PARAMETERS.items()
-        if isinstance(told.get(name), int | float)
+        field: told[name] for field, name in _PARAMETERS.items() if isinstance(told.get(name), int | float)
     }
     limits = made.config.profile.limits
     if limits.max_variables is not None:
@@ -221,6 +218,7 @@ _PARAMETERS: Final[Mapping[str, str]] = {
     "neighbour_timeout_ms": "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT",
     "scrubbing_period_ms": "VARDISPAR_SCRUBBING_PERIOD",
     "beacon_period_ms": "BPPAR_BEACON_PERIOD",
+    "buffer_check_ms": "VARDISPAR_BUFFER_CHECK_PERIOD",
     "network_id": "BPPAR_NETWORK_ID",
 }
 
@@ -234,7 +232,7 @@ def command_of(each: Implementation, profile: str, places: Mapping[str, str]) ->
         program = (
             ["dcp_stack.cli", "run", "--network-id", "{network_id}", "--seed", "{seed}"]
             if kind == "node"
-            else ["dcp_conformance.mutants", identifier]
+            else ["dcp_conformance.selftest.mutants", identifier]
         )
         words = [sys.executable, "-m", *program, "-i", "{interface}", "--node-id", "{node_id}", "-p", "{profile}"]
         words += ["--control", "{control}"]
@@ -256,10 +254,25 @@ def upper_tester_of(each: Implementation, places: Mapping[str, str]) -> str:
 
 
 def meeting_profile(a: Implementation, b: Implementation) -> str | None:
-    """Return the first profile of ``a`` that ``b`` has as well, if both are in the same network; None: they never meet."""
-    if a.limits.network_id is not None and b.limits.network_id is not None and a.limits.network_id != b.limits.network_id:
+    """Return the first profile of ``a`` that ``b`` has as well.
+
+    None: they never meet, because of their versions, their networks, or layouts that differ within a version.
+    """
+    if (
+        a.limits.network_id is not None
+        and b.limits.network_id is not None
+        and a.limits.network_id != b.limits.network_id
+    ):
         return None
-    return next((each for each in a.profiles if each in b.profiles), None)
+    return next((each for each in a.profiles if each in b.profiles and _layout(a, each) == _layout(b, each)), None)
+
+
+def _layout(each: Implementation, profile: str) -> tuple[Types, Any]:
+    """The types of the fields on the air, and the safety data; variants can have others than their profile."""
+    found = codec_of(profile).profile
+    if each.built_in.startswith("variant:"):
+        found = virtual_setup(each, profile)[0].config.profile
+    return found.types, found.srp.safety_data
 
 
 def resolve(names: Iterable[str], known: Mapping[str, Implementation]) -> dict[str, Implementation]:

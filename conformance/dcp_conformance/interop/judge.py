@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_conformance.check.judge import Judge
-from dcp_conformance.pics import Pics, Testing
-from dcp_conformance.results import Check
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
 
 from .world import Place, Received, Sent, World
 
@@ -46,15 +47,20 @@ def deaths(world: World, requirements: tuple[str, ...]) -> Iterator[Check]:
     """Yield a failed check for each implementation that ended by itself."""
     for place, how in sorted(world.deaths().items()):
         name = world.places[place].implementation
-        yield Check(Verdict.FAIL, requirements, "every implementation lives to the end", f"place {place} ({name}): {how}")
+        yield Check(
+            Verdict.FAIL, requirements, "every implementation lives to the end", f"place {place} ({name}): {how}"
+        )
 
 
-def rules(world: World, sent: Sequence[Sent], *, suspects: frozenset[str] = frozenset()) -> Iterator[Check]:
+def rules(
+    world: World, sent: Sequence[Sent], *, strangers: Collection[bytes] = (), restarts: Sequence[tuple[int, int]] = ()
+) -> Iterator[Check]:
     """Yield the failed rules of ``check`` on everything that the places transmitted, for each version on the air.
 
-    Findings that concern nothing but frames of the tester's own station are left out. ``suspects``: identifiers of
-    rules that the test itself provokes, which are not judged.
+    Findings that concern nothing but frames of the tester's own station, or one of the ``strangers`` that it plays
+    (node identifiers), are left out. ``restarts``: times (ns) and places that were switched on again.
     """
+    played = [each.decode() if b":" in each else each.hex(":") for each in strangers]
     profiles: dict[str, Codec] = {}
     for place in world.places:
         profiles.setdefault(place.codec.profile.name, place.codec)
@@ -62,16 +68,24 @@ def rules(world: World, sent: Sequence[Sent], *, suspects: frozenset[str] = froz
         own = {place.number for place in world.places if place.codec.profile.name == name}
         every = {place.number for place in world.places}
         wanted = [each for each in sent if each.place in own or each.place not in every]
-        period = max(place.limits.beacon_period_ms for place in world.places)
-        judge = Judge(codec, Pics(pixit=Testing(beacon_period_ms=period)), recording="all links", period_known=True)
-        for frame in frames_of(world, wanted):
+        periods = {place.limits.beacon_period_ms for place in world.places}
+        # With several periods in a network no single one decides whether a station keeps to its own.
+        known = len(periods) == 1
+        pics = Pics(pixit=Testing(beacon_period_ms=max(periods)))
+        judge = Judge(codec, pics, recording="all links", period_known=known)
+        awaited = deque(sorted(restarts))
+        for transmission, frame in zip(wanted, frames_of(world, wanted), strict=True):
+            while awaited and awaited[0][0] <= transmission.time:
+                judge.restarted(world.places[awaited.popleft()[1]].node_id)
             judge.feed(frame)
         for case in judge.result().cases:
-            if case.verdict is not Verdict.FAIL or case.id in suspects:
+            if case.verdict is not Verdict.FAIL:
                 continue
             for check in case.checks:
                 cited = [wanted[mark.frame - 1].place for mark in check.frames if 0 < mark.frame <= len(wanted)]
                 if check.verdict is not Verdict.FAIL or (cited and not any(each in every for each in cited)):
+                    continue
+                if not cited and any(text in check.observed for text in played):
                     continue
                 who = ", ".join(f"place {n} ({world.places[n].implementation})" for n in sorted(set(cited) & every))
                 yield Check(

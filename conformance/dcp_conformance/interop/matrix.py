@@ -15,8 +15,8 @@ import msgspec
 from dcp_spec.version import __version__
 
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.moment import timestamp
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.moment import timestamp
+from dcp_conformance.model.verdict import Verdict
 
 from .cell import Cell, WorldKind, obstacle, run_cell
 from .definition import NetworkTest, all_tests
@@ -41,9 +41,7 @@ def cells_of(
     A test of different versions is symmetric in A and B, but roles are not: both orders are cells.
     """
     return [
-        Cell(
-            a=a, b=b, test=test.id, implementations=(implementations[a], implementations[b]), world=world, seed=seed
-        )
+        Cell(a=a, b=b, test=test.id, implementations=(implementations[a], implementations[b]), world=world, seed=seed)
         for test in tests
         for a in (rows or list(implementations))
         for b in (columns or list(implementations))

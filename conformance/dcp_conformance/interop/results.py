@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import msgspec
 
-from dcp_conformance.results import Check
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
 
 SCHEMA: Final = "dcp-conformance-interop/1"
 

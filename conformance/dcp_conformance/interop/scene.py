@@ -8,13 +8,13 @@ from typing import Any, Final
 
 from dcp_spec.constants import features
 
+from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Holdings
 from dcp_codec.errors import DecodeError
-from dcp_codec.holdings import DELETED, UNKNOWN, Holdings
 from dcp_codec.impairment import Impairment
-from dcp_codec.mutation import Mutator
-from dcp_conformance.results import Check
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
+from dcp_codec.testing.mutation import Mutator
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.upper_tester import Answer
 
 from .bounds import spreading_time
 from .definition import Shape
@@ -30,11 +30,11 @@ _REPORT: Final = 100 * MS
 _MOST_MOMENTS: Final = 2000
 
 
-class NotApplicable(Exception):
+class NotApplicableError(Exception):
     """The test cannot run with these implementations; the message is the reason."""
 
 
-class Stop(Exception):
+class StopError(Exception):
     """The test cannot go on after a failed check."""
 
 
@@ -50,6 +50,10 @@ class Scene:
         self.moments: list[Moment] = []
         self.spreads: list[Spread] = []
         self.left_out = 0
+        self.restarts: list[tuple[int, int]] = []
+        """Times (ns) and places that were switched on again."""
+        self.strangers: set[bytes] = set()
+        """Node identifiers that the tester itself uses: nothing that they do is a finding."""
         self.loss = 0.0
         """The expected loss of the links, for the time that spreading may take."""
         self.held: dict[int, Holdings] = {place: Holdings() for place in self.places}
@@ -85,15 +89,16 @@ class Scene:
             neighbour_timeout_ms=max(x.neighbour_timeout_ms for x in each),
             scrubbing_period_ms=max(x.scrubbing_period_ms for x in each),
             beacon_period_ms=max(x.beacon_period_ms for x in each),
+            buffer_check_ms=max(x.buffer_check_ms for x in each),
         )
 
     def require(self, condition: bool, reason: str) -> None:
         """End the test as not applicable unless ``condition`` holds."""
         if not condition:
-            raise NotApplicable(reason)
+            raise NotApplicableError(reason)
 
     def require_summaries(self) -> None:
-        """End the test as not applicable if a station sends no summaries: without them nothing lost is ever asked for."""
+        """End the test as not applicable if a station sends no summaries: nothing lost is then ever asked for."""
         self.require(self.limits.summaries > 0, "a station sends no summaries (VARDISPAR_MAX_SUMMARIES is 0)")
 
     # -- stations and services -----------------------------------------------------------------------------------------
@@ -109,6 +114,8 @@ class Scene:
         """Switch a station on or off; it loses all state."""
         self._look()
         self.note(place, "switched on" if on else "switched off")
+        if on and any(frame.place == place for frame in self.world.sent()):
+            self.restarts.append((self.world.now(), place))
         self.world.power(place, on=on)
         self.held[place] = Holdings()
         self.heard_from.pop(place, None)
@@ -117,7 +124,7 @@ class Scene:
         """Call a service. Ends the test as not applicable if the station does not offer it."""
         answer = self.world.call(place, method, params)
         if answer is None:
-            raise NotApplicable(f"{method} cannot be called at place {place} ({self.name(place)})")
+            raise NotApplicableError(f"{method} cannot be called at place {place} ({self.name(place)})")
         self._look()
         return answer
 
@@ -158,14 +165,19 @@ class Scene:
                 False, f"{method} of variable {variable} at place {place} ({self.name(place)}) is confirmed with OK",
                 f"the confirm is {answer}",
             )  # fmt: skip
-            raise Stop
+            raise StopError
 
     def report_states(self, places: Iterable[int] | None = None) -> None:
         """Hand down safety data at places (all, unless given) every 100 ms from now on."""
         chosen = set(self.places if places is None else places)
+        least = min(place.limits.neighbour_timeout_ms for place in self.world.places)
+        self.require(
+            2 * self.limits.beacon_period_ms < least,
+            "the neighbour table timeout of a station is below two beacon periods: entries come and go",
+        )
         for place in chosen:
             if self.world.offers(place, "SRP-UpdateSafetyData") is False:
-                raise NotApplicable(f"SRP-UpdateSafetyData cannot be called at place {place} ({self.name(place)})")
+                raise NotApplicableError(f"SRP-UpdateSafetyData cannot be called at place {place} ({self.name(place)})")
         self._reporting = chosen
         self._next_report = self.world.now()
 
@@ -309,18 +321,27 @@ class Scene:
                 has = self.number(place, variable)
                 if has != wanted:
                     state = {None: "nothing", UNKNOWN: "a request for it", DELETED: "a deletion"}.get(has, f"{has}")
-                    found.append(f"place {place} ({self.name(place)}) said {state} of variable {variable}, not {wanted}")
+                    found.append(
+                        f"place {place} ({self.name(place)}) said {state} of variable {variable}, not {wanted}"
+                    )
         return found
 
     def expect_spread(
-        self, producer: int, *variables: int, places: Iterable[int] | None = None, among: int | None = None, what: str = ""
+        self,
+        producer: int,
+        *variables: int,
+        places: Iterable[int] | None = None,
+        among: int | None = None,
+        what: str = "",
+        patience: float = 0.0,
     ) -> None:
-        """Check that all places (or ``places``) come to hold what ``producer`` holds, in time, on the air and in services.
+        """Check that all places (or ``places``) come to hold what ``producer`` holds: in time, on the air, by services.
 
-        ``among``: the number of variables in the network, which share the summaries of a beacon.
+        ``among``: the number of variables in the network, which share the summaries of a beacon. ``patience``: seconds
+        that are granted in addition, for what the stations still have to work off.
         """
         chosen = list(self.places if places is None else places)
-        limit = self.time_to_spread(producer, chosen, among or len(variables))
+        limit = self.time_to_spread(producer, chosen, among or len(variables)) + patience
         begin = self.world.now()
         pending = set(variables)
 
@@ -370,7 +391,9 @@ class Scene:
             return [f"place {place} ({self.name(place)})" for place in chosen if self.is_alive(place, variable)]
 
         took = self.until(lambda: not alive(), limit)
-        self.spreads.append(Spread(f"deletion of {variable}", round(self.world.now() / SECOND, 4), took, round(limit, 3)))
+        self.spreads.append(
+            Spread(f"deletion of {variable}", round(self.world.now() / SECOND, 4), took, round(limit, 3))
+        )
         self.expect(
             took is not None, f"variable {variable} is deleted at places {chosen} within {limit:.1f} s",
             f"it is alive at {', '.join(alive())}",
@@ -403,7 +426,9 @@ class Scene:
         took = self.until(lambda: not wrong(), limit)
         self.spreads.append(Spread("neighbour tables", round(self.world.now() / SECOND, 4), took, round(limit, 3)))
         self.expect(
-            took is not None, f"each neighbour table lists exactly the neighbours within {limit:.1f} s", "; ".join(wrong())
+            took is not None,
+            f"each neighbour table lists exactly the neighbours within {limit:.1f} s",
+            "; ".join(wrong()),
         )
 
     def expect_talking(self) -> None:

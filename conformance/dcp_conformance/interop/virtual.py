@@ -12,10 +12,10 @@ import msgspec
 
 from dcp_codec.impairment import Impairment, Network
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.upper import Answer
-from dcp_conformance.variants.surroundings import Tested
-from dcp_conformance.variants.variant import Setup
-from dcp_stack.sim.network import node_id
+from dcp_conformance.selftest.variants.surroundings import Tested
+from dcp_conformance.selftest.variants.variant import Setup
+from dcp_conformance.upper_tester import Answer
+from dcp_stack.sim.virtual.network import node_id
 
 from .definition import Shape
 from .world import Limits, Place, Received, Sent

@@ -9,7 +9,7 @@ import msgspec
 
 from dcp_codec.codec import Codec
 from dcp_codec.impairment import Impairment
-from dcp_conformance.upper import Answer
+from dcp_conformance.upper_tester import Answer
 
 
 class Sent(NamedTuple):
@@ -52,6 +52,8 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """VARDISPAR_SCRUBBING_PERIOD."""
     beacon_period_ms: float = 100
     """BPPAR_BEACON_PERIOD."""
+    buffer_check_ms: float = 50
+    """VARDISPAR_BUFFER_CHECK_PERIOD."""
     network_id: int | None = None
     """BPPAR_NETWORK_ID; None: the profile's."""
 
@@ -72,8 +74,15 @@ class World(Protocol):
     The number after the last place is the tester's own station: :meth:`transmit` sends as it.
     """
 
-    places: Sequence[Place]
-    tester_address: bytes
+    @property
+    def places(self) -> Sequence[Place]:
+        """The stations."""
+        ...
+
+    @property
+    def tester_address(self) -> bytes:
+        """The address of the tester's own station."""
+        ...
 
     def now(self) -> int:
         """Return the time since the start."""
@@ -122,7 +131,6 @@ class World(Protocol):
     def deaths(self) -> Mapping[int, str]:
         """Return how implementations ended without being told to, by place."""
         ...
-
 
     def link_counters(self) -> dict[str, Any]:
         """Return what each direction did to frames, as plain data."""

@@ -50,8 +50,7 @@ def loss(scene: Scene, impairment: Impairment) -> None:
 )
 def disorder(scene: Scene) -> None:
     scene.require_summaries()
-    delay = {"delay": 5 * MS, "jitter": 60 * MS, "reorder_delay": 250 * MS}
-    scene.set_quality(Impairment(duplicate=0.2, reorder=0.2, **delay))
+    scene.set_quality(Impairment(duplicate=0.2, reorder=0.2, delay=5 * MS, jitter=60 * MS, reorder_delay=250 * MS))
     scene.start()
     scene.create(0, 90, b"0")
     scene.expect_spread(0, 90)
@@ -140,7 +139,12 @@ def partitioned_creation(scene: Scene) -> None:
     scene.expect_deleted(105, places=left)
     scene.wait(1.0)
     scene.partition()
-    scene.wait(0.5)
+    scene.wait(2.0)
+    alive = [place for place in left if scene.is_alive(place, 105)]
+    scene.expect(
+        not alive, "a variable stays deleted although stations that missed the deletion summarise it",
+        f"it is back at places {alive}", "VD-PS-02", "VD-DEL-06",
+    )  # fmt: skip
     # A deletion is repeated a few times and then never said again; a new creation is what brings the sides together.
     scene.create(0, 105, b"n")
     scene.expect_spread(0, 105, what="variable 105, created again after the partition")
@@ -166,4 +170,57 @@ def one_way(scene: Scene) -> None:
     scene.set_quality(Impairment(), 1, 0)
     scene.update(0, 107, b"e")
     scene.expect_spread(0, 107)
+    scene.expect_talking()
+
+
+@network_test(
+    "IT_VD_PRODUCERGONE",
+    "A relay that has the newest value hands it on after its producer is gone",
+    requirements="VD-RU-04 VD-RC-03 VD-PS-01 VD-PS-04",
+    shapes=(LINE_3, LINE_5),
+    services=UPDATING,
+)
+def producer_gone(scene: Scene) -> None:
+    scene.require_summaries()
+    scene.start()
+    scene.create(0, 200, b"a")
+    scene.expect_spread(0, 200)
+    near, far = scene.places[:2], scene.places[2:]
+    scene.partition(near, far)
+    scene.update(0, 200, b"b")
+    scene.create(0, 201, b"n")
+    scene.expect_spread(0, 200, 201, places=near)
+    # By now the relay has nothing left to repeat.
+    scene.wait(2.0)
+    scene.switch(0, on=False)
+    scene.partition()
+    scene.expect_spread(0, 200, 201, places=scene.places[1:], what="2 variables whose producer is gone")
+    scene.expect_talking()
+
+
+@network_test(
+    "IT_VD_FARBEHIND",
+    "A station that missed {variant} updates around the wrap catches up after a partition",
+    requirements="VD-RU-03 VD-PS-04 VD-PU-06 VD-TYP-03",
+    shapes=(PAIR, LINE_3),
+    variants={"10": 10, "100": 100},
+    services=UPDATING,
+)
+def far_behind(scene: Scene, missed: int) -> None:
+    scene.require_summaries()
+    scene.start()
+    scene.create(0, 205, b"0")
+    scene.expect_spread(0, 205)
+    for _ in range(5):
+        for _ in range(50):
+            scene.update(0, 205, scene.rng.randbytes(1))
+        scene.expect_spread(0, 205)
+    scene.partition([0], scene.places[1:])
+    for _ in range(missed):
+        scene.update(0, 205, scene.rng.randbytes(1))
+    scene.wait(2.0)
+    scene.partition()
+    scene.expect_spread(0, 205, what=f"variable 205 after {missed} missed updates")
+    scene.wait(1.0)
+    scene.expect_spread(0, 205, what="variable 205, later")
     scene.expect_talking()

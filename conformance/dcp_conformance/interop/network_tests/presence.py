@@ -119,3 +119,24 @@ def restart_of_relay(scene: Scene) -> None:
     scene.update(0, 72, b"c")
     scene.expect_spread(0, 72, among=3)
     scene.expect_talking()
+
+
+@network_test(
+    "IT_NET_BOTH",
+    "State reports in every beacon and variables share the beacons: neighbours and values are complete",
+    requirements="BP-RX-07 SRP-RX-03 VD-PC-07",
+    shapes=(PAIR, LINE_3, BUS_4),
+    entities=("srp", "vardis"),
+    services={"A": "RTDB-Create RTDB-Update"},
+)
+def reports_and_variables(scene: Scene) -> None:
+    scene.start()
+    scene.report_states()
+    scene.expect_neighbours(3.0)
+    scene.create(0, 65, b"a")
+    scene.expect_spread(0, 65)
+    for value in (b"b", b"c", b"d"):
+        scene.update(0, 65, value)
+        scene.expect_spread(0, 65)
+    scene.expect_neighbours(1.0)
+    scene.expect_talking()

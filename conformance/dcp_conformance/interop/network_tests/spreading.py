@@ -46,8 +46,8 @@ def update(scene: Scene) -> None:
     for value in (b"1", b"2", b"3"):
         scene.update(0, 20, value)
         scene.expect_spread(0, 20)
-    for value in range(10):
-        scene.update(0, 20, bytes([0x61 + value]))
+    for number in range(10):
+        scene.update(0, 20, bytes([0x61 + number]))
         scene.wait(0.01)
     scene.expect_spread(0, 20, what="variable 20 after a burst of updates")
     scene.wait(1.0)

@@ -96,6 +96,13 @@ def timeouts(scene: Scene) -> None:
         scene.wait(1.0)
         scene.update(0, 125, bytes([0x61 + value]))
     scene.expect_spread(0, 125, what="variable 125, updated beyond its timeout")
+    scene.create(0, 127, b"c", timeout=round(timeout * 1000))
+    scene.expect_spread(0, 127, among=3)
+    scene.wait(timeout + 2 * scene.limits.scrubbing_period_ms / 1000)
+    scene.expect_deleted(127)
+    scene.update(0, 126, b"d")
+    scene.create(0, 125, b"e", timeout=round(timeout * 1000))
+    scene.expect_spread(0, 125, 126, among=3)
     scene.switch(0, on=False)
     others = [place for place in scene.places if place != 0]
     scene.wait(timeout + 2 * scene.limits.scrubbing_period_ms / 1000)

@@ -1,11 +1,11 @@
-"""The timeline of a cell as a message sequence chart (SVG): a lifeline for each place, and an arrow for each message."""
+"""The timeline of a cell as a message sequence chart (SVG): a lifeline for each place, an arrow for each message."""
 
 from __future__ import annotations
 
 from html import escape
 from typing import Final
 
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 from dcp_conformance.interop.results import CellResult, Moment
 
 #: Rows at the beginning and at the end of a chart.

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import msgspec
 
-from dcp_codec.wholefile import write_whole
+from dcp_codec.common.atomic_write import write_whole
 from dcp_conformance.errors import UsageError
 from dcp_conformance.interop.results import SCHEMA, MatrixResult
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
 
 from .junit import junit_xml
 from .markdown import markdown
@@ -50,4 +50,3 @@ def write_reports(matrix: MatrixResult, folder: Path) -> Path:
     page = folder / "interop.html"
     write_whole(page, render(matrix).encode())
     return page
-

@@ -5,9 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 from dcp_conformance.interop.results import CellResult, MatrixResult
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
 
 _OUTCOMES = {Verdict.FAIL: "failure", Verdict.ERROR: "error"}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from dcp_conformance.interop.results import MatrixResult
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
 
 
 def markdown(matrix: MatrixResult) -> str:
@@ -22,9 +22,7 @@ def markdown(matrix: MatrixResult) -> str:
     bad = [cell for cell in matrix.cells if cell.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]
     if bad:
         lines += ["", "| A | B | test | verdict | reason |", "|---|---|---|---|---|"]
-        lines += [
-            f"| {_text(c.a)} | {_text(c.b)} | {c.test} | {c.verdict} | {_text(c.reason)[:400]} |" for c in bad
-        ]
+        lines += [f"| {_text(c.a)} | {_text(c.b)} | {c.test} | {c.verdict} | {_text(c.reason)[:400]} |" for c in bad]
     return "\n".join(lines) + "\n"
 
 

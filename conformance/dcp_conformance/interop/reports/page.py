@@ -10,8 +10,8 @@ from jinja2 import ChoiceLoader, PackageLoader
 from markupsafe import Markup
 
 from dcp_conformance.interop.results import CellResult, MatrixResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.page import environment
-from dcp_conformance.verdict import Verdict
 
 from .chart import chart
 
