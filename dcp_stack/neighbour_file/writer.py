@@ -11,7 +11,6 @@ import stat
 import struct
 import zlib
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self
 
 from dcp_spec.profile.definition import Profile
@@ -218,9 +217,7 @@ class NeighbourFileWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
 

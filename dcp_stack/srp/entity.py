@@ -8,16 +8,17 @@ Order of calls: :meth:`StateReporting.start` once BP is there, then :meth:`~Stat
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import msgspec
-from dcp_spec.constants import BP_PROTID_SRP, QueueingMode, SpecVersion
+from dcp_spec.constants import BP_PROTID_SRP, SpecVersion
 from dcp_spec.parameters import UnknownParameterError, Violation, validate
 from dcp_spec.status import BPStatus, SRPStatus
 
 from dcp_codec.errors import DecodeError
 from dcp_codec.plan.measures import record, start
 from dcp_codec.values import ExtendedSafetyData, SafetyData
+from dcp_stack.bp_port import BPPort
 from dcp_stack.config import MAX_NEIGHBOURS, MS, NodeConfig, SRPConfig
 from dcp_stack.drops import DROPS
 from dcp_stack.effects import Dropped, Effect, NeighbourExpired, NeighbourSeen
@@ -31,46 +32,6 @@ TIMEOUT: Final = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 TRAVERSALS_PER_TIMEOUT: Final = 6
 """One more than required: a call that comes late may not leave an interval with four (SRP-RUN-01). A call for another
 reason, such as a beacon, traverses from half the interval on, so that the node need not be woken for it."""
-
-
-class RegisterConfirm(Protocol):
-    """What SRP needs of BP-RegisterProtocol.confirm."""
-
-    @property
-    def status(self) -> BPStatus: ...
-
-    @property
-    def own_node_identifier(self) -> bytes | None: ...
-
-
-class StatusConfirm(Protocol):
-    """What SRP needs of the other confirms of BP."""
-
-    @property
-    def status(self) -> BPStatus: ...
-
-
-class BPPort(Protocol):
-    """The services of BP that SRP uses."""
-
-    def register(
-        self,
-        prot_id: int,
-        name: str,
-        max_payload_size: int,
-        queueing_mode: QueueingMode,
-        max_entries: int,
-        allow_multiple_payloads: bool,
-        *,
-        now: int,
-        wall: int,
-    ) -> RegisterConfirm: ...
-
-    def deregister(self, prot_id: int) -> StatusConfirm: ...
-
-    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm | None: ...
-
-    def query_number_buffered(self, prot_id: int) -> StatusConfirm: ...
 
 
 class UpdateSafetyDataConfirm(msgspec.Struct, frozen=True, gc=False):

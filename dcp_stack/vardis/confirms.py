@@ -7,6 +7,8 @@ from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarSpec
 
+from .database import DBEntry
+
 
 class NoResponseError(RuntimeError):
     """There is no confirm: the request is not answered in this state (reading X30 ``no-response``)."""
@@ -44,21 +46,8 @@ class DescribeDatabaseConfirm(msgspec.Struct, frozen=True):
     variables: tuple[DescribedVariable, ...] = ()
 
 
-class VariableEntry(msgspec.Struct, frozen=True):
-    """``DBEntry`` as it was when it was asked for; ``t_stamp`` is wall time in ns since 1970."""
-
-    spec: VarSpec
-    value: bytes
-    seqno: int
-    t_stamp: int
-    count_update: int
-    count_create: int
-    count_delete: int
-    is_deleted: bool
-
-
 class DescribeVariableConfirm(msgspec.Struct, frozen=True):
-    """Of RTDB-DescribeVariable; ``entry`` is None unless the status is OK."""
+    """Of RTDB-DescribeVariable; ``entry``, a copy, is None unless the status is OK."""
 
     status: VardisStatus
-    entry: VariableEntry | None = None
+    entry: DBEntry | None = None

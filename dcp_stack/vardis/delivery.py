@@ -127,6 +127,10 @@ class Delivery:
             del self._asked[next(iter(self._asked))]
         self._asked[key] = count
 
+    def asked_by(self, peer: bytes) -> bool:
+        """Whether a neighbour has asked for something that it has not shown to have."""
+        return any(asking == peer for asking, _ in self._asked)
+
     def has(self, var_id: int) -> None:
         """The neighbour has shown that it knows the variable with the value that this node has."""
         if self._asked:

@@ -14,6 +14,7 @@ from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus, VardisStatus
 
+from dcp_stack.bp_port import BPPort
 from dcp_stack.config import MS, NodeConfig
 from dcp_stack.drops import DROPS
 from dcp_stack.effects import Dropped, Effect
@@ -23,13 +24,10 @@ from .confirms import Confirm
 from .core import Core
 from .database import DBEntry
 from .delivery import Obstacle
-from .port import BPPort
 from .receive import Receiver
 from .services import VariableServices
 from .state_table import Action, Event
 from .wire import Extractor
-
-__all__ = ["BPPort", "Vardis"]
 
 
 class Vardis(VariableServices):

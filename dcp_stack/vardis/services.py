@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarSpec
+from dcp_stack.bp_port import BPPort
 
 from .confirms import (
     Confirm,
@@ -14,11 +17,9 @@ from .confirms import (
     DescribeVariableConfirm,
     NoResponseError,
     ReadConfirm,
-    VariableEntry,
 )
 from .core import Core
 from .database import DBEntry
-from .port import BPPort
 from .state_table import Action, Event
 
 
@@ -179,17 +180,7 @@ class VariableServices:
         if entry is None:
             return DescribeVariableConfirm(VardisStatus.VARIABLE_DOES_NOT_EXIST)
         ##= VD-DVA-03
-        shown = VariableEntry(
-            entry.spec,
-            entry.value,
-            entry.seqno,
-            entry.t_stamp,
-            entry.count_update,
-            entry.count_create,
-            entry.count_delete,
-            entry.is_deleted,
-        )
-        return DescribeVariableConfirm(VardisStatus.OK, shown)
+        return DescribeVariableConfirm(VardisStatus.OK, copy(entry))
 
     def _serving(self) -> bool:
         """Whether requests are carried out; otherwise they are confirmed with INACTIVE.

@@ -52,6 +52,17 @@ def test_requests_of_several_neighbours_are_counted_apart() -> None:
     assert found(rig) == []
 
 
+def test_a_neighbour_has_asked_until_it_shows_what_it_asked_for() -> None:
+    rig = Rig()
+    rig.create()
+    delivery = rig.vardis._core.delivery
+    rig.vardis.hears(OTHER)
+    rig.receive(VarReqCreate(7))
+    assert (delivery.asked_by(OTHER), delivery.asked_by(THIRD)) == (True, False)
+    rig.receive(VarSumm(7, 0))
+    assert not delivery.asked_by(OTHER)
+
+
 def test_what_is_counted_is_bounded() -> None:
     rig = Rig()
     rig.create()

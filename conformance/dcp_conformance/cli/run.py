@@ -15,6 +15,7 @@ from .options import EXIT_STATUS, as_typed, selection_of, selection_options, tar
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.run import ConformanceRun
+    from dcp_conformance.execution.selection import Selection
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -25,6 +26,13 @@ if TYPE_CHECKING:
 @click.option(
     "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Findings of the fuzzer as cases, too."
 )
+@click.option(
+    "--failed",
+    type=click.Path(path_type=Path),
+    metavar="REPORT",
+    help="First the cases that failed or were undecided in an earlier report (its folder, or results.json).",
+)
+@click.option("--failed-only", is_flag=True, help="With --failed, only these cases.")
 @click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run everything N times.")
 @click.option("--until-fail", is_flag=True, help="End with the first fail.")
 @click.option(
@@ -71,7 +79,7 @@ def command(**options: Any) -> int:
     extra = shlex.split(options["pytest_options"] or "")
     run = ConformanceRun(
         target,
-        selection_of(options),
+        _failed_first(selection_of(options), options["failed"], only=options["failed_only"]),
         expected=options["expected"],
         artefacts=options["artefacts"],
         repeat=options["repeat"],
@@ -115,6 +123,20 @@ def _at_a_time(options: dict[str, Any]) -> int:
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])
     return WIDTH if options["interface"] is not None or options["link"] is not None else 1
+
+
+def _failed_first(selection: Selection, report: Path | None, *, only: bool) -> Selection:
+    """The selection with the cases first that did not pass in an earlier report."""
+    if report is None:
+        if only:
+            raise click.UsageError("--failed-only needs --failed REPORT, the report of an earlier run")
+        return selection
+    from dcp_conformance.model.verdict import Verdict
+    from dcp_conformance.reporting import load_results
+
+    bad = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE)
+    first = frozenset(case.id for case in load_results(report).cases if case.verdict in bad)
+    return replace(selection, first=first, only_first=only)
 
 
 def _report(run: ConformanceRun, folder: Path | None) -> None:

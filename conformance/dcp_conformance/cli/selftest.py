@@ -104,6 +104,12 @@ _FEW = 40
     metavar="N",
     help="Diagnose N nodes with two and N nodes with three faults at once, drawn with --seed.",
 )
+@click.option(
+    "--smoke-plan",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Measure how long each case takes, and choose the cases of the smoke plan by the fault dictionary.",
+)
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants or variants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
@@ -116,6 +122,10 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
         from .diagnosis import make_dictionary, measure_diagnosis
 
         return measure_diagnosis(options) if options["dictionary"] is None else make_dictionary(mutants, options)
+    if options["smoke_plan"] is not None:
+        from .smoke_plan import make_smoke_plan
+
+        return make_smoke_plan(options)
     if options["side_by_side"]:
         return _side_by_side(mutants, options)
     if options["recordings"]:

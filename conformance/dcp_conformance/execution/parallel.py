@@ -97,7 +97,7 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
 
 def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
     """The selection of one worker."""
-    return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,))
+    return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,), first=run.first)
 
 
 def messages(connections: dict[Connection, Any]) -> Iterator[Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -15,7 +15,8 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import SANITY, Case
 
 PLANS = ("full", "smoke", "long")
-"""``full``: all cases but those that take long; ``long``: those, too; ``smoke``: some of everything."""
+"""``full``: all cases but those that take long; ``long``: those, too; ``smoke``: those that notice most
+of the known faults in a few seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,10 @@ class Selection:
     exclude: tuple[str, ...] = ()
     """Identifiers of cases, or globs of them, that are left out."""
     plan: str = "full"
+    first: frozenset[str] = frozenset()
+    """Identifiers of cases that are run before the others; those that no longer exist are ignored."""
+    only_first: bool = False
+    """Whether no other cases are run."""
 
 
 def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
@@ -62,9 +67,15 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
         chosen = [case for case in chosen if ids.intersection(case.requirements)]
     excluded = {case.id for pattern in selection.exclude for case in _matching(cases, pattern)}
     chosen = [case for case in chosen if case.id not in excluded]
+    if selection.only_first:
+        chosen = [case for case in chosen if case.id in selection.first]
+        if not chosen:
+            raise UsageError(
+                "none of the selected cases failed or was undecided in that report: there is nothing to run"
+            )
     if not chosen:
         raise UsageError("no case is left to run; 'dcp-conformance list' shows those there are")
-    return ordered(chosen)
+    return ordered(chosen, selection.first)
 
 
 def left_out(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
@@ -75,9 +86,15 @@ def left_out(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
     return [case for case in select(cases, replace(selection, plan="long")) if case.id not in chosen]
 
 
-def ordered(cases: Iterable[Case]) -> list[Case]:
-    """Sanity first, what is about robustness behind all else, destructive cases last; otherwise as they stand."""
-    return sorted(cases, key=lambda case: (case.base != SANITY, case.destructive, case.robustness))
+def ordered(cases: Iterable[Case], first: Collection[str] = ()) -> list[Case]:
+    """The cases in the order in which they are run.
+
+    The sanity case, then the identifiers in ``first``, cases about conformance, those about robustness; otherwise as
+    they stand. Destructive cases are last in any case, those in ``first`` before the others.
+    """
+    return sorted(
+        cases, key=lambda case: (case.base != SANITY, case.destructive, case.id not in first, case.robustness)
+    )
 
 
 def matches(case: Case, pattern: str) -> bool:

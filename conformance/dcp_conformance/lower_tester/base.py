@@ -137,6 +137,10 @@ class Impairs(Protocol):
         """A context in which the link is bad; outside of it, it only delays."""
         ...
 
+    def settle(self) -> None:
+        """Wait until no frame is under way to the implementation. Raises ``LowerTesterError``."""
+        ...
+
     @property
     def changes_intervals(self) -> bool:
         """Whether the times between beacons are not those at which the implementation sent them."""

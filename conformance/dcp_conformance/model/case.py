@@ -104,13 +104,19 @@ class Case:
     """May leave the implementation dead or in a state that needs a restart: runs after all others."""
     robustness: bool = False
     """The specification leaves the reaction open: a crash counts in the table of robustness."""
-    smoke: bool = False
-    """Belongs to the short plan."""
     long: bool = False
     """Takes more than about 20 s at a beacon period of 100 ms: belongs to the long plan only."""
     line: int = 0
     options: tuple[str, ...] = ()
     """What a command needs beside the identifier to know the case."""
+
+    @property
+    def smoke(self) -> bool:
+        """Whether it belongs to the smoke plan (``data/case-times.json``)."""
+        # Needed by the few commands that ask for it.
+        from .case_times import load
+
+        return self.id == SANITY or self.id in load().smoke
 
     @property
     def base(self) -> str:
@@ -153,7 +159,6 @@ def case(
     variants: Mapping[str, Any] | None = None,
     destructive: bool = False,
     robustness: bool = False,
-    smoke: bool = False,
     long: bool = False,
 ) -> Callable[[_Body], _Body]:
     """Make a test case of ``body(bench)``, or with ``variants`` one of ``body(bench, value)`` for each of them.
@@ -188,7 +193,6 @@ def case(
                 needs=own.needs or needs,
                 destructive=destructive,
                 robustness=robustness,
-                smoke=smoke,
                 long=long,
                 line=body.__code__.co_firstlineno,
             )

@@ -23,7 +23,6 @@ from dcp_conformance.test_system.contact import Contact
     expect="a request for the variable; without VarDis any beacon",
     window=8,
     needs=Needs(entities=()),
-    smoke=True,
 )
 def sanity(bench: Bench) -> None:
     # The contact made by an earlier test must not excuse faults found by this one.

@@ -24,6 +24,7 @@ from dcp_codec.values import VarCreate
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.case import Case
 from dcp_conformance.upper_tester import Answer, UpperTester
 
@@ -181,6 +182,9 @@ class Bench(Waiting):
         self.traffic.note("call", self.lower.wall(), method, params, upper.name)
         self.changes.asked(method, params)
         self.session.passive.called(method, params, self.case.id)
+        if isinstance(self.lower, Impairs):
+            # A call does not overtake what was sent before it.
+            self.lower.settle()
         begun = self.now()
         try:
             answer = upper.call(method, params)

@@ -115,12 +115,17 @@ def _maker_lives(name: str) -> bool:
 
 def _started(pid: int) -> int:
     """When a process began, in ticks since the machine did; -1 if there is none."""
+    return int(_stat(pid)[19])
+
+
+def _stat(pid: int) -> list[str]:
+    """The fields of /proc/PID/stat from the state on (proc(5)); those of an ended process if there is none."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except OSError:
-        return -1
+        return ["X", *["-1"] * 49]
     # The name of the program, in parentheses, may hold anything.
-    return int(stat.rpartition(")")[2].split()[19])
+    return stat.rpartition(")")[2].split()
 
 
 def _pids(name: str) -> list[int]:
@@ -144,8 +149,4 @@ def _wait_until_gone(pids: Iterable[int], patience: float) -> None:
 
 
 def _running(pid: int) -> bool:
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return False
-    return stat.rpartition(")")[2].split()[0] not in ("Z", "X")
+    return _stat(pid)[0] not in ("Z", "X")

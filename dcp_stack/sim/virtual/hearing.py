@@ -28,15 +28,14 @@ from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.bp.client_port import ClientPort
 from dcp_stack.bp.entity import BeaconingProtocol, NeighbourLoss
 from dcp_stack.bp.wire import BPWire
+from dcp_stack.bp_port import BPPort
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, VariableChanged
 from dcp_stack.node import Node
 from dcp_stack.srp.entity import StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
-from dcp_stack.vardis.core import Sequence
 from dcp_stack.vardis.database import DBEntry
-from dcp_stack.vardis.delivery import Delivery
-from dcp_stack.vardis.entity import BPPort, Vardis
+from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell
 
@@ -208,35 +207,6 @@ class HearingSRP(StateReporting):
         )
 
 
-class HearingDelivery(Delivery):
-    """Knows who has asked for something: what such a neighbour says is looked at until it shows that it has it."""
-
-    def __init__(self, sequence: Sequence) -> None:
-        super().__init__(sequence)
-        self.askers: set[bytes] = set()
-
-    def asked(self, var_id: int) -> None:
-        """As :meth:`Delivery.asked`."""
-        super().asked(var_id)
-        self.askers = {peer for peer, _ in self._asked}
-
-    def has(self, var_id: int) -> None:
-        """As :meth:`Delivery.has`."""
-        super().has(var_id)
-        if self.peer in self.askers:
-            self.askers = {peer for peer, _ in self._asked}
-
-    def deleted(self, var_id: int) -> None:
-        """As :meth:`Delivery.deleted`."""
-        super().deleted(var_id)
-        self.askers = {peer for peer, _ in self._asked}
-
-    def clear(self) -> None:
-        """As :meth:`Delivery.clear`."""
-        super().clear()
-        self.askers = set()
-
-
 class HearingReceiver(Receiver):
     """Notes records that set something off."""
 
@@ -262,7 +232,6 @@ class HearingVardis(Vardis):
         self.known: set[bytes | None] = {None}
         """Payloads that change nothing while VarDis is active; None stands for a beacon without one."""
         self._size = 0
-        self._core.delivery = self._delivery = HearingDelivery(self._core.sequence)
         self._receiver = self._hearing = HearingReceiver(self._core)
 
     def forget(self) -> None:
@@ -280,10 +249,9 @@ class HearingVardis(Vardis):
                 self.forget()
             self.known.add(payload)
 
-    @property
-    def askers(self) -> set[bytes]:
-        """Neighbours whose payloads are to be looked at, known or not."""
-        return self._delivery.askers
+    def asked_by(self, neighbour: bytes) -> bool:
+        """Whether a neighbour has asked for something and not shown that it has it: then its payloads are looked at."""
+        return self._core.delivery.asked_by(neighbour)
 
     def look(self) -> None:
         """Forget what is known if entries have left the database, which up to 1.3 they do with the last VarDelete."""
@@ -331,7 +299,7 @@ class HearingNode(Node):
         if config.vardis:
             self.vardis = self._vardis = HearingVardis(config, self._vardis_port, emit=emit, now=now, wall=wall)
         self._bp.node = self
-        self._known: set[bytes | None] = {None} if self._vardis is None else self._vardis.known
+        self.known: set[bytes | None] = {None} if self._vardis is None else self._vardis.known
 
     def handle_timeout(self, now: int, wall: int) -> None:
         """As :meth:`Node.handle_timeout`."""
@@ -362,21 +330,21 @@ class HearingNode(Node):
     def hear(self, heard: ReceivedBeacon) -> bool:
         """Take in a beacon if it changes nothing but statistics; False: it has to be handled."""
         beacon = heard.beacon
-        if beacon.vardis not in self._known or beacon.network_id != self.network_id:
+        if beacon.vardis not in self.known or beacon.network_id != self.network_id:
             return False
         waiting = self.waiting.get(beacon.sender_id)
         if waiting is None:
             return self._hear_newcomer(heard)
-        if self._vardis is not None and beacon.sender_id in self._vardis.askers:
-            return False
         waiting.append(heard)
         if len(waiting) >= MOST_WAITING:
             self.settle_one(beacon.sender_id)
         return True
 
     def _hear_newcomer(self, heard: ReceivedBeacon) -> bool:
-        """As :meth:`hear` for a sender that is new, if it changes no timer and displaces nobody."""
+        """As :meth:`hear` for a sender that is new, if it asks for nothing, changes no timer and displaces nobody."""
         beacon = heard.beacon
+        if not self.ready or (self._vardis is not None and self._vardis.asked_by(beacon.sender_id)):
+            return False
         if self._srp is not None:
             table = self._srp.hearing_table
             if beacon.report is None or not 0 < len(table) < table.capacity:
@@ -386,8 +354,10 @@ class HearingNode(Node):
         return True
 
     def handled(self, beacon: Parsed) -> None:
-        """A beacon was handled in the ordinary way: the next ones of its sender may be heard."""
-        if self._srp is None or beacon.sender_id in self._srp.hearing_table:
+        """A beacon was handled in the ordinary way: the next ones of its sender may be heard, unless it asks."""
+        if self._vardis is not None and self._vardis.asked_by(beacon.sender_id):
+            self.forget(beacon.sender_id)
+        elif self.ready and (self._srp is None or beacon.sender_id in self._srp.hearing_table):
             self.waiting.setdefault(beacon.sender_id, [])
 
     def settle_one(self, sender_id: bytes) -> None:

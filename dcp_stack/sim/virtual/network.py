@@ -22,7 +22,7 @@ from dcp_stack.positions.base import Sample
 from dcp_stack.positions.tracks import Track
 from dcp_stack.sim.scenario.requests import answer
 
-from .hearing import HearingNode, Parsed, Parser, ReceivedBeacon
+from .hearing import MOST_WAITING, HearingNode, Parsed, Parser, ReceivedBeacon
 from .sharing import SharedCodec
 
 log = logging.getLogger(__name__)
@@ -286,21 +286,30 @@ class Network:
             for delivery in arrival.deliveries():
                 station = stations[delivery.receiver]
                 if station.hearing is not None:
-                    station.hearing.settle_all()
+                    # It may ask for something: then the next beacon of its sender has to be looked at.
+                    station.hearing.forget_all()
                 self._deliver(station, delivery)
             return
         heard = ReceivedBeacon(beacon, self.now, reception.wall)
+        sender, payload, network = beacon.sender_id, beacon.vardis, beacon.network_id
         for receiver in arrival.receivers:
             station = stations[receiver]
             node = station.hearing
-            if node is not None and node.ready and node.hear(heard):
+            if node is not None:
+                # As node.hear() begins: in a large network nearly every delivery ends here, and the call costs as much
+                # as the rest.
+                waiting = node.waiting.get(sender)
+                if waiting and payload in node.known and network == node.network_id and len(waiting) < MOST_WAITING:
+                    waiting.append(heard)
+                elif not node.hear(heard):
+                    # What waits of this sender came before.
+                    node.settle_one(sender)
+                    node = None
+            if node is not None:
                 station.beacons_received += 1
                 for watcher in station.watchers:
                     watcher.saw(reception.octets, reception.wall, outgoing=False, source=reception.source)
                 continue
-            if node is not None:
-                # What waits of this sender came before.
-                node.settle_one(beacon.sender_id)
             self._deliver(station, Delivery(arrival.time, arrival.sender, receiver, reception, arrival.sent))
             if station.hearing is not None:
                 station.hearing.handled(beacon)

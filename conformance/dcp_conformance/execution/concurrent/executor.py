@@ -14,10 +14,10 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival
 from dcp_conformance.model.applicability import why_not
 from dcp_conformance.model.case import Case
+from dcp_conformance.model.case_times import load
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import SIDE_BY_SIDE
-from dcp_conformance.plans import load
 from dcp_conformance.test_system.bench import Bench
 
 from .scheduler import Scheduler, Task
@@ -72,6 +72,7 @@ def execute(
     _together(executor, rest, on_result)
     if runner.session.can_restart:
         executor.run([case for case in applicable if case.destructive and not why_alone(case)], on_result)
+        executor.run_again(on_result)
     return executor.reasons
 
 

@@ -19,7 +19,7 @@ MODULES: Final = (
     "bp.entity", "bp.clients", "bp.parameters", "bp.queue", "bp.receive", "bp.services", "bp.timing", "bp.wire",
     "srp.entity", "srp.neighbour_table", "timestamps",
     "vardis.entity", "vardis.compose", "vardis.confirms", "vardis.core", "vardis.database", "vardis.parameters",
-    "vardis.port", "vardis.receive", "vardis.services", "record_sizes", "vardis.state_table", "vardis.wire",
+    "vardis.receive", "vardis.services", "record_sizes", "vardis.state_table", "vardis.wire",
     "bp.client_port",
 )  # fmt: skip
 

@@ -184,7 +184,6 @@ def chain(bench: Bench, how: str) -> None:
     ),
     expect="each record in exactly repCnt beacons, unchanged",
     window=60,
-    smoke=True,
 )
 def whole_life(bench: Bench) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)

@@ -28,7 +28,6 @@ _SUMMARIES = Needs(when=summarises)
     expect="one request; then the VarCreate in exactly repCnt beacons, and summaries with its sequence number",
     window=16,
     variants={"summary": _SUMMARY, "update": _UPDATE},
-    smoke=True,
 )
 def learns(bench: Bench, by: ICType) -> None:
     peer, name, count = bench.peer(), bench.unknown_id(), bench.rep_cnt(2)
@@ -97,7 +96,6 @@ def catches_up(bench: Bench) -> None:
     stimulus="a variable is learnt from its producer and updated; another peer requests its VarCreate",
     expect="the VarCreate with the current value and sequence number in exactly repCnt beacons",
     window=20,
-    smoke=True,
 )
 def teaches_create(bench: Bench) -> None:
     producer, joiner = bench.peer(), bench.peer()

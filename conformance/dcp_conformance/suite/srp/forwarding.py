@@ -25,7 +25,6 @@ _ROUNDS = 6
     expect="beacons without any of these records, and no record of another node",
     window=24,
     needs=Needs(entities=("srp",)),
-    smoke=True,
 )
 def never_forwarded(bench: Bench) -> None:
     upper = bench.session.upper

@@ -98,7 +98,6 @@ def one_record(bench: Bench) -> None:
     stimulus="SRP-UpdateSafetyData with a different value in every field",
     expect="SRP-STATUS-OK, and a beacon with an SRP block with these values",
     needs=_UPDATE,
-    smoke=True,
 )
 def values_arrive(bench: Bench) -> None:
     reporter = Reporter(bench)

@@ -48,7 +48,6 @@ def _small(bench: Bench, number: int) -> dict[str, Any]:
     stimulus="a record with a different value in every field and seqno 77",
     expect="one entry of its node with the same sData, tStamp and seqno, and the current time as receptionTime",
     needs=_TABLE,
-    smoke=True,
 )
 def stored(bench: Bench) -> None:
     peer, values = bench.peer(), _small(bench, 1)

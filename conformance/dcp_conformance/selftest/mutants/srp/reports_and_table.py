@@ -16,9 +16,10 @@ from dcp_conformance.selftest.mutants.air import Air
 from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_conformance.selftest.mutants.port import Port, registration
 from dcp_conformance.selftest.mutants.unseen import NO_MODE
+from dcp_stack.bp_port import BPPort
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect
-from dcp_stack.srp.entity import BPPort, StateReporting, UpdateSafetyDataConfirm
+from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 
 # -- reports -----------------------------------------------------------------------------------------------------------

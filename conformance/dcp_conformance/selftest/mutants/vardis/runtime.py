@@ -14,6 +14,7 @@ from dcp_conformance.selftest.mutants.cells import Cells
 from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_conformance.selftest.mutants.port import Port, registration
 from dcp_conformance.selftest.mutants.unseen import ALWAYS_ACTIVE
+from dcp_stack.bp_port import BPPort
 from dcp_stack.config import MS, NodeConfig
 from dcp_stack.effects import Effect
 from dcp_stack.vardis.confirms import Confirm
@@ -21,7 +22,6 @@ from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.parameters import (
     VardisParameters,
 )
-from dcp_stack.vardis.port import BPPort
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell, Event, State
 from dcp_stack.vardis.wire import Extracted

@@ -116,7 +116,6 @@ def _fields(*names: str, since: SpecVersion = SpecVersion.V1_0) -> Needs:
     expect="both values in six beacons",
     window=8,
     needs=_fields("version", "magicNo"),
-    smoke=True,
 )
 def constants(bench: Bench) -> None:
     wires = beacons_read(bench)

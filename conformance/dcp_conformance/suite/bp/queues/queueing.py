@@ -47,7 +47,6 @@ def until_done(client: BPClient, since: int) -> list[bytes]:
     stimulus="between two beacons, a client with maxEntries 2 submits A, B, C",
     expect="BP-STATUS-OK each time; A is sent, then B, and never C",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),
-    smoke=True,
 )
 def droptail(bench: Bench) -> None:
     full_queue(bench, DROPTAIL, [0, 1], "BP-QM-01", "BP-TXP-04", "BP-TXP-09")

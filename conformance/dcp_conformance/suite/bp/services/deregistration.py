@@ -39,7 +39,6 @@ _REGISTRATION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
     stimulus="BP-RegisterProtocol, BP-DeregisterProtocol, BP-ListRegisteredProtocols, with a payload buffered",
     expect="BP-STATUS-OK; no entry in the list; its buffered payloads can no longer be queried",
     needs=Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
-    smoke=True,
 )
 def deregister(bench: Bench) -> None:
     client = BPClient(bench, REPEAT)

@@ -43,7 +43,6 @@ _SWITCHES = Needs(since=V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE))
     expect="BP-STATUS-OK both times; silence, then beacons with the same payload",
     needs=_SWITCHES,
     window=12,
-    smoke=True,
 )
 def switched_off(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:

@@ -105,7 +105,6 @@ def back_to_the_tail(bench: Bench, kind: ICType) -> None:
     stimulus="a variable is created and updated twice; then a peer requests its VarCreate",
     expect="a VarCreate with the value and sequence number of the second update, otherwise as created",
     window=16,
-    smoke=True,
 )
 def current_value(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
@@ -187,7 +186,6 @@ def update_requested_once(bench: Bench) -> None:
     stimulus="one summary of an unknown variable",
     expect="exactly one VarReqCreate for it",
     window=8,
-    smoke=True,
 )
 def create_requested_once(bench: Bench) -> None:
     peer, var_id, mark = bench.peer(), bench.unknown_id(), bench.mark()

@@ -83,7 +83,6 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     ),
     window=14,
     needs=_WIRE,
-    smoke=True,
 )
 def rotation(bench: Bench) -> None:
     most = bench.bound(SUMMARIES)

@@ -121,7 +121,6 @@ def _room_for_all_kinds(bench: Bench) -> str | None:
     ),
     expect="one payload with all six kinds of containers, in the order of the version",
     needs=Needs(when=_room_for_all_kinds),
-    smoke=True,
 )
 def order_of_containers(bench: Bench) -> None:
     peer = bench.peer()

@@ -46,7 +46,6 @@ def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, .
     requirements="VD-RX-01",
     stimulus="a payload with the VarUpdate of an unknown variable before its VarCreate",
     expect="both records are applied, and there is no request for the variable",
-    smoke=True,
 )
 def two_phases(bench: Bench) -> None:
     peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()

@@ -75,7 +75,6 @@ def requests_stay(bench: Bench) -> None:
     stimulus="summaries and updates of unknown variables, and newer summaries of a known one, five of each",
     expect="one VarReqCreate for each unknown variable, one VarReqUpdate for the known one",
     window=8,
-    smoke=True,
 )
 def requests_once(bench: Bench) -> None:
     peer, unknown, updated = bench.peer(), bench.unknown_id(), bench.unknown_id()

@@ -44,7 +44,6 @@ _V = ICType.CREATE_VARIABLES
     stimulus="RTDB-Create with all parameters",
     expect="VARDIS-STATUS-OK; a VarCreate with these parameters, seqno 0 and the implementation's identifier as prodId",
     needs=_CREATE,
-    smoke=True,
 )
 def announced(bench: Bench) -> None:
     var_id = bench.own_var_id()

@@ -91,7 +91,6 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     ),
     window=50,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete"), when=several_repetitions),
-    smoke=True,
 )
 def ends_repetitions(bench: Bench) -> None:
     count = max_repetitions(bench)

@@ -32,7 +32,6 @@ def _needs(*methods: str) -> Needs:
     stimulus="VD-MGMT-Deactivate twice, VD-MGMT-Activate twice",
     expect="VARDIS-STATUS-OK each time; VarDis answers afterwards",
     needs=_needs(),
-    smoke=True,
 )
 def on_and_off(bench: Bench) -> None:
     try:

@@ -38,7 +38,6 @@ from dcp_conformance.test_system.services import (
     expect="VARDIS-STATUS-OK with the values; tStamp is the current time, and three periods later after the update",
     window=6,
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read")),
-    smoke=True,
 )
 def own(bench: Bench) -> None:
     begun = bench.lower.wall()

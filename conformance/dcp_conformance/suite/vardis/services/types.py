@@ -76,7 +76,6 @@ def _has_empty_container(heard: ReceivedBeacon) -> bool:
         "all beacons can be decoded completely with the profile; no container is empty, and each type has its number"
     ),
     window=10,
-    smoke=True,
 )
 def layout(bench: Bench) -> None:
     since = _everything(bench, bench.peer())
@@ -226,7 +225,6 @@ def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requ
         "other counters 0"
     ),
     needs=_DESCRIBE,
-    smoke=True,
 )
 def entry_of_received(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()

@@ -49,7 +49,6 @@ _UPDATE_READ = Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"))
     expect="VARDIS-STATUS-OK each time; VarUpdates with these values and sequence numbers 1, 2, 3, 4",
     window=25,
     needs=_UPDATE,
-    smoke=True,
 )
 def updates(bench: Bench) -> None:
     var_id = produced(bench)

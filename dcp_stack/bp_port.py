@@ -1,4 +1,4 @@
-"""What VarDis needs of BP (dcp-vardis.md, "Initialization, Runtime and Shutdown")."""
+"""The services of BP that SRP and VarDis use, as types: they know nothing else of BP."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class NumberConfirm(HasStatus, Protocol):
 
 
 class BPPort(Protocol):
-    """What VarDis needs of BP; ``BeaconingProtocol`` has it. Times are ns."""
+    """BP as one client protocol sees it; ``bp.client_port.ClientPort`` is one. Times are ns."""
 
     def register(
         self,

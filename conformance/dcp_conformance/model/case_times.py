@@ -1,4 +1,4 @@
-"""How long cases take."""
+"""How long each case takes at our node, and the smoke plan, which was chosen by that (``data/case-times.json``)."""
 
 from __future__ import annotations
 
