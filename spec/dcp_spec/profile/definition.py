@@ -72,9 +72,7 @@ __all__ = [
 class Link(Part, frozen=True):
     """How beacons are told from other traffic: by an EtherType or by a UDP port (UWB-02)."""
 
-    transport: Annotated[Literal["ethernet", "udp"], Meta(description="The link layer that carries a beacon.")] = (
-        "ethernet"
-    )
+    transport: Annotated[Literal["ethernet", "udp"], Meta(description="Link layer of the beacons.")] = "ethernet"
     ether_type: Annotated[
         Annotated[int, Meta(ge=0x0600, le=0xFFFF)] | None, Meta(description="EtherType; required for `ethernet`.")
     ] = None

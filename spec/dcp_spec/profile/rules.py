@@ -76,7 +76,7 @@ def _own_names(key: str, names: list[str], taken_names: Iterable[str] | None = N
     taken = {_bare(name): name for name in (_TAKEN[key] if taken_names is None else taken_names)}
     for name in names:
         if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name) or {name, name.lower()} & set(keyword.kwlist):
-            yield f"{key}: field name {name!r} is not a plain name (letters, digits, _; first a letter; no keyword of Python)"
+            yield f"{key}: field name {name!r} is no plain name (letters, digits, _; first a letter; no Python keyword)"
         elif _bare(name) in taken:
             yield f"{key}: field name {name!r} is taken ({taken[_bare(name)]})"
     bare = [_bare(name) for name in names]
