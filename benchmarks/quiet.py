@@ -37,7 +37,7 @@ PARTS = {
     "node": "",
     "no hold": "import dcp_stack.runtime.driver as driver; driver.HOLD = -1 << 60",
     "early": """
-from dcp_stack.vardis import Vardis
+from dcp_stack.vardis.entity import Vardis
 made = Vardis.__init__
 def init(self, *args, **more):
     made(self, *args, **more)

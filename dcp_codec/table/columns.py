@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from .kernel.pools import Pool
+from .kernel.pools import Pool, text_array
 from .kernel.row_buffer import item, row_size, table_layout
 from .kernel.shape import Column, Table
 
@@ -171,7 +171,7 @@ def arrow_arrays(
             return [pa.DictionaryArray.from_arrays(codes, pool.dictionary, safe=False)]
         case "label":
             codes = pa.Array.from_buffers(pa.int8(), rows, [None, pa.py_buffer(values[:rows])])
-            return [pa.DictionaryArray.from_arrays(codes, pa.array(column.labels, pa.string()), safe=False)]
+            return [pa.DictionaryArray.from_arrays(codes, text_array(column.labels), safe=False)]
         case "octets":
             return [_plain(column, rows, values[: rows * column.size])]
         case "varying" | "text":

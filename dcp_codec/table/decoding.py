@@ -98,7 +98,7 @@ class ColumnDecoder:
         self.shape = Shape(codec.beacon_plan)
         self.schemas = {table.name: schema_of(table) for table in self.shape.tables} | {ERRORS: ERRORS_SCHEMA}
         self._none = {
-            name: pa.RecordBatch.from_arrays([pa.array([], field.type) for field in schema], schema=schema)
+            name: pa.RecordBatch.from_arrays([pa.nulls(0, field.type) for field in schema], schema=schema)
             for name, schema in self.schemas.items()
         }
         self._decode = interpreted(self.shape) if interpret else compiled(self.shape)

@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from dcp_codec.common.spreadsheet import FORMULA_STARTS
 
+from .kernel.pools import text_array
 from .parquet_output import ParquetTable
 
 Format = Literal["parquet", "csv", "duckdb"]
@@ -108,8 +109,8 @@ def open_writer(form: Format, path: Path, schema: pa.Schema, executor: Executor 
 
 def with_file(batch: pa.RecordBatch, schema: pa.Schema, name: str) -> pa.RecordBatch:
     """A batch with the column ``file`` in front that ``schema`` has."""
-    codes = pa.array(np.zeros(batch.num_rows, np.int32))
-    column = pa.DictionaryArray.from_arrays(codes, pa.array([name], pa.string()))
+    codes = pa.Array.from_buffers(pa.int32(), batch.num_rows, [None, pa.py_buffer(np.zeros(batch.num_rows, np.int32))])
+    column = pa.DictionaryArray.from_arrays(codes, text_array([name]))
     return pa.RecordBatch.from_arrays([column, *batch.columns], schema=schema)
 
 

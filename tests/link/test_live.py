@@ -24,7 +24,7 @@ pytestmark = pytest.mark.tool("ip")
 LISTEN = """
 import json, signal, sys, threading
 from dcp_codec.network.live import LiveError, open_live
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 link = json.loads(sys.argv[2])
 try:

@@ -318,7 +318,7 @@ def _print_finding(out: Console, case: CaseResult) -> None:
     for check in bad[:_CHECKS]:
         if check.expected != previous:
             out.print(f"  expected  {data(check.expected)}", soft_wrap=True)
-        out.print(f"  instead   {data(check.observed)}{_frames(check)}", soft_wrap=True)
+        out.print(f"  observed  {data(check.observed)}{_frames(check)}", soft_wrap=True)
         previous = check.expected
     if len(bad) > _CHECKS:
         out.print(f"            ... and {len(bad) - _CHECKS} more, which the report shows")

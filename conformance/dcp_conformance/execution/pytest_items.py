@@ -136,7 +136,7 @@ class CaseItem(pytest.Item):
             pytest.xfail(plain(f"as expected: {self.result.reason}"))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Show a verdict as what was expected and what came instead, not as a traceback."""
+        """Show a verdict as what was expected and what was observed, not as a traceback."""
         if isinstance(excinfo.value, CaseVerdictError):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
@@ -153,7 +153,7 @@ class CaseVerdictError(Exception):
         lines = [f"{result.id}: {surprise or result.verdict}", f"  purpose: {result.purpose}"]
         for check in result.checks:
             if check.verdict.rank > Verdict.PASS.rank:
-                lines += [f"  expected: {check.expected}", f"  instead:  {check.observed}"]
+                lines += [f"  expected: {check.expected}", f"  observed: {check.observed}"]
                 lines.append(f"  decides:  {', '.join(check.requirements)}")
         lines.append(f"  again:    {result.rerun}")
         if result.error_detail:

@@ -53,7 +53,7 @@ def _add(suite: ET.Element, case: CaseResult) -> None:
     if outcome != "skipped":
         detail.set("type", case.table)
         lines = [
-            f"expected: {check.expected}\ninstead: {check.observed}" for check in case.checks if _bad(check.verdict)
+            f"expected: {check.expected}\nobserved: {check.observed}" for check in case.checks if _bad(check.verdict)
         ]
         detail.text = "\n".join([*lines, f"again: {case.rerun}", case.error_detail]).strip()
 

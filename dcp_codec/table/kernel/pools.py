@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,18 @@ Array = npt.NDArray[np.generic]
 
 #: Identifiers that a pool holds before a fresh one is begun. A swarm has dozens; garbage has millions.
 MOST = 1 << 15
+
+
+def text_array(texts: Sequence[str]) -> pa.Array:
+    """Return texts as an Arrow array of strings.
+
+    ``pyarrow.array`` would import pandas, where that is installed, to find out whether a list is a pandas object. That
+    takes as long as decoding some thousand beacons.
+    """
+    octets = [text.encode() for text in texts]
+    ends = np.zeros(len(octets) + 1, np.int32)
+    np.cumsum([len(each) for each in octets], out=ends[1:])
+    return pa.Array.from_buffers(pa.string(), len(octets), [None, pa.py_buffer(ends), pa.py_buffer(b"".join(octets))])
 
 
 class Pool:
@@ -47,7 +59,7 @@ class Pool:
         """The identifiers as texts, in the order of their numbers."""
         if self._dictionary is None or len(self._texts) < self.many:
             self._texts += [self._write(self._octets(number)) for number in range(len(self._texts), self.many)]
-            self._dictionary = pa.array(self._texts, pa.string())
+            self._dictionary = text_array(self._texts)
         return self._dictionary
 
     def _octets(self, number: int) -> bytes:
