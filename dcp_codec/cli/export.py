@@ -53,11 +53,6 @@ def command(kind: str, profile: str, out: str | None) -> int:
 
 def _text(kind: str, codec: Codec, profile: str) -> str:
     module, name, _ = _KINDS[kind]
-    try:
-        function: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith("scapy"):
-            raise
-        raise ExpectedError("scapy is not installed: pip install 'dcp-conformance-kit[scapy]'") from None
+    function: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
     result = function(profile if kind == "scapy" else codec)
     return result if isinstance(result, str) else json.dumps(result, indent=2)

@@ -21,6 +21,7 @@ from typing import Any, NoReturn
 import click
 from dcp_spec.version import __version__
 
+from .extras import EXTRAS, advice
 from .printable import plain
 
 #: The status of wrong usage, and of input that cannot be used, in every command.
@@ -111,7 +112,7 @@ class CommandLine:
     failures: Mapping[type[Exception], int] = field(default_factory=lambda: MappingProxyType({}))
     """Exceptions beside :class:`ExpectedError` whose message is for people -> exit status; the first that fits."""
     extras: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """Packages that only some installations have -> the extra of this project that brings them."""
+    """Packages that another extra installs for this command than :data:`~dcp_codec.common.extras.EXTRAS` says."""
     fault_status: int = 1
     """The status when the command itself is at fault: an exception that nobody expected, shown with its traceback."""
 
@@ -171,8 +172,8 @@ class CommandLine:
                 self.note(str(error))
                 return status
         package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
-        if extra := self.extras.get(package):
-            self.note(f"{package} is not installed: pip install 'dcp-conformance-kit[{extra}]'")
+        if extra := self.extras.get(package, EXTRAS.get(package)):
+            self.note(advice(package, extra))
             return UNUSABLE
         if not isinstance(error, OSError):
             click.echo(plain("".join(traceback.format_exception(error)), keep="\n"), err=True, nl=False)

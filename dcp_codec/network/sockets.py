@@ -16,6 +16,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dcp_codec.common.extras import advice
+
 from . import interfaces
 
 if TYPE_CHECKING:
@@ -117,7 +119,7 @@ def open_ethernet(interface: str, ether_type: int, *, promiscuous: bool = False,
     hardware, address = interfaces.hardware_address(interface)
     if hardware not in (_ARPHRD_ETHER, _ARPHRD_LOOPBACK):
         raise OpeningError(f"frames there are not Ethernet (hardware type {hardware}); choose another interface")
-    opened = _scapy_socket(interface, ether_type, instead)
+    opened = _packet_socket(interface, ether_type, instead)
     try:
         raw: socket.socket = opened.ins
         raw.setblocking(False)
@@ -191,21 +193,19 @@ def tag_of(ancillary: Ancillary) -> tuple[bytes, int]:
     return b"", 0
 
 
-def _scapy_socket(interface: str, ether_type: int, instead: str) -> Any:
+def _packet_socket(interface: str, ether_type: int, instead: str) -> Any:
+    # Imported here, so that UDP needs no scapy.
+    from dcp_codec.scapy.packet_socket import open_packet_socket
+
     try:
-        # For its table of hardware types, without which the socket warns that it does not know Ethernet.
-        import scapy.layers.l2  # noqa: F401
-        from scapy.arch.linux import L2Socket
-    except ImportError:
-        raise OpeningError("scapy is not installed: pip install 'dcp-conformance-kit[scapy]'") from None
-    try:
-        return L2Socket(iface=interface, type=ether_type, promisc=False, nofilter=1)
+        return open_packet_socket(interface, ether_type)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "scapy":
+            raise
+        raise OpeningError(advice("scapy")) from None
     except PermissionError:
         other = instead and f"; {instead} needs no privilege"
         raise OpeningError(f"this needs the right to open raw sockets: {_raw_socket_advice()}{other}") from None
-    except ValueError as error:
-        # Scapy does not find the interface: it went away since we looked.
-        raise OSError(errno.ENODEV, str(error)) from None
 
 
 def _raw_socket_advice() -> str:

@@ -1,4 +1,4 @@
-"""Scapy layers for DCP, made from the plan of a profile.
+"""Everything that imports scapy: layers for DCP made from the plan of a profile, and packet sockets for Ethernet.
 
-Only this package and :mod:`dcp_codec.network.sockets` import scapy.
+No other package imports scapy, which is licensed GPL-2.0-only: without the extra ``scapy``, nothing here is loaded.
 """

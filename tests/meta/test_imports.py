@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping
+from pathlib import Path
 
-import grimp
 import pytest
+
+_PATH = Path(__file__).with_name("layers.py")
+_SPEC = importlib.util.spec_from_file_location("meta_layers", _PATH)
+assert _SPEC is not None
+assert _SPEC.loader is not None
+layers = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(layers)
 
 
 def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
@@ -35,30 +43,23 @@ def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
     return found
 
 
-def imports_of(package: str) -> dict[str, set[str]]:
-    """Return what each module imports when it runs; imports for annotations only are left out."""
-    graph = grimp.build_graph(package, exclude_type_checking_imports=True, cache_dir=None)
-    return {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
-
-
-def by_package(imports: Mapping[str, set[str]]) -> dict[str, set[str]]:
-    """Return the same for packages and modules directly below the root."""
-
-    def top(module: str) -> str:
-        return ".".join(module.split(".")[:2])
-
-    found: dict[str, set[str]] = {}
-    for module, others in imports.items():
-        found.setdefault(top(module), set()).update(top(other) for other in others if "." in other)
-    return {name: others - {name} for name, others in found.items() if "." in name}
-
-
-@pytest.mark.parametrize("package", ["dcp_spec", "dcp_codec", "dcp_stack", "dcp_conformance"])
+@pytest.mark.parametrize("package", layers.PACKAGES)
 def test_there_are_no_import_circles(package: str):
-    imports = imports_of(package)
+    imports = layers.imports_of(package)
     assert circles(imports) == []
-    assert circles(by_package(imports)) == []
+    assert circles(layers.by_package(imports)) == []
 
 
 def test_a_circle_is_found():
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
+
+
+def test_the_figure_of_layers_is_up_to_date():
+    page = layers.PAGE.read_text(encoding="utf-8")
+    assert page == layers.updated(page), "python tests/meta/layers.py writes it"
+
+
+@pytest.mark.parametrize("package", layers.PACKAGES)
+def test_each_part_says_what_it_is(package: str):
+    parts = [name for layer in layers.layers_of(package) for name in layer]
+    assert [name for name in parts if not layers.first_line(package, name)] == []

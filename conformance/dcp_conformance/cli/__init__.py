@@ -20,6 +20,7 @@ main = CommandLine(
         "fuzz": "Find inputs that break an implementation.",
         "report": "Make a report again, or put several runs side by side.",
         "compare": "Show which verdicts differ between two runs.",
+        "interop": "Test networks of several implementations.",
         "selftest": "Test the suite with mutants of our own node.",
         "provenance": "Compare the catalogue with another version of the specification.",
     },
@@ -27,6 +28,6 @@ main = CommandLine(
     exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "
     "unexpected, but something inconclusive; 4 the tester's own trouble; 130 interrupted.",
     failures=_FAILURES,
-    extras={**dict.fromkeys(("jinja2", "scapy"), "conformance"), "pytest": "pytest"},
+    extras={"jinja2": "conformance"},
     fault_status=4,
 )

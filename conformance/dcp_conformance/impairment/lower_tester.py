@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from dcp_codec.impairment import Channel, Copy, Fate
+from dcp_codec.impairment import Channel, Copy, Counters, Fate
 from dcp_codec.network.sockets import ETHERNET_HEADER
 from dcp_conformance.lower_tester import Arrival, HearsEveryType, Incident, LinkHealth, LowerTester, OnThisMachine
 
@@ -52,6 +52,9 @@ class ImpairedLowerTester:
         self._inner = inner
         self._calm = Directions(directions.to.only_delays(), directions.back.only_delays())
         self._to, self._back = Channel(self._calm.to, seed, "to"), Channel(self._calm.back, seed, "from")
+        self._counters = (Counters(), Counters())
+        """What became of frames while the link was bad, to the implementation and from it."""
+        self._uncounted = (self._to.counters, self._back.counters)
         self._tolerance = tolerance
         self._start = inner.now()
         self._engaged = 0
@@ -77,8 +80,10 @@ class ImpairedLowerTester:
 
     def _switch(self) -> None:
         wanted = self.directions if self._engaged else self._calm
-        for channel, impairment in ((self._to, wanted.to), (self._back, wanted.back)):
-            if channel.impairment is not impairment:
+        counters = self._counters if self._engaged else self._uncounted
+        for channel, impairment, count in zip((self._to, self._back), wanted, counters, strict=True):
+            if channel.counters is not count:
+                channel.counters = count
                 channel.change(impairment)
 
     @property
@@ -87,19 +92,17 @@ class ImpairedLowerTester:
         return bool(self.directions.back.jitter or self.directions.back.reorder)
 
     def counters(self) -> dict[str, Any]:
-        """What became of all frames so far, by direction (``to``, ``from``), as plain data for JSON."""
-        return {name: msgspec.to_builtins(each.counters) for name, each in (("to", self._to), ("from", self._back))}
+        """What became of frames while the link was bad (``to``, ``from``), as plain data for JSON."""
+        return {name: msgspec.to_builtins(each) for name, each in zip(("to", "from"), self._counters, strict=True)}
 
     def summary(self) -> str:
         """What was wanted and what was realised, in words."""
         parts = []
-        for name, channel in (("to", self._to), ("from", self._back)):
-            count = channel.counters
+        for where, count in zip(("to the implementation", "from it"), self._counters, strict=True):
             done = [f"{count.lost + count.down} of {count.offered} frames lost"]
             for what in ("corrupted", "duplicated", "reordered"):
                 if number := getattr(count, what):
                     done.append(f"{number} {what}")
-            where = "to the implementation" if name == "to" else "from it"
             parts.append(f"{where} {', '.join(done)}")
         return (
             f"the link was impaired while cases were executed ({self.directions}): {'; '.join(parts)}. A failure that "

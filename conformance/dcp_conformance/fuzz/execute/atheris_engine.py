@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 
+from dcp_codec.common.extras import advice
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.campaign import Campaign, Limits
 from dcp_conformance.fuzz.reduce.reduction import as_it_was
@@ -54,7 +55,7 @@ def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[byte
     Ctrl-C ends it with what was found. Raises :class:`UsageError` without the extra.
     """
     if importlib.util.find_spec("atheris") is None:
-        raise UsageError("atheris is not installed: pip install 'dcp-conformance-kit[atheris]'")
+        raise UsageError(advice("atheris"))
     begun = time.monotonic()
     interrupted: KeyboardInterrupt | None = None
     with tempfile.TemporaryDirectory(prefix="dcp-fuzz-") as name:
