@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 
 from dcp_spec.constants import ICType
@@ -12,7 +13,7 @@ from dcp_conformance.heard import Instruction
 from dcp_conformance.verdict import Verdict
 
 from .base import Context, Invariant, Seen, name
-from .said import CREATE, DELETE, SUMMARY, UPDATE, Part, Said
+from .said import CREATE, DELETE, SUMMARY, UPDATE, Part, Said, said_of
 
 #: Sequences of containers that are remembered as sound.
 _SEQUENCES = 1024
@@ -92,9 +93,10 @@ class PayloadConsistency(Invariant):
         """Compare the records about each variable."""
         if _plain(seen.parts):
             return
+        said = seen.said if any(kind is DELETE for kind, _, _ in seen.parts) else _repeated(seen)
         records: dict[int, Said] = {}
-        deleted = {each.var_id: each for each in seen.said if each.kind is DELETE}
-        for each in seen.said:
+        deleted = {each.var_id: each for each in said if each.kind is DELETE}
+        for each in said:
             kind = each.kind
             if kind is not SUMMARY and kind is not UPDATE and kind is not CREATE:
                 continue
@@ -112,6 +114,23 @@ class PayloadConsistency(Invariant):
                 if each.var_id in deleted:
                     text = f"{name(seen.sender)} deletes and summarises variable {each.var_id}"
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
+
+
+def _repeated(seen: Seen) -> list[Said]:
+    """The creates, updates and summaries of a beacon about variables that have several of them."""
+    counts = Counter(
+        itertools.chain.from_iterable(
+            ids for kind, _, ids in seen.parts if kind is SUMMARY or kind is UPDATE or kind is CREATE
+        )
+    )
+    several = {var_id for var_id, count in counts.items() if count > 1}
+    return [
+        said_of(kind, record, seen.heard, seen.sender)
+        for kind, records, ids in seen.parts
+        if not several.isdisjoint(ids)
+        for record, var_id in zip(records, ids, strict=True)
+        if var_id in several
+    ]
 
 
 def _plain(parts: Sequence[Part]) -> bool:
